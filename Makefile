@@ -11,7 +11,7 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train playground bench bench-beats bench-parts attacks chaos trace soak \
+.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train study playground bench bench-beats bench-parts attacks chaos trace soak \
   sanitize fuzz format clean \
   setup configure
 
@@ -93,6 +93,15 @@ build: configure
 # Trains the shipped CartPole policy in build/train. Continues a run that was interrupted.
 train: build
 	train/recipes/cartpole.sh $(BIN)/spiketrain build/train
+
+# Trains what docs/evidence/study.md compares, for hours, and writes its tables. Continues a study that was interrupted.
+# STUDY_FLAGS="--seeds=3 --jobs=2" selects less, and runs two at the same time.
+study: build setup
+	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
+	PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1):$(BUILD)/python:train/recipes \
+	  build/venv/bin/python train/report/study.py --work=build/study --out=docs/evidence/study \
+	  --spiketrain=$(BIN)/spiketrain $(STUDY_FLAGS)
+	build/venv/bin/python train/report/study_page.py docs/evidence/study docs/evidence/study.md
 
 # Runs all benchmarks, which takes about eight minutes on an idle machine. BENCH_FLAGS="--rounds=20" makes the runs
 # longer, "--sections engine" selects a part.

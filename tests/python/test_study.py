@@ -1,0 +1,166 @@
+"""The study of train/report: its statistics, its verdicts, a miniature of it, and the committed page."""
+
+import json
+import math
+import os
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+ROOT = pathlib.Path(__file__).parents[2]
+REPORT = ROOT / "train/report"
+sys.path.insert(0, str(REPORT))
+
+import seed_statistics  # noqa: E402
+import study_page  # noqa: E402
+import study_plan  # noqa: E402
+
+COMMITTED = ROOT / "docs/evidence/study"
+
+
+@pytest.mark.parametrize(("freedom", "t"), [(1, 12.7062), (2, 4.30265), (3, 3.18245), (4, 2.77645), (9, 2.26216), (30, 2.04227)])
+def test_student_has_the_quantiles_of_the_tables(freedom, t):
+    assert seed_statistics.student_share(t, freedom) == pytest.approx(0.95, abs=1e-6)
+
+
+def test_p_values_are_those_of_student():
+    sample = [1, 2, 3, 4, 5]
+    assert seed_statistics.two_sided(sample, 0) == pytest.approx(0.0132363, abs=1e-6)
+    assert seed_statistics.probability_below(sample, 3) == pytest.approx(0.5)
+    assert seed_statistics.equivalence(sample, 5) == pytest.approx(seed_statistics.probability_below(sample, 5))
+    assert seed_statistics.equivalence([0.1, -0.2, 0.05], 5) < 0.001
+    assert seed_statistics.equivalence([4, -5, 3], 5) > 0.05
+    assert seed_statistics.two_sided([2, 2, 2], 0) == 0
+    assert seed_statistics.two_sided([2, 2, 2], 2) == 1
+
+
+def test_holm_corrects_the_smallest_most():
+    assert seed_statistics.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert seed_statistics.holm([0.9, 0.8]) == [1, 1]
+
+
+def test_interquartile_means_leave_out_the_ends():
+    assert seed_statistics.interquartile_mean([0, 2, 3, 100]) == 2.5
+    assert seed_statistics.interquartile_mean([1, 3]) == 2
+    low, high = seed_statistics.bootstrap_interval([[1, 2, 3, 4, 5, 6, 7, 8]])
+    assert 1 < low < 4.5 < high < 8
+    assert seed_statistics.bootstrap_interval([[1, 1, 1], [3, 3, 3]]) == (2, 2)
+
+
+def write_results(folder, arms):
+    """Writes results of CartPole with the returns of each arm by seed."""
+    for arm, returns in arms.items():
+        for seed, value in enumerate(returns, 1):
+            result = {"task": "cartpole", "arm": arm, "seed": seed, "learning_rate": "1e-3", "mean_return": value}
+            result |= {"spikes_per_decision": 5, "validation_loss": 0.1, "integer": {"nanojoules_per_decision": 2}}
+            (folder / f"{arm}-{seed}.json").write_text(json.dumps(result))
+
+
+def test_verdicts(tmp_path):
+    noise = [1.0, -2.0, 0.5, 1.5, -1.0, 0.3, -0.7, 2.0, -1.6, 0.2]
+    apart = [80.0 * (-1) ** seed + value for seed, value in enumerate(noise)]
+    write_results(
+        tmp_path,
+        {
+            "dense": [230 + value for value in noise],
+            "baseline": [400.0] * 10,
+            "pos": [400 + value for value in noise],
+            "route": [400 + value for value in apart],
+            "full": [450 - value for value in noise],
+            "full-n1": [450.0 + 60],
+        },
+    )
+    results = study_page.read_results(tmp_path)
+    tests = study_page.tests_of(results)
+    verdicts = {statement.text.split(" (")[0]: test.verdict for (statement, task), test in tests.items() if task == "cartpole"}
+    assert verdicts == {
+        "`full` returns at most 5 points less than `dense`": "holds",
+        "`pos` returns more than `baseline`": "does not hold, equal",
+        "`route` returns more than `baseline`": "cannot be told",
+        "`full` returns more than `baseline`": "holds",
+        "`full` returns more than `pos`": "holds",
+        "`full` returns more than `route`": "cannot be told",
+        "`route` halves the loss of `baseline`": "does not hold",
+        "`full` returns more than trained with N = 1": "cannot be told",  # one seed
+    }
+    assert "| cartpole | `full-n1` | 1 | 510.0 (one seed) | 5 | 2.0 | 1e-3 |" in study_page.tables(tmp_path)
+
+
+@pytest.mark.parametrize(("less", "verdict"), [(10, "holds"), (100, "does not hold")])
+def test_less_within_the_margin_is_not_worse(tmp_path, less, verdict):
+    dense = [500, 499, 500, 498]
+    write_results(tmp_path, {"dense": dense, "full": [value - less - seed for seed, value in enumerate(dense)]})
+    tests = study_page.tests_of(study_page.read_results(tmp_path))
+    assert tests[study_page.STATEMENTS[0], "cartpole"].verdict == verdict
+
+
+def study(folder, *arguments):
+    program = [sys.executable, REPORT / "study.py", "--smoke", f"--work={folder}/work", f"--out={folder}/out", *arguments]
+    paths = os.pathsep.join([os.environ["PYTHONPATH"], str(ROOT / "train/recipes")])
+    return subprocess.run(program, check=False, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": paths})
+
+
+def started(finished):
+    assert finished.returncode in (0, 1), finished.stderr
+    return [line.removeprefix("study: ") for line in finished.stderr.splitlines() if line.startswith("study: ")]
+
+
+def test_a_miniature(tmp_path):
+    """It has a file for each run and a page, and continues with what is missing."""
+    one = study(tmp_path, "--only=cartpole-full-1")  # plays in spiketrain; the others play in Gymnasium
+    assert (one.returncode, one.stdout) == (0, ""), one.stderr
+    whole = study(tmp_path, "--tasks=repeat-4", "--seeds=1", "--jobs=2")
+    assert whole.returncode == 0, whole.stderr
+    assert len(started(whole)) == len(study_plan.RATES) * len(study_plan.SWEEP_SEEDS) + len(study_plan.ARMS)
+    results = {path.stem: json.loads(path.read_text()) for path in (tmp_path / "out").glob("*.json")}
+    assert results.keys() == {"cartpole-full-1", *(f"repeat-4-{arm}-1" for arm in study_plan.ARMS)}
+    for name, result in results.items():
+        assert math.isfinite(result["mean_return"]), name
+        assert result["first_start"] == study_plan.FIRST_UNSEEN_SEED
+        assert result["integer"]["nanojoules_per_decision"] > 0, name
+        assert (result["spikes_per_decision"] > 0) == (result["arm"] != "dense"), name
+    assert "--context=1" in results["repeat-4-full-n1-1"]["training"].split()
+
+    lost = tmp_path / "out/repeat-4-route-1.json"
+    before = lost.read_text()
+    lost.unlink()
+    assert started(study(tmp_path, "--tasks=repeat-4", "--seeds=1")) == ["repeat-4-route-1"]
+    assert lost.read_text() == before
+    lost.write_text(before.replace("--batch=2", "--batch=3"))
+    other = study(tmp_path, "--tasks=repeat-4", "--seeds=1")
+    assert other.returncode == 1
+    assert "repeat-4-route-1.json: expected a run of --mode=route" in other.stderr
+
+    page = tmp_path / "page.md"
+    page.write_text(f"before\n{study_page.BEGIN}\nold\n{study_page.END}\nafter\n")
+    subprocess.run([sys.executable, REPORT / "study_page.py", tmp_path / "out", page], check=True)
+    text = page.read_text()
+    assert text.startswith("before\n") and text.endswith("\nafter\n") and "\nold\n" not in text
+    assert "Finished: 7 runs." in text
+    assert "| repeat-4 | `full` | 1 | " in text
+
+
+def test_the_study_orders_seeds_before_tasks():
+    runs = study_plan.study_runs(list(study_plan.TASKS), 2)
+    half = len(runs) // 2
+    assert {run.seed for run in runs[:half]} == {1}
+    assert {run.name for run in runs[half:]} == {run.name.removesuffix("1") + "2" for run in runs[:half]}
+
+
+def test_the_page_is_that_of_the_committed_runs():
+    text = (ROOT / "docs/evidence/study.md").read_text()
+    written = text.split(study_page.BEGIN)[1].split(study_page.END)[0]
+    assert written == f"\n{study_page.tables(COMMITTED)}\n", "run python train/report/study_page.py"
+
+
+def test_the_committed_runs_have_the_settings_of_the_plan():
+    budget = study_plan.Budget()
+    for path in COMMITTED.rglob("*.json"):
+        result = json.loads(path.read_text())
+        rate = result["learning_rate"]
+        run = study_plan.Run(result["task"], result["arm"], result["seed"], rate if path.parent.name == "sweep" else None)
+        assert path.stem == run.name
+        assert result["training"] == " ".join(study_plan.train_flags(run, rate, budget))
+        assert (result["starts"], result["first_start"]) == (budget.starts, run.first_start)
