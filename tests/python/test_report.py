@@ -14,7 +14,7 @@ from PIL import Image, ImageChops
 ROOT = pathlib.Path(__file__).parents[2]
 PLOT = ROOT / "train/report/plot.py"
 COMMITTED = ROOT / "docs/evidence/report"
-FIGURES = {"gates", "losses", "membrane", "phase_spikes", "phases", "spikes_by_stage", "spikes_per_decision"}
+FIGURES = {"gates", "losses", "membrane", "phase_spikes", "phases", "spikes_by_stage", "spikes_per_decision", "surrogates"}
 
 
 def plot(report):
@@ -60,8 +60,8 @@ def test_a_figure_shows_its_data(report, tmp_path):
     shutil.copytree(report, changed, ignore=shutil.ignore_patterns("*.png", "*-seed*"))
     path = changed / "figures.json"
     figures = json.loads(path.read_text())
-    figures["losses"]["CartPole-v1"]["modes"]["full"][0][1] += 1.0
-    figures["gates"]["Pendulum-v1"][0][0] += 0.5
+    figures["losses"]["CartPole-v1"]["modes"]["full"][0][0][1] += 1.0
+    figures["gates"]["Pendulum-v1"]["route"][0][0] += 0.5
     path.write_text(json.dumps(figures))
     assert plot(changed).returncode == 0
     different = {name for name in FIGURES if not same_pixels(report / f"{name}.png", changed / f"{name}.png")}

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <initializer_list>
 #include <string>
 #include <utility>
 #include <vector>
@@ -9,6 +10,7 @@
 #include "core/environment/environment.h"
 #include "core/neuron/lif.h"
 #include "core/neuron/phase.h"
+#include "train/model/surrogate.h"
 
 namespace spikeserve {
 namespace {
@@ -32,10 +34,12 @@ std::string LossUnit(const std::string& task) {
 Json Losses(const std::string& task, const ReportGroups& groups) {
   Json modes;
   for (const Mode mode : kReportModes) {
-    const ReportResult& result = FirstSeed(groups, task, mode);
-    if (result.losses.empty()) continue;
-    Json& points = modes[std::string(ToString(mode))] = Json::array();
-    for (const LossPoint& point : result.losses) points.push_back({point.iteration, point.loss});
+    for (const ReportResult* result : groups.at({task, mode})) {
+      if (result->losses.empty()) continue;
+      Json points = Json::array();
+      for (const LossPoint& point : result->losses) points.push_back({point.iteration, point.loss});
+      modes[std::string(ToString(mode))].push_back(std::move(points));
+    }
   }
   if (modes.empty()) return modes;
   return {{"unit", LossUnit(task)}, {"modes", std::move(modes)}};
@@ -61,6 +65,17 @@ Json Histogram(const std::vector<int64_t>& values) {
   for (int i = 0; i <= kBins; ++i) edges.push_back(*least + i * width);
   for (const int64_t value : values) ++counts[static_cast<size_t>((value - *least) / width)];
   return {{"edges", std::move(edges)}, {"decisions", std::move(counts)}};
+}
+
+// Returns {mode: data} of the first seed, without modes that have none.
+Json OfModes(const std::string& task, const ReportGroups& groups, std::initializer_list<Mode> modes,
+             Json (*data_of)(const Insight&)) {
+  Json result;
+  for (const Mode mode : modes) {
+    Json data = data_of(FirstSeed(groups, task, mode).insight);
+    if (!data.empty()) result[std::string(ToString(mode))] = std::move(data);
+  }
+  return result;
 }
 
 Json Phases(const std::vector<const ReportResult*>& seeds) {
@@ -104,6 +119,21 @@ Json Membrane(const ModelConfig& config) {
   return {{"threshold", config.threshold}, {"potentials", std::move(potentials)}};
 }
 
+Json Surrogates(float slope) {
+  constexpr int kPoints = 40;  // on each side of the threshold
+  Json curves;
+  for (const auto& [kind, name] : EnumNames(SurrogateKind())) {
+    Json& points = curves[std::string(name)] = Json::array();
+    WithDerivative({.kind = kind, .slope = slope}, [&points](auto derivative) {
+      for (int i = -kPoints; i <= kPoints; ++i) {
+        const float u = static_cast<float>(i) / kPoints;
+        points.push_back({u, derivative(u)});
+      }
+    });
+  }
+  return {{"slope", slope}, {"curves", std::move(curves)}};
+}
+
 }  // namespace
 
 Json FigureData(const ReportOptions& options, const ReportGroups& groups) {
@@ -112,16 +142,20 @@ Json FigureData(const ReportOptions& options, const ReportGroups& groups) {
     if (!data.empty()) figures[figure][task] = std::move(data);
   };
   for (const std::string& task : options.environments) {
-    const ReportResult& full = FirstSeed(groups, task, Mode::kFull);
     add("losses", task, Losses(task, groups));
     add("spikes_by_stage", task, SpikesByStage(task, groups));
-    add("spikes_per_decision", task, Histogram(full.insight.spikes));
+    add("spikes_per_decision", task,
+        OfModes(task, groups, {Mode::kBaseline, Mode::kFull},
+                [](const Insight& insight) { return Histogram(insight.spikes); }));
     add("phases", task, Phases(groups.at({task, Mode::kFull})));
-    add("gates", task, full.insight.gates);
+    add("gates", task,
+        OfModes(task, groups, {Mode::kRoute, Mode::kFull},
+                [](const Insight& insight) { return Json(insight.gates); }));
   }
   Json spikes = PhaseSpikes(FirstSeed(groups, options.environments.front(), Mode::kFull));
   if (!spikes.empty()) figures["phase_spikes"] = std::move(spikes);
   figures["membrane"] = Membrane(options.config);
+  figures["surrogates"] = Surrogates(options.training.surrogate.slope);
   return figures;
 }
 

@@ -1,14 +1,15 @@
 """Prints in per cent how much better the modes of a report are than `baseline` (the paper's eq. 8), as Markdown.
 
 Reads report.md and figures.json in the directory that `spiketrain report` wrote. Returns are the differences by seed
-that report.md has, divided by the size of the mean of `baseline`. Losses are those of one seed after a fifth, half and
-all of the training, which are epochs 20, 50 and 100 of the 100 in the paper's table 2.
+that report.md has, divided by the size of the mean of `baseline`. Losses are means over the seeds in figures.json after
+a fifth, half and all of the training, which are epochs 20, 50 and 100 of the 100 in the paper's table 2.
 """
 
 import argparse
 import json
 import pathlib
 import re
+import statistics
 import sys
 
 MODES = ("pos", "route", "full")
@@ -58,6 +59,11 @@ def returns_table(markdown):
         yield row([f"`{mode}`, here", *(here[task, mode] for task in tasks)])
 
 
+def mean_curve(seeds):
+    """Returns the mean loss of the seeds by iteration, which is the same in all."""
+    return {points[0][0]: statistics.fmean(loss for _, loss in points) for points in zip(*seeds, strict=True)}
+
+
 def losses_table(losses):
     """Returns the lines of the table of losses. `losses` is the member of figures.json."""
     yield row(["loss, per cent below `baseline`", "the paper", *losses])
@@ -66,7 +72,7 @@ def losses_table(losses):
         pairs = zip(PAPERS_LOSSES[mode], PAPERS_LOSSES["baseline"], strict=True)
         cells = [", ".join(f"{-gain(*pair):z.1f}" for pair in pairs)]
         for task in losses.values():
-            ours, baseline = dict(task["modes"][mode]), dict(task["modes"]["baseline"])
+            ours, baseline = mean_curve(task["modes"][mode]), mean_curve(task["modes"]["baseline"])
             nearest = [min(ours, key=lambda iteration: abs(iteration - share * max(ours))) for share in SHARES]
             cells.append(", ".join(f"{-gain(ours[iteration], baseline[iteration]):z.1f}" for iteration in nearest))
         yield row([f"`{mode}`", *cells])

@@ -60,13 +60,19 @@ def legend_above(figure, axis):
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
 
 
+def seeds_text(count):
+    return "seed 1" if count == 1 else f"{count} seeds"
+
+
 def draw_losses(tasks):
     figure, axes = panels(len(tasks))
     for axis, (task, losses) in zip(axes, tasks.items(), strict=True):
-        for i, (mode, points) in enumerate(losses["modes"].items()):
-            iterations, values = zip(*points, strict=True)
-            axis.plot(iterations, values, label=mode, color=COLOURS[i], linestyle=LINE_STYLES[i])
-        axis.set(title=f"{task}, seed 1", xlabel="training iteration", ylabel=f"held-out loss\n({losses['unit']})")
+        for i, (mode, seeds) in enumerate(losses["modes"].items()):
+            for seed, points in enumerate(seeds):
+                label = {} if seed else {"label": mode}  # one line of the legend for all seeds
+                axis.plot(*zip(*points, strict=True), color=COLOURS[i], linestyle=LINE_STYLES[i], **label)
+        curves = max(len(seeds) for seeds in losses["modes"].values())
+        axis.set(title=f"{task}, {seeds_text(curves)}", xlabel="training iteration", ylabel=f"held-out loss\n({losses['unit']})")
     legend_above(figure, axes[0])
     return figure
 
@@ -87,11 +93,13 @@ def draw_spikes_by_stage(tasks):
 
 def draw_spikes_per_decision(tasks):
     figure, axes = panels(len(tasks))
-    for axis, (task, histogram) in zip(axes, tasks.items(), strict=True):
-        axis.stairs(histogram["decisions"], histogram["edges"], fill=True, color=COLOURS[0])
+    for axis, (task, modes) in zip(axes, tasks.items(), strict=True):
+        for i, (mode, histogram) in enumerate(modes.items()):
+            axis.stairs(histogram["decisions"], histogram["edges"], fill=True, label=mode, color=COLOURS[i], alpha=0.6)
         axis.grid(visible=False, axis="x")
         axis.yaxis.get_major_locator().set_params(integer=True)
-        axis.set(title=f"{task}, full, seed 1, one episode", xlabel="spikes per decision", ylabel="number of decisions")
+        axis.set(title=f"{task}, seed 1, one episode", xlabel="spikes per decision", ylabel="number of decisions")
+    legend_above(figure, axes[0])
     return figure
 
 
@@ -129,13 +137,14 @@ def draw_phase_spikes(data):
 
 
 def draw_gates(tasks):
-    figure, axes = panels(len(tasks), height=2.2)
-    for axis, (task, gates) in zip(axes, tasks.items(), strict=True):
+    maps = [(task, mode, gates) for task, modes in tasks.items() for mode, gates in modes.items()]
+    figure, axes = panels(len(maps), height=2.2)
+    for axis, (task, mode, gates) in zip(axes, maps, strict=True):
         image = axis.imshow(gates, aspect="auto", origin="lower", cmap="cividis", interpolation="nearest")
         figure.colorbar(image, ax=axis, label="mean gate (no unit)")
         axis.set_yticks(range(len(gates)))
         axis.grid(visible=False)
-        axis.set(title=f"{task}, full, seed 1", xlabel="token of the window, oldest first", ylabel="head")
+        axis.set(title=f"{task}, {mode}, seed 1", xlabel="token of the window, oldest first", ylabel="head")
     return figure
 
 
@@ -153,6 +162,19 @@ def draw_membrane(data):
     return figure
 
 
+def draw_surrogates(data):
+    figure, axis = one_panel(1.5 * PANEL_WIDTH, PANEL_HEIGHT)
+    for i, (kind, points) in enumerate(data["curves"].items()):
+        axis.plot(*zip(*points, strict=True), label=kind.replace("_", " "), color=COLOURS[i], linestyle=LINE_STYLES[i])
+    axis.set(
+        title=f"Surrogate gradients, slope {data['slope']:g}",
+        xlabel="distance to the threshold V - V_th (no unit)",
+        ylabel="ds/du (no unit)",
+    )
+    legend_above(figure, axis)
+    return figure
+
+
 # The members of figures.json; each becomes the PNG file of that name.
 FIGURES = {
     "losses": draw_losses,
@@ -162,6 +184,7 @@ FIGURES = {
     "phase_spikes": draw_phase_spikes,
     "gates": draw_gates,
     "membrane": draw_membrane,
+    "surrogates": draw_surrogates,
 }
 
 

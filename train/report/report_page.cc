@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -98,13 +100,19 @@ class Writer {
   // Returns the interval of one number over the seeds of a task and mode.
   template <typename Value>
   Interval Over(const std::string& environment, Mode mode, Value value) const {
+    return Over(groups_.at({environment, mode}), value);
+  }
+  template <typename Value>
+  static Interval Over(const std::vector<const ReportResult*>& seeds, Value value) {
     std::vector<double> values;
-    for (const ReportResult* result : groups_.at({environment, mode})) {
-      values.push_back(value(*result));
-    }
+    for (const ReportResult* result : seeds) values.push_back(value(*result));
     return IntervalOf(values);
   }
   static double Return(const ReportResult& result) { return result.evaluation.at("mean_return"); }
+  static double SpikesOf(const ReportResult& result) {
+    return result.evaluation.at("spikes_per_decision");
+  }
+  static double Seconds(const ReportResult& result) { return result.seconds_per_decision; }
 
   // Links to the figure if there is data for it.
   void Figure(const std::string& name, const std::string& text) {
@@ -179,7 +187,8 @@ class Writer {
              m < 4 ? absl::StrFormat("%.2f", kPaperLoss[m]) : ""});
       }
     }
-    Figure("losses", "Loss on held-out episodes over the iterations of training, by mode, seed 1");
+    Figure("losses",
+           "Loss on held-out episodes over the iterations of training, by mode, every seed");
     page_.Table({"task", "mode", "loss at the end", "the paper's, one figure for all tasks"}, rows);
   }
 
@@ -195,22 +204,20 @@ class Writer {
       for (size_t m = 0; m < std::size(kReportModes); ++m) {
         const Mode mode = kReportModes[m];
         if (mode == Mode::kDense) continue;
-        const auto field = [](const char* name) {
-          return [name](const ReportResult& r) { return r.evaluation.at(name).get<double>(); };
+        const auto of_window = [](const ReportResult& r) {
+          return r.evaluation.at("spikes_per_window").get<double>();
         };
-        const auto seconds = [](const ReportResult& r) { return r.seconds_per_decision; };
-        rows.push_back({environment, Name(mode),
-                        Text(Over(environment, mode, field("spikes_per_decision")), 1),
-                        Text(Over(environment, mode, field("spikes_per_window")), 1),
+        rows.push_back({environment, Name(mode), Text(Over(environment, mode, SpikesOf), 1),
+                        Text(Over(environment, mode, of_window), 1),
                         absl::StrFormat("%.0f", kPaperSpikes[m]),
-                        absl::StrFormat("%.3f", 1e3 * Over(environment, mode, seconds).mean),
+                        absl::StrFormat("%.3f", 1e3 * Over(environment, mode, Seconds).mean),
                         absl::StrFormat("%.1f", kPaperMilliseconds[m])});
       }
     }
     Figure("spikes_by_stage",
            "Mean spikes per decision in each stage of the model, by mode, seed 1");
     Figure("spikes_per_decision",
-           "Histogram of the spikes of the decisions of one episode, full mode, seed 1");
+           "Histograms of the spikes of the decisions of one episode, baseline and full, seed 1");
     page_.Table({"task", "mode", "spikes per decision", "spikes per window",
                  "the paper's spikes per inference", "milliseconds", "the paper's"},
                 rows);
@@ -219,13 +226,23 @@ class Writer {
   void Sweeps() {
     if (sweeps_.empty()) return;
     page_.Heading("Sweeps of ticks and context (the paper's appendix)");
+    // The seeds of each T and N. The shape of all other runs comes first.
+    std::map<std::pair<int, int>, std::vector<const ReportResult*>> shapes;
+    std::vector<std::pair<int, int>> order;
+    const auto add = [&](const ReportResult& result) {
+      const std::pair shape = {result.run.config.ticks, result.run.config.context};
+      if (shapes[shape].empty()) order.push_back(shape);
+      shapes[shape].push_back(&result);
+    };
+    const std::string& environment = sweeps_.front().run.environment;
+    for (const ReportResult* result : groups_.at({environment, Mode::kFull})) add(*result);
+    for (const ReportResult& result : sweeps_) add(result);
     std::vector<std::vector<std::string>> rows;
-    for (const ReportResult& result : sweeps_) {
-      rows.push_back(
-          {result.run.environment, absl::StrCat(result.run.config.ticks),
-           absl::StrCat(result.run.config.context), absl::StrFormat("%.1f", Return(result)),
-           absl::StrFormat("%.1f", result.evaluation.at("spikes_per_decision").get<double>()),
-           absl::StrFormat("%.3f", 1e3 * result.seconds_per_decision)});
+    for (const auto& shape : order) {
+      const auto& seeds = shapes.at(shape);
+      rows.push_back({environment, absl::StrCat(shape.first), absl::StrCat(shape.second),
+                      Text(Over(seeds, Return), 1), Text(Over(seeds, SpikesOf), 1),
+                      absl::StrFormat("%.3f", 1e3 * Over(seeds, Seconds).mean)});
     }
     page_.Table({"task", "T", "N", "return", "spikes per decision", "milliseconds"}, rows);
   }
@@ -243,23 +260,30 @@ class Writer {
     page_.Heading("Routing gates");
     page_.Paragraph(
         "The gates of the first layer as means over ticks, over the window of the last decision of "
-        "an episode, in full mode, seed 1 (the paper's heatmap). Uniform gates equal 1/H.");
-    Figure("gates", "Mean gate of every head for every token of the window, by task");
+        "an episode, seed 1 (the paper's heatmaps). Uniform gates equal 1/H.");
+    Figure("gates", "Mean gate of every head for every token of the window, by task and mode");
     std::vector<std::vector<std::string>> rows;
     for (const std::string& environment : options_.environments) {
-      const auto& gates = groups_.at({environment, Mode::kFull})[0]->insight.gates;
-      if (gates.empty()) continue;
-      double least = 1.0, most = 0.0, variation = 0.0;
-      for (const auto& head : gates) {
-        const auto [low, high] = std::minmax_element(head.begin(), head.end());
-        least = std::min(least, *low);
-        most = std::max(most, *high);
-        variation = std::max(variation, *high - *low);
+      for (const Mode mode : {Mode::kRoute, Mode::kFull}) {
+        const auto& gates = groups_.at({environment, mode})[0]->insight.gates;
+        if (!gates.empty()) rows.push_back(GatesRow(environment, mode, gates));
       }
-      rows.push_back({environment, absl::StrFormat("%.3f", least), absl::StrFormat("%.3f", most),
-                      absl::StrFormat("%.3f", variation)});
     }
-    page_.Table({"task", "least gate", "largest gate", "most that one head's gate varies"}, rows);
+    page_.Table({"task", "mode", "least gate", "largest gate", "most that one head's gate varies"},
+                rows);
+  }
+
+  static std::vector<std::string> GatesRow(const std::string& environment, Mode mode,
+                                           const std::vector<std::vector<double>>& gates) {
+    double least = 1.0, most = 0.0, variation = 0.0;
+    for (const auto& head : gates) {
+      const auto [low, high] = std::minmax_element(head.begin(), head.end());
+      least = std::min(least, *low);
+      most = std::max(most, *high);
+      variation = std::max(variation, *high - *low);
+    }
+    return {environment, Name(mode), absl::StrFormat("%.3f", least), absl::StrFormat("%.3f", most),
+            absl::StrFormat("%.3f", variation)};
   }
 
   void Membrane() {
@@ -268,6 +292,10 @@ class Writer {
         "The membrane potential of one neuron under three constant input currents. The neuron has "
         "no trained parameters.");
     Figure("membrane", "Membrane potential after each tick under three constant input currents");
+    page_.Paragraph(
+        "The surrogate gradients that replace the derivative of its spike in training, with the "
+        "slope of these runs.");
+    Figure("surrogates", "Derivative of each surrogate over the distance to the threshold");
   }
 
   void Commands() {

@@ -220,9 +220,12 @@ std::vector<ReportRun> ModeRuns(const ReportOptions& options) {
 std::vector<ReportRun> SweepRuns(const ReportOptions& options) {
   std::vector<ReportRun> runs;
   const auto add = [&](int ModelConfig::*field, int value) {
-    ReportRun& run = runs.emplace_back(ReportRun{options.environments[0], options.config, 1});
-    run.config.mode = Mode::kFull;
-    run.config.*field = value;
+    for (int seed = 1; seed <= options.seeds; ++seed) {
+      ReportRun& run = runs.emplace_back(ReportRun{options.environments[0], options.config});
+      run.config.mode = Mode::kFull;
+      run.config.*field = value;
+      run.seed = static_cast<uint64_t>(seed);
+    }
   };
   for (const int ticks : options.ticks) add(&ModelConfig::ticks, ticks);
   for (const int context : options.contexts) add(&ModelConfig::context, context);

@@ -34,8 +34,8 @@ struct ReportOptions {
   TrainOptions training;  // the seed is ignored
   int episodes = 200;     // evaluation starts for each seed, which training never saw
   ModelConfig config;     // the mode is ignored
-  std::vector<int> ticks = {5, 20};      // values of T in the sweep, besides config.ticks
-  std::vector<int> contexts = {10, 50};  // values of N in the sweep, besides config.context
+  std::vector<int> ticks = {5, 20, 40};       // values of T in the sweep, besides config.ticks
+  std::vector<int> contexts = {10, 50, 100};  // values of N in the sweep, besides config.context
 };
 
 // The modes of the report, in the order of its tables and figures.
@@ -75,7 +75,7 @@ using ReportGroups =
 // Returns the runs of every environment in every mode from every seed.
 std::vector<ReportRun> ModeRuns(const ReportOptions& options);
 // Returns the runs of the first environment in full mode, with each of the options' ticks and
-// contexts.
+// contexts from every seed.
 std::vector<ReportRun> SweepRuns(const ReportOptions& options);
 
 // Groups the results of ModeRuns. The groups point into `results`.

@@ -3,8 +3,10 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <string>
 #include <vector>
 
+#include "absl/strings/str_cat.h"
 #include "train/report/report_page.h"
 
 namespace spikeserve {
@@ -64,22 +66,39 @@ TEST_F(ReportTest, SaysWhatTheIntervalsAllow) {
       HasSubstr("pos returns 80.0 ± 0.0 more than baseline (significant); route returns 0.0 ± 0.0 "
                 "more than baseline (not significant)"));
   EXPECT_THAT(report.markdown, HasSubstr("spiketrain train --out=CartPole-v1-dense-T10-N20-seed2"));
-  EXPECT_THAT(report.markdown, HasSubstr("| CartPole-v1 | 0.250 | 0.750 | 0.500 |"));
+  EXPECT_THAT(report.markdown, HasSubstr("| CartPole-v1 | route | 0.250 | 0.750 | 0.500 |"));
   EXPECT_THAT(report.markdown,
               HasSubstr("```\nspiketrain report --out=x\npython train/report/plot.py x\n```"));
 }
 
-TEST_F(ReportTest, FiguresHoldTheRunsOfTheFirstSeed) {
+TEST_F(ReportTest, FiguresHoldTheRuns) {
   const nlohmann::ordered_json figures = Write().figures;
   const auto task = [&](const char* figure) { return figures.at(figure).at("CartPole-v1").dump(); };
   EXPECT_THAT(task("losses"), HasSubstr(R"("unit":"cross-entropy, nats")"));
-  EXPECT_THAT(task("losses"), HasSubstr(R"("dense":[[10,0.5],[20,0.25]])"));
+  EXPECT_THAT(task("losses"), HasSubstr(R"("dense":[[[10,0.5],[20,0.25]],[[10,0.5],[20,0.25]]])"));
   EXPECT_EQ(figures.at("spikes_by_stage").at("CartPole-v1").size(), 4u);
   EXPECT_THAT(task("spikes_by_stage"), HasSubstr(R"("full":{"coder":60.0,"phase":40.0})"));
+  const std::string histogram =
+      R"({"edges":[90,93,96,99,102,105,108,111,114],"decisions":[2,0,0,0,0,0,1,0]})";
   EXPECT_EQ(task("spikes_per_decision"),
-            R"({"edges":[90,93,96,99,102,105,108,111,114],"decisions":[2,0,0,0,0,0,1,0]})");
+            absl::StrCat(R"({"baseline":)", histogram, R"(,"full":)", histogram, "}"));
   EXPECT_EQ(task("phases"), "[[1.0,1.0],[2.0,2.0],[1.0,1.0],[2.0,2.0]]");  // both seeds
-  EXPECT_EQ(task("gates"), "[[0.25,0.75],[0.75,0.25]]");
+  EXPECT_EQ(task("gates"),
+            R"({"route":[[0.25,0.75],[0.75,0.25]],"full":[[0.25,0.75],[0.75,0.25]]})");
+}
+
+TEST_F(ReportTest, SweepsHaveEverySeedOfEachShape) {
+  options_.ticks = {5};
+  options_.contexts = {100};
+  std::vector<ReportResult> sweeps;
+  for (const ReportRun& run : SweepRuns(options_)) {
+    sweeps.push_back(Finished(run, run.seed == 1 ? 300.0 : 302.0));
+  }
+  ASSERT_EQ(sweeps.size(), 4u);
+  const std::string page = WriteReport(options_, "spiketrain report", modes_, sweeps).markdown;
+  EXPECT_THAT(page, HasSubstr("| CartPole-v1 | 10 | 20 | 400.0 ± 1.3 | 100.0 ± 0.0 |"));
+  EXPECT_THAT(page, HasSubstr("| CartPole-v1 | 5 | 20 | 301.0 ± 12.7 | 100.0 ± 0.0 |"));
+  EXPECT_THAT(page, HasSubstr("| CartPole-v1 | 10 | 100 | 301.0 ± 12.7 | 100.0 ± 0.0 |"));
 }
 
 TEST_F(ReportTest, PhaseSpikesAreThoseOfTheNeuronModel) {
@@ -101,6 +120,20 @@ TEST_F(ReportTest, MembraneIsResetWhereItReachesTheThreshold) {
   ASSERT_EQ(potential.size(), 41u);
   EXPECT_NEAR(potential[3], 0.3 * (1.0 + 0.95 + 0.95 * 0.95), 1e-6);
   EXPECT_EQ(potential[4], 0.0f);
+}
+
+TEST_F(ReportTest, SurrogatesAreLargestAtTheThreshold) {
+  const nlohmann::ordered_json surrogates = Write().figures.at("surrogates");
+  EXPECT_EQ(surrogates.at("slope"), 10.0);
+  ASSERT_EQ(surrogates.at("curves").size(), 3u);
+  const auto value = [&](const char* kind, size_t point) {
+    return surrogates.at("curves").at(kind).at(point).at(1).get<double>();
+  };
+  EXPECT_EQ(value("fast_sigmoid", 40), 1.0);
+  EXPECT_NEAR(value("fast_sigmoid", 42), 1.0 / 2.25, 1e-6);  // at 0.05
+  EXPECT_NEAR(value("sigmoid", 40), 0.25, 1e-6);
+  EXPECT_NEAR(value("piecewise_linear", 42), 0.5, 1e-6);
+  EXPECT_EQ(value("piecewise_linear", 80), 0.0);
 }
 
 TEST_F(ReportTest, LinksOnlyToFiguresWithData) {
