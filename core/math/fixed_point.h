@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <cmath>
 #include <cstdint>
 
 namespace spikeserve {
@@ -32,14 +33,10 @@ constexpr int32_t SaturateResidual(int64_t value) {
   return static_cast<int32_t>(std::clamp<int64_t>(value, -32767, 32767));
 }
 
-// Returns the largest integer whose square is at most `value`.
-constexpr uint32_t SquareRoot(uint32_t value) {
-  uint32_t root = 0;
-  for (uint32_t bit = 1u << 15; bit != 0; bit >>= 1) {
-    const uint32_t larger = root | bit;
-    if (uint64_t{larger} * larger <= value) root = larger;
-  }
-  return root;
+// Returns the largest integer whose square is at most `value`. IEEE 754 rounds the root in double
+// correctly, and no root of a number below 2^32 is so close to the next integer that it rounds up.
+inline uint32_t SquareRoot(uint32_t value) {
+  return static_cast<uint32_t>(std::sqrt(static_cast<double>(value)));
 }
 
 // Factors by which an integer norm divides by the root of a sum of squares.
@@ -54,7 +51,7 @@ struct InverseRoot {
 };
 
 // Returns the factors for a sum of squares.
-constexpr InverseRoot InverseRootOf(uint64_t squares) {
+inline InverseRoot InverseRootOf(uint64_t squares) {
   if (squares == 0) return {};
   const int shift = (static_cast<int>(std::bit_width(squares)) - 31) >> 1;
   const uint64_t scaled = shift > 0 ? squares >> (2 * shift) : squares << (-2 * shift);

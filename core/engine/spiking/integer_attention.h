@@ -8,7 +8,9 @@
 #include <vector>
 
 #include "core/engine/counts.h"
+#include "core/engine/spiking/aligned_vector.h"
 #include "core/engine/spiking/integer_cache.h"
+#include "core/engine/spiking/kernels/integer_attention_kernels.h"
 #include "core/model/config.h"
 
 namespace spikeserve {
@@ -23,16 +25,18 @@ class IntegerAttention {
               Counts* counts);
 
  private:
-  // Sets overlaps_ to the overlaps of the query of `head` with every key. Returns false if the
-  // query does not fire.
-  bool FindOverlaps(const ModelConfig& config, const IntegerBand& band, const IntegerCache& cache,
-                    const uint32_t* query, int head, Counts* counts);
-  // Replaces overlaps_ by the weights of the keys. Returns their sum.
-  int64_t WeighKeys(Attention attention, int64_t scale);
+  // Sets query_ to the query of `head`, and overlaps_ to its overlaps with every key. Returns false
+  // if the query does not fire.
+  bool FindOverlaps(const ModelConfig& config, const IntegerCache& cache, const uint32_t* query,
+                    int head, Counts* counts);
+  // Sets sums_ to the values of `head`, weighted by overlaps_.
+  void WeighValues(const ModelConfig& config, const IntegerCache& cache, int head, Counts* counts);
 
-  std::vector<int> active_;        // words of the query's head that are not 0
-  std::vector<int64_t> overlaps_;  // [tokens]
-  std::vector<int32_t> sums_;      // [d_h]
+  std::vector<int> slots_;           // of the tokens
+  std::vector<uint64_t> query_;      // see JoinTicks
+  AlignedVector<int32_t> overlaps_;  // [pad(tokens)]; then the weights of the keys
+  std::vector<kernels::WeightedValues> values_;
+  AlignedVector<int32_t> sums_;  // [pad(d_h)]
 };
 
 }  // namespace spikeserve

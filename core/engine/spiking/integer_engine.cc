@@ -14,6 +14,7 @@
 #include "core/engine/spiking/integer_cache.h"
 #include "core/engine/spiking/kernels/event_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
+#include "core/engine/spiking/kernels/norm_kernel.h"
 #include "core/engine/spiking/kernels/targets.h"
 #include "core/engine/spiking/packed_integer_policy.h"
 #include "core/engine/spiking/spike_input.h"
@@ -115,10 +116,7 @@ class IntegerTokenPass {
 
  private:
   void Embed(TokenKind kind, absl::Span<const float> input) {
-    const FixedPointEnds& ends = policy_.weights.fixed_point;
-    const FixedPointEmbedding& embedding = kind == TokenKind::kReturn  ? ends.embed_return
-                                           : kind == TokenKind::kState ? ends.embed_state
-                                                                       : ends.embed_action;
+    const PackedEmbedding& embedding = packed_.embedding(kind);
     scratch_.input.assign(PadToLanes(static_cast<int>(input.size())), 0);
     const auto unit = static_cast<float>(1 << config_.input_fraction);
     for (size_t i = 0; i < input.size(); ++i) {
@@ -126,7 +124,7 @@ class IntegerTokenPass {
       scratch_.input[i] = static_cast<int16_t>(std::nearbyint(scaled));
     }
     scratch_.x.assign(PadToLanes(config_.hidden_size), 0);
-    counts_->wide_multiply_accumulates += Apply(packed_.embedding(kind), scratch_.input);
+    counts_->wide_multiply_accumulates += Apply(embedding.linear, scratch_.input);
     Normalize(embedding.norm);
   }
 
@@ -141,38 +139,9 @@ class IntegerTokenPass {
   }
 
   // x <- norm(x + scratch_.sums).
-  void Normalize(const FixedPointNorm& norm) {
-    const int size = config_.hidden_size;
-    int32_t* const sums = scratch_.sums.data();
-    int16_t* const x = scratch_.x.data();
-    int32_t total = 0;
-    for (int k = 0; k < size; ++k) {
-      sums[k] = std::clamp(sums[k] + x[k], -kLargestResidual, kLargestResidual);
-      total += sums[k];
-    }
-    const auto mean = static_cast<int32_t>(RoundDivide(total, size));
-    uint64_t squares = 0;
-    for (int k = 0; k < size; ++k) {
-      sums[k] -= mean;
-      const auto magnitude = static_cast<uint32_t>(std::abs(sums[k]));
-      squares += uint64_t{magnitude} * magnitude;
-    }
-    const InverseRoot root = InverseRootOf(squares);
-    const int left = std::max(-root.shift, 0);
-    const int right = std::max(root.shift, 0);
-    const int rounding = right > 0 ? 1 << (right - 1) : 0;
-    const auto shift = static_cast<int>(norm.shift.values[0]);
-    const int norm_rounding = shift > 0 ? 1 << (shift - 1) : 0;
-    const int16_t* const weight = norm.weight.values.data();
-    const int16_t* const bias = norm.bias.values.data();
-    // Everything fits 32 bits: see fixed_point.h and docs/design/integer.md.
-    for (int k = 0; k < size; ++k) {
-      const int32_t scaled = (sums[k] * (1 << left) + rounding) >> right;
-      const int32_t unit = (scaled * root.inverse + (1 << 14)) >> 15;
-      const int32_t value = ((unit * weight[k] + norm_rounding) >> shift) + bias[k];
-      x[k] = static_cast<int16_t>(std::clamp(value, -kLargestResidual, kLargestResidual));
-    }
-    counts_->layer_norm_elements += static_cast<uint64_t>(size);
+  void Normalize(const PackedNorm& norm) {
+    kernels::Normalize(norm, scratch_.sums.data(), scratch_.x.data());
+    counts_->layer_norm_elements += static_cast<uint64_t>(norm.size);
   }
 
   void Code(const PackedPeriodCoder& coder, Stage stage) {
@@ -223,7 +192,7 @@ class IntegerTokenPass {
     counts_->attention_products += sums;
     counts_->attention_bytes +=
         static_cast<uint64_t>((config_.ticks * size + 7) / 8 + size) + sums * 2 * sizeof(int16_t);
-    context_->caches[layer].Store(slot, scratch_.keys.data(), scratch_.counts.data());
+    context_->caches[layer].Store(config_, slot, scratch_.keys.data(), scratch_.counts.data());
   }
 
   // Sets `heads` [T][H][W] to the spikes of the d neurons from lane `first` on. Returns their
@@ -245,15 +214,14 @@ class IntegerTokenPass {
 
   // x <- norm(x + W_O yhat + b_O).
   void Attend(int layer) {
-    const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
     const PackedIntegerLayer& packed = packed_.layers[layer];
+    const auto& scales = policy_.weights.layers[layer].fixed_point.attention_scale.values;
     scratch_.y.assign(PadToLanes(config_.hidden_size), 0);
-    scratch_.attention.Attend(config_, weights.attention_scale.values, context_->band,
-                              context_->caches[layer], scratch_.query.data(), scratch_.y.data(),
-                              counts_);
+    scratch_.attention.Attend(config_, scales, context_->band, context_->caches[layer],
+                              scratch_.query.data(), scratch_.y.data(), counts_);
     MergeHeads(packed);
     Apply(packed.attention_output, scratch_.input);
-    Normalize(weights.attention_norm);
+    Normalize(packed.attention_norm);
   }
 
   // Sets scratch_.input to the merged heads, [pad(d_h)] or [pad(d)].
@@ -336,7 +304,7 @@ class IntegerTokenPass {
     const uint64_t synapses = scratch_.spikes.Products(population.nonzero, nullptr);
     counts_->accumulates += synapses;
     counts_->weight_bytes += synapses + Apply(packed.ffn_output, scratch_.hidden);
-    Normalize(policy_.weights.layers[layer].fixed_point.ffn_norm);
+    Normalize(packed.ffn_norm);
   }
 
   const Policy& policy_;

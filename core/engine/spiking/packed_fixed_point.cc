@@ -33,6 +33,17 @@ PackedFixedPointMap Pack(const FixedPointMap& map) {
   return packed;
 }
 
+PackedNorm Pack(const FixedPointNorm& norm) {
+  PackedNorm packed;
+  packed.size = norm.weight.shape[0];
+  packed.width = PadToLanes(packed.size);
+  packed.shift = norm.shift.values[0];
+  packed.weight.assign(norm.weight.values.begin(), norm.weight.values.end());
+  packed.bias.assign(norm.bias.values.begin(), norm.bias.values.end());
+  for (auto* lanes : {&packed.weight, &packed.bias}) lanes->resize(packed.width, 0);
+  return packed;
+}
+
 PackedPeriodCoder Pack(const PeriodCoder& coder) {
   PackedPeriodCoder packed;
   packed.neurons = coder.threshold.shape[0];

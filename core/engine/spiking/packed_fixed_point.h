@@ -1,5 +1,5 @@
-// Stores the fixed-point maps and coders of a policy in integer arithmetic in the layout of the
-// streaming engine: each lane is an output neuron, and rows start on cache lines.
+// Stores the fixed-point maps, norms and coders of a policy in integer arithmetic in the layout of
+// the streaming engine: each lane is an output neuron, and rows start on cache lines.
 //
 // Immutable once built, and thread-safe.
 #ifndef CORE_ENGINE_SPIKING_PACKED_FIXED_POINT_H_
@@ -40,7 +40,17 @@ struct PackedPeriodCoder {
   AlignedVector<int16_t> threshold;  // [T][width]
 };
 
+// A FixedPointNorm. Lanes that are padding have weight and bias 0.
+struct PackedNorm {
+  int size = 0;
+  int width = 0;  // number of all lanes
+  int shift = 0;
+  AlignedVector<int16_t> weight;  // [width]
+  AlignedVector<int16_t> bias;    // [width]
+};
+
 PackedFixedPointMap Pack(const FixedPointMap& map);
+PackedNorm Pack(const FixedPointNorm& norm);
 PackedPeriodCoder Pack(const PeriodCoder& coder);
 
 }  // namespace spikeserve

@@ -18,6 +18,10 @@ std::vector<IntegerPhase> Phases(const Policy& policy) {
   return phases;
 }
 
+PackedEmbedding PackEmbedding(const FixedPointEmbedding& embedding) {
+  return {Pack(embedding.linear), Pack(embedding.norm)};
+}
+
 // Calls `visit` with every map whose weights DropFrom() frees: packed, its first lane, and the
 // weights.
 template <class Visitor>
@@ -38,9 +42,9 @@ void VisitWeights(const PackedIntegerPolicy& packed, Weights* weights, const Vis
 }  // namespace
 
 PackedIntegerPolicy::PackedIntegerPolicy(const Policy& policy)
-    : embed_return(Pack(policy.weights.fixed_point.embed_return.linear)),
-      embed_state(Pack(policy.weights.fixed_point.embed_state.linear)),
-      embed_action(Pack(policy.weights.fixed_point.embed_action.linear)),
+    : embed_return(PackEmbedding(policy.weights.fixed_point.embed_return)),
+      embed_state(PackEmbedding(policy.weights.fixed_point.embed_state)),
+      embed_action(PackEmbedding(policy.weights.fixed_point.embed_action)),
       phases(Phases(policy)),
       readout_coder(Pack(policy.weights.fixed_point.readout_coder)),
       head_nonzero(NonzeroByInput(policy.weights.head)) {
@@ -57,18 +61,20 @@ PackedIntegerPolicy::PackedIntegerPolicy(const Policy& policy)
       layer.routing_gate = Pack(fixed.routing_gate);
     }
     layer.attention_output = Pack(fixed.attention_output);
+    layer.attention_norm = Pack(fixed.attention_norm);
     layer.ffn_coder = Pack(fixed.ffn_coder);
     layer.ffn_hidden = Pack({&maps.ffn_hidden}, d);
     layer.ffn_output = Pack(fixed.ffn_output);
+    layer.ffn_norm = Pack(fixed.ffn_norm);
     layers.push_back(std::move(layer));
   }
 }
 
 absl::Status PackedIntegerPolicy::ShareRows(const std::string& folder) {
   return spikeserve::ShareRows(folder, [this](const auto& visit) {
-    visit(embed_return.rows);
-    visit(embed_state.rows);
-    visit(embed_action.rows);
+    visit(embed_return.linear.rows);
+    visit(embed_state.linear.rows);
+    visit(embed_action.linear.rows);
     for (PackedIntegerLayer& layer : layers) {
       visit(layer.key_value_query.rows);
       visit(layer.routing_hidden.rows);

@@ -25,9 +25,16 @@ struct PackedIntegerLayer {
   PackedFixedPointMap routing_hidden;   // modes with routing
   PackedFixedPointMap routing_gate;     // modes with routing
   PackedFixedPointMap attention_output;
+  PackedNorm attention_norm;
   PackedPeriodCoder ffn_coder;
   PackedIntegerPopulation ffn_hidden;
   PackedFixedPointMap ffn_output;
+  PackedNorm ffn_norm;
+};
+
+struct PackedEmbedding {
+  PackedFixedPointMap linear;
+  PackedNorm norm;
 };
 
 struct PackedIntegerPolicy {
@@ -42,15 +49,15 @@ struct PackedIntegerPolicy {
   // Writes the numbers back that DropFrom() has freed.
   void RestoreTo(Weights* weights) const;
 
-  const PackedFixedPointMap& embedding(TokenKind kind) const {
+  const PackedEmbedding& embedding(TokenKind kind) const {
     return kind == TokenKind::kReturn  ? embed_return
            : kind == TokenKind::kState ? embed_state
                                        : embed_action;
   }
 
-  PackedFixedPointMap embed_return;
-  PackedFixedPointMap embed_state;
-  PackedFixedPointMap embed_action;
+  PackedEmbedding embed_return;
+  PackedEmbedding embed_state;
+  PackedEmbedding embed_action;
   std::vector<IntegerPhase> phases;  // [H]; empty in modes without phase spikes
   std::vector<PackedIntegerLayer> layers;
   PackedPeriodCoder readout_coder;

@@ -21,6 +21,7 @@ constexpr int kLifVectors = kManyRegisters ? 8 : 4;
 void CoderPeriodsImpl(const PackedPeriodCoder& coder, const int16_t* x, int32_t* periods,
                       uint32_t* active) {
   const I16 d;
+  const I32 di;
   uint8_t* const bytes = reinterpret_cast<uint8_t*>(active);
   const auto one = hn::Set(d, int16_t{1});
   for (int j = 0; j < coder.width; j += kVector16) {
@@ -30,7 +31,6 @@ void CoderPeriodsImpl(const PackedPeriodCoder& coder, const int16_t* x, int32_t*
     const auto fires =
         hn::Gt(value, hn::LoadU(d, threshold + static_cast<size_t>(coder.ticks - 1) * coder.width));
     StoreMask(d, fires, bytes, j / kVector16);
-    int16_t found[kVector16];
     if (hn::AllFalse(d, fires)) {
       std::fill_n(periods + j, kVector16, 0);
       continue;
@@ -41,8 +41,10 @@ void CoderPeriodsImpl(const PackedPeriodCoder& coder, const int16_t* x, int32_t*
           hn::Gt(value, hn::LoadU(d, threshold + static_cast<size_t>(n) * coder.width));
       period = hn::Add(period, hn::IfThenZeroElse(reached, one));
     }
-    hn::StoreU(hn::IfThenElseZero(fires, period), d, found);
-    std::copy_n(found, kVector16, periods + j);
+    const auto found = hn::IfThenElseZero(fires, period);
+    const hn::Half<I16> half;
+    hn::StoreU(hn::PromoteTo(di, hn::LowerHalf(half, found)), di, periods + j);
+    hn::StoreU(hn::PromoteTo(di, hn::UpperHalf(half, found)), di, periods + j + kVector);
   }
 }
 
@@ -127,25 +129,7 @@ uint64_t LifCountsImpl(const ShiftLif& lif, const PackedIntegerPopulation& popul
                     });
     for (int v = 0; v < vectors; ++v) hn::StoreU(count[v], d, counts + lane + v * kVector16);
   });
-  uint64_t total = 0;
-  for (int k = 0; k < width; ++k) total += static_cast<uint64_t>(counts[k]);
-  return total;
-}
-
-// Sets `pairs` to the pairs of inputs of which at least one is not zero, ascending. Returns the
-// number of nonzero products of all inputs.
-uint64_t FindActive(const PackedFixedPointMap& map, const int16_t* input, ActiveInputs& pairs) {
-  uint64_t products = 0;
-  pairs.clear();
-  for (int j = 0; j < map.inputs; j += 2) {
-    int32_t both;
-    std::memcpy(&both, input + j, sizeof(both));
-    if (both == 0) continue;
-    pairs.push_back(j / 2);
-    products += input[j] != 0 ? map.nonzero[j] : 0;
-    products += input[j + 1] != 0 ? map.nonzero[j + 1] : 0;
-  }
-  return products;
+  return SumCounts(counts, width);
 }
 
 uint64_t ApplyImpl(const PackedFixedPointMap& map, const int16_t* input, ActiveInputs* active,

@@ -95,38 +95,6 @@ void LifBitsImpl(const IntegerLif& lif, const PackedIntegerPopulation& populatio
   });
 }
 
-// Returns the sum of counts[0, size). REQUIRES: `size` is a multiple of kLanes.
-HWY_INLINE uint64_t SumCounts(const int16_t* counts, int size) {
-  const I16 d;
-  PairSum sum;
-  for (int j = 0; j < size; j += kVector16) {
-    sum.Add(hn::LoadU(d, counts + j), hn::Set(d, int16_t{1}));
-  }
-  return static_cast<uint64_t>(hn::GetLane(hn::SumOfLanes(I32(), sum.Total())));
-}
-
-// Sets `pairs` to the pairs of inputs of which at least one has spikes, ascending. Returns the
-// number of nonzero products of all inputs.
-HWY_INLINE uint64_t FindActive(const PackedIntegerOutput& output, const int16_t* counts,
-                               ActiveInputs& pairs) {
-  const I16 d;
-  const I32 di;
-  pairs.clear();
-  const auto one = hn::Set(d, int16_t{1});
-  PairSum products;
-  for (int j = 0; j < output.inputs; j += kVector16) {
-    const auto count = hn::LoadU(d, counts + j);
-    const auto pair_fires = hn::Ne(hn::BitCast(di, count), hn::Zero(di));
-    uint32_t bits = MaskBits(di, pair_fires);
-    if (bits == 0) continue;
-    for (; bits != 0; bits &= bits - 1) pairs.push_back(j / 2 + __builtin_ctz(bits));
-    const auto nonzero = hn::LoadU(d, output.nonzero.data() + j);
-    const auto silent = hn::Eq(count, hn::Zero(d));
-    products.Add(hn::IfThenZeroElse(silent, nonzero), one);
-  }
-  return static_cast<uint64_t>(hn::GetLane(hn::SumOfLanes(di, products.Total())));
-}
-
 uint64_t AffineImpl(const PackedIntegerOutput& output, const int16_t* counts, ActiveInputs* active,
                     float* update) {
   const F32 d;

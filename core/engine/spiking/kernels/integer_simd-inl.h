@@ -2,6 +2,7 @@
 // target; only kernels may include it.
 #include <cstdint>
 
+#include "core/engine/spiking/kernels/active_inputs.h"
 #include "core/engine/spiking/kernels/simd-inl.h"
 #include "hwy/highway.h"
 
@@ -75,6 +76,38 @@ class PairSum {
 };
 
 #endif  // HWY_TARGET == HWY_EMU128
+
+// Returns the sum of counts[0, size). REQUIRES: `size` is a multiple of kLanes.
+HWY_INLINE uint64_t SumCounts(const int16_t* counts, int size) {
+  const I16 d;
+  PairSum sum;
+  for (int j = 0; j < size; j += kVector16) {
+    sum.Add(hn::LoadU(d, counts + j), hn::Set(d, int16_t{1}));
+  }
+  return static_cast<uint64_t>(hn::GetLane(hn::SumOfLanes(I32(), sum.Total())));
+}
+
+// Sets `pairs` to the pairs of inputs of a map of which at least one is not 0, ascending. Returns
+// the number of nonzero products of all inputs. `inputs` is [pad(map.inputs)].
+template <class Map>
+HWY_INLINE uint64_t FindActive(const Map& map, const int16_t* inputs, ActiveInputs& pairs) {
+  const I16 d;
+  const I32 di;
+  pairs.clear();
+  const auto one = hn::Set(d, int16_t{1});
+  PairSum products;
+  for (int j = 0; j < map.inputs; j += kVector16) {
+    const auto input = hn::LoadU(d, inputs + j);
+    const auto pair_fires = hn::Ne(hn::BitCast(di, input), hn::Zero(di));
+    uint32_t bits = MaskBits(di, pair_fires);
+    if (bits == 0) continue;
+    for (; bits != 0; bits &= bits - 1) pairs.push_back(j / 2 + __builtin_ctz(bits));
+    const auto nonzero = hn::LoadU(d, map.nonzero.data() + j);
+    const auto silent = hn::Eq(input, hn::Zero(d));
+    products.Add(hn::IfThenZeroElse(silent, nonzero), one);
+  }
+  return static_cast<uint64_t>(hn::GetLane(hn::SumOfLanes(di, products.Total())));
+}
 
 }  // namespace spikeserve::kernels::HWY_NAMESPACE
 HWY_AFTER_NAMESPACE();

@@ -1,0 +1,19 @@
+// Computes the integer norm of a token (docs/design/integer.md).
+//
+// Integer sums are exact, so every SIMD target gives equal results. Thread-safe on distinct arrays.
+#ifndef CORE_ENGINE_SPIKING_KERNELS_NORM_KERNEL_H_
+#define CORE_ENGINE_SPIKING_KERNELS_NORM_KERNEL_H_
+
+#include <cstdint>
+
+#include "core/engine/spiking/packed_fixed_point.h"
+
+namespace spikeserve::kernels {
+
+// x <- norm(x + sums). `x` and `sums` are [norm.width], and 0 from norm.size on; `x` is so after
+// the call, too. Overwrites `sums`.
+void Normalize(const PackedNorm& norm, int32_t* sums, int16_t* x);
+
+}  // namespace spikeserve::kernels
+
+#endif  // CORE_ENGINE_SPIKING_KERNELS_NORM_KERNEL_H_
