@@ -11,3 +11,4 @@ source "$(dirname "$0")/imitation.sh"
 imitate late:LateCartPole-v0 --expert=late:balance --mode=full --layers=1 --context=3 --clip-steps=3 --action-noise=1 \
   --steps=40000 --burst-rate=0.1 --longest-burst=4 --iterations=1500 --rounds=3 --round-disturbed=0.3 --round-steps=20000 \
   --round-iterations=600 --silence=6:25,3:15 --silence-iterations=300 --episodes=1000
+integer --mode=baseline
