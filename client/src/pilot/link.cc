@@ -15,7 +15,7 @@ namespace {
 constexpr absl::Duration kCallTimeout = absl::Seconds(2);  // then the call is made again
 constexpr absl::Duration kCloseTimeout = absl::Seconds(1);
 constexpr absl::Duration kFirstPause = absl::Milliseconds(50);
-constexpr absl::Duration kLongestPause = absl::Milliseconds(500);
+constexpr absl::Duration kLongestPause = absl::Milliseconds(200);
 constexpr absl::Duration kGiveUp = absl::Seconds(1);  // without an answer, then another server
 constexpr absl::Duration kLongestWait = absl::Seconds(1);
 constexpr std::array<absl::string_view, kReplaced> kReplacedNames = {

@@ -11,7 +11,7 @@
 //   queued      a beat waits for its request: send it
 //   behind      the engine on the robot lacks beats: let it play one
 //   no session  open one
-//   no stream   open one, after a pause that grows to half a second
+//   no stream   open one, after a pause that grows to 0.2 s
 //   no copy     bring the session to the engine on the robot
 //   ended       the oldest episode has ended: if the server misses beats of it, and no request is
 //               under way, send them; if it has all of them, call EndEpisode until it is answered

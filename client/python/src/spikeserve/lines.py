@@ -33,14 +33,15 @@ LONGEST_PAUSE = 5.0
 def channel_options(keepalive: float, keepalive_timeout: float) -> list[tuple[str, int]]:
     """Returns the options of a channel; the C++ client sets the same.
 
-    Each client has its own connection, and reconnects to a restarted server within one second (the
-    default of gRPC is two minutes). An attempt to connect ends after two seconds, not twenty: the
-    pauses between repeated SYN packets grow. gRPC sets TCP_USER_TIMEOUT to `keepalive_timeout`.
+    Each client has its own connection, and reconnects to a restarted server within a third of a
+    second (the default of gRPC is two minutes). An attempt to connect ends after two seconds, not
+    twenty: the pauses between repeated SYN packets grow. gRPC sets TCP_USER_TIMEOUT to
+    `keepalive_timeout`.
     """
     return [
         ("grpc.use_local_subchannel_pool", 1),
         ("grpc.initial_reconnect_backoff_ms", 100),
-        ("grpc.max_reconnect_backoff_ms", 1000),
+        ("grpc.max_reconnect_backoff_ms", 300),
         ("grpc.min_reconnect_backoff_ms", 2000),
         ("grpc.keepalive_time_ms", round(1000 * keepalive)),
         ("grpc.keepalive_timeout_ms", round(1000 * keepalive_timeout)),

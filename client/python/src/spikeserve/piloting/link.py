@@ -6,7 +6,7 @@ that no event can be lost:
 
     closing     the pilot was closed, and nothing is left to be told, or its time is over: stop
     no session  open one (OpenSession), and bring it to the robot's engine (ExportSession)
-    no stream   open one, after a pause that grows to half a second
+    no stream   open one, after a pause that grows to 0.2 s
     ended       the oldest episode has ended: if the server misses beats of it, and no request is
                 under way, send them; if it has all of them, call EndEpisode until it is answered
     silent      requests wait for answers: try a fresh connection, or another server
@@ -47,7 +47,7 @@ from spikeserve.values import Action, EpisodeSummary
 from spikeserve.wire import Message
 
 LOGGER = logging.getLogger("spikeserve.pilot")
-FIRST_PAUSE, LONGEST_PAUSE = 0.05, 0.5  # seconds before the next stream or call
+FIRST_PAUSE, LONGEST_PAUSE = 0.05, 0.2  # seconds before the next stream or call
 GIVE_UP_SECONDS = 1.0  # without an answer, before another server is asked
 
 
