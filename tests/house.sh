@@ -36,7 +36,7 @@ structs_with() {
 }
 
 # beats.h describes what a robot did by itself, which is no Act.
-mapfile -t headers < <(git ls-files 'core/*.h' 'server/*.h' ':!core/session/beats.h')
+mapfile -t headers < <(git ls-files 'core/*.h' 'server/*.h' ':!core/agent/beats.h')
 
 # One request is one object, and one gate leads it.
 at_most 4 'files of server/ that know how a session is claimed and awaited' \

@@ -15,7 +15,7 @@
 #include "core/base/status.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
-#include "core/model/quantize.h"
+#include "core/quantize/quantize.h"
 #include "train/baselines/comparison.h"
 #include "train/evaluation/evaluation.h"
 #include "train/evaluation/training_record.h"

@@ -11,14 +11,14 @@
 #include "absl/synchronization/mutex.h"
 #include "core/action/action_space.h"
 #include "core/action/reported_action.h"
+#include "core/agent/agent_session.h"
+#include "core/agent/served_policy.h"
 #include "core/base/clock.h"
 #include "core/base/file.h"
 #include "core/engine/factory/engine_factory.h"
+#include "core/journal/journal_entry.h"
+#include "core/journal/session_export.h"
 #include "core/model/policy_file.h"
-#include "core/session/agent_session.h"
-#include "core/session/journal_entry.h"
-#include "core/session/served_policy.h"
-#include "core/session/session_export.h"
 
 namespace spikeserve {
 namespace {

@@ -6,8 +6,8 @@
 #ifndef CLIENT_PLAYGROUND_DECISION_JSON_H_
 #define CLIENT_PLAYGROUND_DECISION_JSON_H_
 
+#include "core/agent/served_policy.h"
 #include "core/engine/trace.h"
-#include "core/session/served_policy.h"
 #include "core/session/session.h"
 #include "nlohmann/json.hpp"
 

@@ -5,10 +5,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/playground/decision_json.h"
+#include "core/agent/explanation.h"
+#include "core/agent/session_request.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
-#include "core/session/explanation.h"
-#include "core/session/session_request.h"
 #include "core/session/session_value.h"
 
 namespace spikeserve {

@@ -15,10 +15,10 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "core/agent/agent_session.h"
+#include "core/agent/served_policy.h"
 #include "core/base/clock.h"
 #include "core/environment/environment.h"
-#include "core/session/agent_session.h"
-#include "core/session/served_policy.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {

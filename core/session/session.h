@@ -14,7 +14,6 @@
 #include <vector>
 
 #include "Eigen/Core"
-#include "absl/status/statusor.h"
 #include "core/action/action_head.h"
 #include "core/action/action_space.h"
 #include "core/engine/counts.h"
@@ -91,15 +90,6 @@ struct Session {
   std::optional<Learner> learner;                      // present if and only if options.learning is
   std::shared_ptr<const PendingContribution> pending;  // null: none
 };
-
-// The name of the binary form, with which it begins.
-inline constexpr char kSessionFormat[] = "spikeserve.session.v1";
-
-// Converts a session to a compact binary form (CBOR).
-std::string SerializeSession(const Session& session);
-// Converts the binary form back to a session that is equal bit for bit. INVALID_ARGUMENT if `bytes`
-// is not such a form or not a possible session.
-absl::StatusOr<Session> ParseSession(const std::string& bytes);
 
 }  // namespace spikeserve
 

@@ -20,8 +20,8 @@
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
-#include "core/model/quantize.h"
-#include "core/model/quantize_integer.h"
+#include "core/quantize/quantize.h"
+#include "core/quantize/quantize_integer.h"
 #include "loadtest/bench/contestant.h"
 
 namespace spikeserve {

@@ -22,7 +22,7 @@
 
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {

@@ -25,9 +25,9 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "server/access/refusal_pacer.h"
+#include "server/access/role.h"
 #include "server/access/tenant.h"
 #include "server/access/token_file.h"
-#include "server/base/role.h"
 
 namespace spikeserve {
 

@@ -5,8 +5,8 @@
 #define SERVER_ACCESS_PERMISSION_H_
 
 #include "absl/status/status.h"
+#include "server/access/role.h"
 #include "server/base/method.h"
-#include "server/base/role.h"
 
 namespace spikeserve {
 

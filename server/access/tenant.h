@@ -13,8 +13,8 @@
 
 #include "absl/status/status.h"
 #include "absl/time/time.h"
+#include "core/open_sessions/session_quota.h"
 #include "core/session/durability.h"
-#include "core/session/session_quota.h"
 #include "server/access/rate_limit.h"
 #include "server/access/refusal_pacer.h"
 #include "server/base/byte_budget.h"

@@ -28,8 +28,8 @@
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "nlohmann/json.hpp"
+#include "server/access/role.h"
 #include "server/access/tenant.h"
-#include "server/base/role.h"
 
 namespace spikeserve {
 

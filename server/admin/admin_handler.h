@@ -9,9 +9,9 @@
 #include <utility>
 
 #include "absl/status/status.h"
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
+#include "server/admin/audit_log.h"
 #include "server/agent/call_context.h"
-#include "server/base/audit_log.h"
 #include "server/base/replicas.h"
 #include "server/policies/policy_registry.h"
 #include "spikeserve/v1/policy_admin.pb.h"

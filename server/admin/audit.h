@@ -11,9 +11,9 @@
 
 #include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
+#include "server/admin/audit_log.h"
 #include "server/agent/call_context.h"
-#include "server/base/audit_log.h"
 #include "server/base/method.h"
 #include "server/policies/policy_registry.h"
 #include "server/rollouts/rollout_manager.h"

@@ -7,10 +7,10 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/agent/head_log.h"
 #include "core/base/json.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/learner.h"
-#include "core/session/head_log.h"
 #include "nlohmann/json.hpp"
 #include "server/admin/traffic.h"
 #include "server/policies/policy_repository.h"

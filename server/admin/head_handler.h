@@ -1,6 +1,6 @@
 // Answers the requests of PolicyAdmin about learning: reads, promotes and rolls back the heads that
 // fleets share, and pauses and resumes learning. A head that several servers learn is first brought
-// up to date with its log (core/session/head_log.h), so that all of them give the same answers.
+// up to date with its log (core/agent/head_log.h), so that all of them give the same answers.
 //
 // Thread-safe.
 #ifndef SERVER_ADMIN_HEAD_HANDLER_H_
@@ -11,7 +11,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
 #include "server/agent/call_context.h"
 #include "server/policies/policy_registry.h"
 #include "spikeserve/v1/policy_admin.pb.h"

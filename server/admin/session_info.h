@@ -2,7 +2,7 @@
 #ifndef SERVER_ADMIN_SESSION_INFO_H_
 #define SERVER_ADMIN_SESSION_INFO_H_
 
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
 #include "spikeserve/v1/policy_admin.pb.h"
 
 namespace spikeserve {

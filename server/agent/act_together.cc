@@ -7,7 +7,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/container/inlined_vector.h"
 #include "core/contract/dcheck.h"
-#include "core/session/session_locks.h"
+#include "core/open_sessions/session_locks.h"
 #include "server/agent/beat_requests.h"
 #include "server/agent/convert.h"
 #include "server/agent/request_order.h"
@@ -121,7 +121,7 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
   SPIKESERVE_DCHECK(std::find(entries.begin(), entries.end(), nullptr) == entries.end());
   SPIKESERVE_DCHECK_EQ(std::set(entries.begin(), entries.end()).size(), entries.size());
   const SessionLocks locks(entries);
-  absl::InlinedVector<AgentSession::ActCall, 1> calls;
+  absl::InlinedVector<ActCall, 1> calls;
   absl::InlinedVector<DecisionRequest*, 1> deciding;  // the requests of `calls`
   int64_t budget = kBeatsPerGroup;
   absl::Duration begun;  // of the decisions

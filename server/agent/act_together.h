@@ -9,7 +9,7 @@
 #include "absl/time/time.h"
 #include "absl/types/span.h"
 #include "core/base/clock.h"
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
 #include "server/agent/beat_requests.h"
 #include "server/agent/call_context.h"
 #include "spikeserve/v1/policy_service.pb.h"

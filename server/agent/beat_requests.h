@@ -12,10 +12,10 @@
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "core/action/reported_action.h"
+#include "core/agent/agent_session.h"
+#include "core/agent/beats.h"
+#include "core/agent/robot_link.h"
 #include "core/base/clock.h"
-#include "core/session/agent_session.h"
-#include "core/session/beats.h"
-#include "core/session/robot_link.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {

@@ -9,7 +9,7 @@
 
 #include <memory>
 
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/agent/deferred_work.h"
 #include "server/agent/durable_answer.h"

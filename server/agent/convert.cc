@@ -4,11 +4,11 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "core/agent/beats.h"
 #include "core/contract/dcheck.h"
 #include "core/engine/energy.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/math/vector_view.h"
-#include "core/session/beats.h"
 #include "nlohmann/json.hpp"
 #include "server/base/expected_decision.h"
 #include "server/base/retry_delay.h"

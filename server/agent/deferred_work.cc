@@ -1,7 +1,7 @@
 #include "server/agent/deferred_work.h"
 
 #include "absl/types/span.h"
-#include "core/session/session_locks.h"
+#include "core/open_sessions/session_locks.h"
 #include "server/agent/act_together.h"
 
 namespace spikeserve {

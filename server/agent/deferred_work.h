@@ -6,8 +6,8 @@
 #include <utility>
 
 #include "absl/container/inlined_vector.h"
-#include "core/session/session_store.h"
-#include "server/agent/shadow_runner.h"
+#include "core/open_sessions/session_store.h"
+#include "server/followers/shadow_runner.h"
 
 namespace spikeserve {
 

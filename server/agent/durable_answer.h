@@ -9,9 +9,9 @@
 #include <memory>
 
 #include "absl/container/inlined_vector.h"
-#include "core/session/head_log.h"
-#include "core/session/session_journal.h"
-#include "core/session/session_store.h"
+#include "core/agent/head_log.h"
+#include "core/journal/session_journal.h"
+#include "core/open_sessions/session_store.h"
 
 namespace spikeserve {
 

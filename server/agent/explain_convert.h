@@ -3,10 +3,10 @@
 #define SERVER_AGENT_EXPLAIN_CONVERT_H_
 
 #include "absl/status/status.h"
-#include "core/session/explanation.h"
-#include "core/session/served_policy.h"
+#include "core/agent/explanation.h"
+#include "core/agent/served_policy.h"
+#include "core/open_sessions/session_store.h"
 #include "core/session/session.h"
-#include "core/session/session_store.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {

@@ -1,6 +1,7 @@
 #include "server/agent/former_copies.h"
 
 #include "absl/status/status.h"
+#include "core/session/session_id.h"
 #include "server/base/retry_delay.h"
 
 namespace spikeserve {

@@ -22,7 +22,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "core/base/clock.h"
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
 
 namespace spikeserve {
 

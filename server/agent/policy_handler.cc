@@ -11,7 +11,9 @@
 #include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/contract/dcheck.h"
-#include "core/session/session_export.h"
+#include "core/journal/session_bytes.h"
+#include "core/journal/session_export.h"
+#include "core/session/session_id.h"
 #include "core/session/session_value.h"
 #include "server/agent/convert.h"
 #include "server/agent/explain_convert.h"
@@ -455,7 +457,9 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
     merge.End();
     if (summary.ok()) {
       *response = ToProto(*summary);
-      response->set_recording(ToProto(agent.recording_state()));
+      const auto& recorder = (*entry)->recorder;
+      response->set_recording(
+          ToProto(recorder == nullptr ? RecordingState::kNotRecorded : recorder->last_state()));
     }
   }
   if (absl::IsFailedPrecondition(status)) {

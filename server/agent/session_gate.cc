@@ -5,6 +5,7 @@
 #include <functional>
 #include <utility>
 
+#include "core/session/session_id.h"
 #include "server/base/expected_decision.h"
 
 namespace spikeserve {

@@ -4,9 +4,10 @@
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
-#include "core/session/head_log.h"
-#include "core/session/journal_entry.h"
-#include "core/session/session_journal.h"
+#include "core/agent/head_log.h"
+#include "core/journal/journal_entry.h"
+#include "core/journal/session_journal.h"
+#include "core/session/session_id.h"
 #include "core/store/sealed_record.h"
 #include "server/base/log.h"
 #include "server/policies/policy_catalog.h"

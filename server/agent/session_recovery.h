@@ -18,10 +18,10 @@
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
 #include "core/base/clock.h"
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/agent/former_copies.h"
-#include "server/agent/recordings.h"
+#include "server/followers/recordings.h"
 #include "server/policies/policy_registry.h"
 #include "server/store/journal_store.h"
 

@@ -8,6 +8,7 @@
 #include "absl/time/clock.h"
 #include "core/base/json.h"
 #include "core/base/version.h"
+#include "core/session/session_id.h"
 #include "server/policies/policy_repository.h"
 
 namespace spikeserve {
@@ -343,7 +344,7 @@ absl::Status InferenceHandler::End(CallContext& context, const SequenceRequest& 
   // that decision.
   if (const auto entry = gate_->Find(context, sequence.session_id); entry.ok()) {
     absl::MutexLock lock(&(*entry)->mutex);
-    (*entry)->agent.RecordTo(nullptr);
+    if ((*entry)->recorder != nullptr) (*entry)->recorder->CutOff();
   }
   v1::EndEpisodeRequest end;
   end.set_session_id(sequence.session_id);

@@ -17,8 +17,8 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/types/span.h"
+#include "core/agent/served_policy.h"
 #include "core/engine/energy.h"
-#include "core/session/served_policy.h"
 #include "prometheus/counter.h"
 #include "prometheus/gauge.h"
 #include "prometheus/histogram.h"
@@ -113,7 +113,7 @@ class PolicyMetrics final : public SessionObserver {
   }
 
   void OnOpen() override { handles_.sessions->Increment(); }
-  std::shared_ptr<SessionEvidence> OnAssigned(absl::string_view tenant) override {
+  std::shared_ptr<SessionListener> OnAssigned(absl::string_view tenant) override {
     return evidence_.NewSession(tenant);
   }
   void OnError() override { handles_.errors->Increment(); }

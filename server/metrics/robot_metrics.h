@@ -4,7 +4,7 @@
 
 #include <vector>
 
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
 #include "prometheus/metric_family.h"
 
 namespace spikeserve {

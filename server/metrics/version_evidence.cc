@@ -133,17 +133,19 @@ struct VersionEvidence::Comparison {
   std::mt19937_64 random ABSL_GUARDED_BY(mutex);
 };
 
-class VersionEvidence::Session final : public SessionEvidence {
+class VersionEvidence::Session final : public SessionListener {
  public:
   Session(std::shared_ptr<Comparison> comparison, Comparison::Tenant* tenant, int64_t number)
       : comparison_(std::move(comparison)), tenant_(*tenant), number_(number) {}
 
-  void OnDecision(double compute_seconds) override {
+  void OnDecision(const spikeserve::Session& session, const DecisionInputs& inputs) override {
+    if (inputs.is_beat) return;
     if (comparison_->over.load(std::memory_order_relaxed)) return;
     if (decisions_++ == 0) CountSession();
     // A session that decides all the time does not hide the others.
     if (decisions_ > kMostDecisions) return;
-    const auto bucket = static_cast<size_t>(DurationCounts::BucketOf(compute_seconds));
+    const auto bucket =
+        static_cast<size_t>(DurationCounts::BucketOf(session.last_answer->compute_seconds));
     tenant_.durations[bucket].fetch_add(1, std::memory_order_relaxed);
   }
 
@@ -155,8 +157,16 @@ class VersionEvidence::Session final : public SessionEvidence {
     ++tenant_.counts.failed_sessions;
   }
 
-  void OnEpisodeEnd(double episode_return) override {
-    if (comparison_->over.load(std::memory_order_relaxed)) return;
+  bool OnEpisodeEnd(const spikeserve::Session& session,
+                    const std::shared_ptr<FleetContribution>& /*contribution*/) override {
+    if (!comparison_->over.load(std::memory_order_relaxed)) {
+      CountReturn(session.last_end->summary.episode_return);
+    }
+    return false;
+  }
+
+ private:
+  void CountReturn(double episode_return) {
     absl::MutexLock lock(&comparison_->mutex);
     TenantCounts& counts = tenant_.counts;
     if (!comparison_->plausible.Contain(episode_return)) {
@@ -173,7 +183,6 @@ class VersionEvidence::Session final : public SessionEvidence {
     if (has_place) counts.returns[place_] = returns_;
   }
 
- private:
   void CountSession() {
     absl::MutexLock lock(&comparison_->mutex);
     ++tenant_.counts.sessions;
@@ -211,7 +220,7 @@ void VersionEvidence::Stop() {
   if (comparison_ != nullptr) comparison_->over.store(true, std::memory_order_relaxed);
 }
 
-std::shared_ptr<SessionEvidence> VersionEvidence::NewSession(absl::string_view tenant) {
+std::shared_ptr<SessionListener> VersionEvidence::NewSession(absl::string_view tenant) {
   if (!watched_.load(std::memory_order_relaxed)) return nullptr;
   absl::MutexLock lock(&mutex_);
   if (comparison_ == nullptr) return nullptr;

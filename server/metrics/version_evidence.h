@@ -2,11 +2,10 @@
 //
 //   VersionEvidence evidence;
 //   evidence.Watch({}, /*most_per_session=*/4, PlausibleReturns::Of(policy));
-//   const std::shared_ptr<SessionEvidence> session = evidence.NewSession("warehouse");
-//   session->OnEpisodeEnd(/*episode_return=*/500.0);
+//   agent.AddListener(evidence.NewSession("warehouse"));
 //   const VersionEvidence::Counts counts = evidence.Read();
 //
-// Thread-safe; each SessionEvidence is used by one thread at a time.
+// Thread-safe; each listener is used by one thread at a time.
 #ifndef SERVER_METRICS_VERSION_EVIDENCE_H_
 #define SERVER_METRICS_VERSION_EVIDENCE_H_
 
@@ -22,8 +21,8 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
+#include "core/agent/session_listener.h"
 #include "core/model/policy.h"
-#include "core/session/served_policy.h"
 
 namespace spikeserve {
 
@@ -98,7 +97,7 @@ class VersionEvidence {
 
   // Returns what receives the evidence of a new session, or null if nothing watches. It may outlive
   // the roll-out; then it counts no more.
-  std::shared_ptr<SessionEvidence> NewSession(absl::string_view tenant);
+  std::shared_ptr<SessionListener> NewSession(absl::string_view tenant);
 
   Counts Read() const;
 

@@ -14,7 +14,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/session/served_policy.h"
+#include "core/agent/served_policy.h"
 #include "server/policies/policy_settings.h"
 
 namespace spikeserve {

@@ -16,8 +16,8 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/session/head_log.h"
-#include "core/session/served_policy.h"
+#include "core/agent/head_log.h"
+#include "core/agent/served_policy.h"
 #include "server/policies/policy_signatures.h"
 
 namespace spikeserve {

@@ -21,7 +21,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
-#include "core/session/served_policy.h"
+#include "core/agent/served_policy.h"
 #include "server/policies/policy_catalog.h"
 #include "server/policies/policy_registry.h"
 #include "server/policies/shared_settings.h"

@@ -1,22 +1,46 @@
-// The services as one event loop sees them: finds the answerers of its calls, and does what the
-// turn has gathered.
-//
-// Confined to the thread of its loop.
+// The services as one event loop sees them: finds the handlers of its calls, and does what the turn
+// has gathered.
 #ifndef SERVER_SERVICES_LOOP_SERVICES_H_
 #define SERVER_SERVICES_LOOP_SERVICES_H_
 
+#include <functional>
 #include <memory>
+#include <string>
+#include <utility>
 #include <vector>
 
+#include "absl/container/flat_hash_map.h"
+#include "absl/strings/string_view.h"
 #include "server/agent/deferred_work.h"
 #include "server/agent/policy_handler.h"
 #include "server/services/act_queue.h"
-#include "server/services/service_table.h"
 #include "server/transport/call.h"
 #include "server/transport/transport_loop.h"
 
 namespace spikeserve {
 
+class LoopServices;
+
+// The methods that the server has, by path. Immutable after it was filled, and then thread-safe.
+class ServiceTable {
+ public:
+  // Returns the handler of a new call on the loop that `services` belongs to.
+  using Open = std::function<std::shared_ptr<CallHandler>(Call* call, LoopServices* services)>;
+
+  // Adds the method at "/package.Service/Method".
+  void Add(std::string path, Open open) { methods_.emplace(std::move(path), std::move(open)); }
+
+  // Returns null if the server has no such method.
+  const Open* Find(absl::string_view path) const {
+    const auto found = methods_.find(path);
+    return found == methods_.end() ? nullptr : &found->second;
+  }
+
+ private:
+  absl::flat_hash_map<std::string, Open> methods_;
+};
+
+// Confined to the thread of its loop.
 class LoopServices final : public CallRouter {
  public:
   // All pointers must outlive the object.

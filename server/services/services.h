@@ -19,7 +19,6 @@
 #include "server/services/health_service.h"
 #include "server/services/loop_services.h"
 #include "server/services/service_context.h"
-#include "server/services/service_table.h"
 #include "server/transport/transport.h"
 
 namespace spikeserve {

@@ -12,9 +12,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
-#include "core/session/field_codec.h"
-#include "core/session/session_journal.h"
-#include "core/session/session_store.h"
+#include "core/journal/field_codec.h"
+#include "core/journal/session_journal.h"
+#include "core/session/session_id.h"
 #include "core/store/file_repair.h"
 #include "core/store/lmdb.h"
 #include "core/store/sealed_record.h"

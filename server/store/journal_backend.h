@@ -11,7 +11,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/types/span.h"
-#include "core/session/journal_writer.h"
+#include "core/journal/journal_writer.h"
 
 namespace spikeserve {
 

@@ -5,7 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "core/session/session_journal.h"
+#include "core/journal/session_journal.h"
 #include "server/base/log.h"
 #include "server/base/retry_delay.h"
 

@@ -10,7 +10,7 @@
 #include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
-#include "core/session/session_store.h"
+#include "core/session/session_id.h"
 #include "core/store/redis_tls.h"
 #include "server/store/file_backend.h"
 #include "server/store/redis_backend.h"

@@ -9,7 +9,7 @@
 
 #include "absl/status/statusor.h"
 #include "prometheus/registry.h"
-#include "server/store/head_log_store.h"
+#include "server/heads/head_log_store.h"
 #include "server/store/journal_store.h"
 #include "server/store/redis_shared.h"
 #include "server/store/store_options.h"

@@ -12,7 +12,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "server/base/listen_reason.h"
+#include "server/transport/listen_reason.h"
 
 namespace spikeserve {
 namespace {

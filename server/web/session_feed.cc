@@ -6,6 +6,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/time/time.h"
+#include "core/session/session_id.h"
 #include "proto/json.h"
 #include "server/agent/explain_convert.h"
 #include "server/base/method.h"

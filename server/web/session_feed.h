@@ -26,7 +26,7 @@
 #include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
 #include "core/base/clock.h"
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/base/background_worker.h"
 #include "server/web/http_message.h"

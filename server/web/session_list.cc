@@ -18,6 +18,7 @@
 #include "absl/time/time.h"
 #include "core/base/cbor.h"
 #include "core/base/json.h"
+#include "core/session/session_id.h"
 #include "nlohmann/json.hpp"
 #include "server/admin/session_info.h"
 #include "server/metrics/policy_metrics.h"

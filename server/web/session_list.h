@@ -7,7 +7,7 @@
 #include <string>
 
 #include "absl/status/statusor.h"
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/base/http_query.h"
 

@@ -13,7 +13,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "core/base/clock.h"
-#include "core/session/session_store.h"
+#include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/admin/rollout_handler.h"
 #include "server/agent/policy_handler.h"

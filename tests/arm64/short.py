@@ -17,8 +17,8 @@ import sys
 ROOT = pathlib.Path(__file__).parents[2]
 BUILD = ROOT / "build/arm64"
 EMULATE = ROOT / "tests/arm64/emulate.sh"
-PROGRAMS = ["golden_test", "engine_parity_test", "engine_test", "math_test", "base_test", "session_test", "server_store_test"]
-PROGRAMS += ["server_rollouts_test"]
+PROGRAMS = ["golden_test", "engine_parity_test", "engine_test", "math_test", "base_test", "agent_test", "journal_test"]
+PROGRAMS += ["open_sessions_test", "server_store_test", "server_rollouts_test"]
 CLIENT = "client_cart_pole"
 SERVER = ROOT / "build/release/bin/spikeserve"
 SHARDS = os.cpu_count() or 1

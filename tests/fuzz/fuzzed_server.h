@@ -8,7 +8,7 @@
 #include "core/learning/fleet_head.h"
 #include "server/access/authenticator.h"
 #include "server/agent/policy_handler.h"
-#include "server/agent/shadow_runner.h"
+#include "server/followers/shadow_runner.h"
 #include "tests/fuzz/fuzz_target.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/small_registry.h"

@@ -1,7 +1,8 @@
 // Journals of sessions: every list of records is refused, or restores a session that continues.
 //
 // An input is a list of records, each after its length in two bytes, the most significant first.
-#include "core/session/journal_entry.h"
+#include "core/journal/journal_entry.h"
+#include "core/journal/session_bytes.h"
 #include "core/session/session.h"
 #include "core/session/session_value.h"
 #include "tests/fuzz/fuzz_target.h"

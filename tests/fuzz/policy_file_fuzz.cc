@@ -6,7 +6,7 @@
 #include "core/base/file.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
-#include "core/model/quantize.h"
+#include "core/quantize/quantize.h"
 #include "tests/fuzz/fuzz_target.h"
 #include "tests/support/small_policy.h"
 

@@ -1,6 +1,7 @@
 // Sequences of requests to one session: its counters follow a model, errors change nothing, and
 // nothing is decided twice.
-#include "core/session/agent_session.h"
+#include "core/agent/agent_session.h"
+#include "core/journal/session_bytes.h"
 #include "core/session/session.h"
 #include "core/session/session_value.h"
 #include "tests/fuzz/fuzz_target.h"

@@ -14,12 +14,12 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "core/agent/agent_session.h"
+#include "core/agent/session_request.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/learning/return_guard.h"
 #include "core/math/counter_random.h"
 #include "core/model/policy_file.h"
-#include "core/session/agent_session.h"
-#include "core/session/session_request.h"
 #include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 

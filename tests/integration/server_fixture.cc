@@ -8,7 +8,7 @@
 #include "core/action/action_space.h"
 #include "core/model/policy.h"
 #include "core/model/policy_file.h"
-#include "core/model/quantize.h"
+#include "core/quantize/quantize.h"
 #include "tests/integration/http_client.h"
 #include "tests/support/small_config.h"
 

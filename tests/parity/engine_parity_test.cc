@@ -13,8 +13,8 @@
 #include "core/math/counter_random.h"
 #include "core/model/policy.h"
 #include "core/model/policy_file.h"
-#include "core/model/quantize.h"
-#include "core/model/quantize_integer.h"
+#include "core/quantize/quantize.h"
+#include "core/quantize/quantize_integer.h"
 #include "tests/support/simd_targets.h"
 #include "tests/support/small_config.h"
 

@@ -16,7 +16,7 @@
 #include "core/engine/energy.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
-#include "core/model/quantize_integer.h"
+#include "core/quantize/quantize_integer.h"
 
 namespace spikeserve {
 namespace {

@@ -10,7 +10,7 @@
 
 #include "server/access/authenticator.h"
 #include "server/agent/policy_handler.h"
-#include "server/agent/shadow_runner.h"
+#include "server/followers/shadow_runner.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/small_registry.h"
 

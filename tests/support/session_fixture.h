@@ -9,11 +9,11 @@
 #include <utility>
 #include <vector>
 
+#include "core/agent/agent_session.h"
+#include "core/agent/served_policy.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy.h"
-#include "core/model/quantize.h"
-#include "core/session/agent_session.h"
-#include "core/session/served_policy.h"
+#include "core/quantize/quantize.h"
 #include "tests/support/small_config.h"
 
 namespace spikeserve {

@@ -1,6 +1,6 @@
 // The spike-driven maps of a model in integer arithmetic, for training.
 //
-// The forward pass computes with the integers of Quantize() (core/model/quantize.h), as float32
+// The forward pass computes with the integers of Quantize() (core/quantize/quantize.h), as float32
 // numbers. No sum leaves the integers that float32 holds exactly, so its order does not matter, and
 // the results are those of the engines. The backward pass takes the rounding for the identity
 // ("straight through": Y. Bengio, N. Leonard, A. Courville, arXiv:1308.3432, 2013): a weight w = s

@@ -7,7 +7,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "core/model/quantize.h"
+#include "core/quantize/quantize.h"
 #include "train/model/attention.h"
 #include "train/model/bernoulli_function.h"
 #include "train/model/lif_function.h"

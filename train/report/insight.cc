@@ -2,10 +2,10 @@
 
 #include <utility>
 
+#include "core/agent/agent_session.h"
+#include "core/agent/explanation.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
-#include "core/session/agent_session.h"
-#include "core/session/explanation.h"
 #include "core/session/session_value.h"
 #include "train/data/policy_player.h"
 

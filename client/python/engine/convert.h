@@ -15,7 +15,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "core/session/session_request.h"
+#include "core/agent/session_request.h"
 
 namespace spikeserve {
 

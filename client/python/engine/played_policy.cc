@@ -7,9 +7,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/engine/factory/engine_factory.h"
+#include "core/journal/journal_entry.h"
+#include "core/journal/session_export.h"
 #include "core/model/policy_file.h"
-#include "core/session/journal_entry.h"
-#include "core/session/session_export.h"
 #include "core/session/session_value.h"
 
 namespace spikeserve {
@@ -141,7 +141,7 @@ absl::StatusOr<BatchAnswers> LocalSession::ActTogether(absl::Span<LocalSession* 
         "sessions: expected different sessions, received one session twice");
   }
   const Locks locks(sorted);
-  std::vector<AgentSession::ActCall> calls(sessions.size());
+  std::vector<ActCall> calls(sessions.size());
   const size_t width = observations.size() / sessions.size();
   for (size_t i = 0; i < sessions.size(); ++i) {
     sessions[i]->mutex_.AssertHeld();
@@ -156,7 +156,7 @@ absl::StatusOr<BatchAnswers> LocalSession::ActTogether(absl::Span<LocalSession* 
   }
   AgentSession::ActTogether(absl::MakeSpan(calls));
   answers.Reserve(calls.size());
-  for (const AgentSession::ActCall& call : calls) {
+  for (const ActCall& call : calls) {
     if (!call.answer.ok()) return call.answer.status();
     answers.Append(**call.answer);
   }

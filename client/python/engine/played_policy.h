@@ -23,11 +23,11 @@
 #include "client/python/engine/batch_answers.h"
 #include "client/python/engine/policy_source.h"
 #include "core/action/reported_action.h"
+#include "core/agent/agent_session.h"
+#include "core/agent/explanation.h"
+#include "core/agent/served_policy.h"
+#include "core/agent/session_request.h"
 #include "core/base/clock.h"
-#include "core/session/agent_session.h"
-#include "core/session/explanation.h"
-#include "core/session/served_policy.h"
-#include "core/session/session_request.h"
 
 namespace spikeserve {
 

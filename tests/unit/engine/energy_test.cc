@@ -8,7 +8,7 @@
 #include "core/engine/account.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/engine/token_costs.h"
-#include "core/model/quantize_integer.h"
+#include "core/quantize/quantize_integer.h"
 #include "tests/support/small_policy.h"
 
 namespace spikeserve {

@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "core/model/policy_file.h"
-#include "core/model/quantize.h"
 #include "core/model/safetensors.h"
+#include "core/quantize/quantize.h"
 #include "nlohmann/json.hpp"
 #include "tests/support/files.h"
 #include "tests/support/small_policy.h"

@@ -10,8 +10,8 @@
 #include <variant>
 #include <vector>
 
-#include "core/model/quantize.h"
 #include "core/model/safetensors.h"
+#include "core/quantize/quantize.h"
 #include "nlohmann/json.hpp"
 #include "tests/support/files.h"
 #include "tests/support/small_policy.h"

@@ -26,6 +26,20 @@ const std::vector<RolloutCondition> kReturnOnly = {{RolloutMeasure::kReturn, 0.0
 constexpr char kTenant[] = "";
 constexpr PlausibleReturns kAnyReturn;
 
+void Decide(SessionListener& listener, double compute_seconds) {
+  Session session;
+  session.last_answer.emplace().compute_seconds = compute_seconds;
+  listener.OnDecision(session, {});
+}
+
+void EndEpisode(SessionListener& listener, double episode_return) {
+  EndedEpisode ended;
+  ended.summary.episode_return = episode_return;
+  Session session;
+  session.last_end = std::make_shared<const EndedEpisode>(ended);
+  listener.OnEpisodeEnd(session, /*contribution=*/nullptr);
+}
+
 // One version of a simulated roll-out.
 class Arm {
  public:
@@ -37,8 +51,8 @@ class Arm {
   void Play(const std::vector<double>& returns, const std::string& tenant = kTenant) {
     const auto session = evidence_.NewSession(tenant);
     for (const double value : returns) {
-      session->OnDecision(/*compute_seconds=*/1e-4);
-      session->OnEpisodeEnd(value);
+      Decide(*session, /*compute_seconds=*/1e-4);
+      EndEpisode(*session, value);
     }
   }
   void Fail(const std::string& tenant = kTenant) { evidence_.NewSession(tenant)->OnFailure(); }
@@ -307,8 +321,8 @@ TEST(RolloutJudge, ASlowTailIsFoundAndItsMarginIsAllowed) {
     const auto old = stable.evidence().NewSession(kTenant);
     const auto slow = fresh.evidence().NewSession(kTenant);
     for (int decision = 0; decision < 500; ++decision) {
-      old->OnDecision(decision % 200 == 0 ? 400e-6 : 100e-6);
-      slow->OnDecision(decision % 20 == 0 ? 400e-6 : 100e-6);
+      Decide(*old, decision % 200 == 0 ? 400e-6 : 100e-6);
+      Decide(*slow, decision % 20 == 0 ? 400e-6 : 100e-6);
     }
   }
   EXPECT_NEAR(stable.Read()[kTenant].durations.Quantile(0.99), 100e-6, 10e-6);
@@ -327,17 +341,17 @@ TEST(VersionEvidence, CountsOnlyWhileItIsWatched) {
   start[kTenant] = {.sessions = 1, .episodes = 2, .returning = 1, .returns = {{2, 3.0}}};
   evidence.Watch(start, /*most_per_session=*/4, kAnyReturn);
   const auto session = evidence.NewSession(kTenant);
-  session->OnDecision(1e-3);
-  session->OnEpisodeEnd(5.0);
-  session->OnEpisodeEnd(6.0);
+  Decide(*session, 1e-3);
+  EndEpisode(*session, 5.0);
+  EndEpisode(*session, 6.0);
   EXPECT_THAT(
       evidence.Read()[kTenant].returns,
       ElementsAre(VersionEvidence::SessionReturn{2, 3.0}, VersionEvidence::SessionReturn{2, 5.5}));
   evidence.Stop();
-  session->OnEpisodeEnd(6.0);
+  EndEpisode(*session, 6.0);
   EXPECT_EQ(evidence.Read()[kTenant].episodes, 4);
   evidence.Watch({}, /*most_per_session=*/4, kAnyReturn);
-  session->OnEpisodeEnd(6.0);  // of the roll-out before
+  EndEpisode(*session, 6.0);  // of the roll-out before
   EXPECT_TRUE(evidence.Read().empty());
 }
 

@@ -7,7 +7,7 @@
 
 #include <fstream>
 
-#include "core/session/session_journal.h"
+#include "core/journal/session_journal.h"
 #include "tests/support/temporary_directory.h"
 
 namespace spikeserve {

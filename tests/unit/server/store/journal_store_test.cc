@@ -7,7 +7,7 @@
 #include <optional>
 
 #include "absl/synchronization/notification.h"
-#include "core/session/session_journal.h"
+#include "core/journal/session_journal.h"
 
 namespace spikeserve {
 namespace {

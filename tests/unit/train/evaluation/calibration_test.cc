@@ -6,8 +6,8 @@
 #include <memory>
 
 #include "core/engine/factory/engine_factory.h"
-#include "core/model/prune_hidden.h"
-#include "core/model/quantize_integer.h"
+#include "core/quantize/prune_hidden.h"
+#include "core/quantize/quantize_integer.h"
 #include "tests/support/small_policy.h"
 #include "train/data/dataset.h"
 

@@ -5,7 +5,7 @@
 
 #include <memory>
 
-#include "core/model/quantize.h"
+#include "core/quantize/quantize.h"
 #include "tests/support/small_policy.h"
 
 namespace spikeserve {

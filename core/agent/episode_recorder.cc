@@ -1,0 +1,114 @@
+#include "core/agent/episode_recorder.h"
+
+#include <limits>
+#include <utility>
+
+#include "absl/types/span.h"
+
+namespace spikeserve {
+
+EpisodeRecorder::EpisodeRecorder(std::shared_ptr<const ServedPolicy> served, Sink sink)
+    : served_(std::move(served)), sink_(std::move(sink)) {}
+
+EpisodeRecorder::~EpisodeRecorder() { CutOff(); }
+
+void EpisodeRecorder::OnDecision(const Session& session, const DecisionInputs& inputs) {
+  const Answer& answer = *session.last_answer;
+  if (answer.step == 0) {
+    Start(session);
+  } else if (running_.has_value()) {
+    running_->episodes[0].rewards.push_back(inputs.reward);
+  }
+  if (!running_.has_value()) return;
+  Episode& episode = running_->episodes[0];
+  const History& history = session.history;
+  const absl::Span<const float> observation = history.observation(history.size() - 1);
+  episode.observations.insert(episode.observations.end(), observation.begin(), observation.end());
+  episode.actions.push_back(answer.action);
+  ServedEpisode& served = *episode.served;
+  if (!served.answered_actions.empty()) served.answered_actions.push_back(answer.action);
+  served.returns_to_go.push_back(answer.return_to_go);
+  served.probabilities.insert(served.probabilities.end(), answer.probabilities.begin(),
+                              answer.probabilities.end());
+  served.spikes.push_back(answer.counts.total_spikes());
+  if (episode.steps() > kLongestEpisode) CutOff();
+}
+
+void EpisodeRecorder::OnExecuted(const Action& executed) {
+  if (!running_.has_value()) return;
+  Episode& episode = running_->episodes[0];
+  std::vector<Action>& answered = episode.served->answered_actions;
+  if (answered.empty()) answered = episode.actions;
+  episode.actions.back() = executed;
+}
+
+void EpisodeRecorder::Start(const Session& session) {
+  last_ = nullptr;
+  const Policy& policy = served_->policy();
+  const SessionOptions& options = session.options;
+  Episode episode;
+  episode.actor = "served";
+  episode.served = {.policy = options.policy,
+                    .version = options.version,
+                    .episode = session.episode,
+                    .target_return = session.target_return,
+                    .seed = options.seed,
+                    .temperature = std::nullopt,
+                    .learning = options.learning.has_value() || options.head_delta.size() > 0,
+                    .labels = options.labels,
+                    .answered_actions = {},
+                    .returns_to_go = {},
+                    .probabilities = {},
+                    .spikes = {}};
+  if (options.action_selection.sample) {
+    episode.served->temperature = options.action_selection.temperature;
+  }
+  running_ = Dataset{.environment = policy.environment,
+                     .observation_size = policy.observation_size(),
+                     .action_space = policy.action_space,
+                     .recipe = {{"policy", options.policy}, {"version", options.version}},
+                     .episodes = {}};
+  running_->episodes.push_back(std::move(episode));
+}
+
+bool EpisodeRecorder::OnEpisodeEnd(const Session& session,
+                                   const std::shared_ptr<FleetContribution>& /*contribution*/) {
+  if (!running_.has_value()) return false;
+  const EpisodeEnd& end = session.last_end->end;
+  Episode& episode = running_->episodes[0];
+  episode.rewards.push_back(end.reward);
+  if (end.observation.empty()) {
+    episode.observations.resize(
+        episode.observations.size() + static_cast<size_t>(running_->observation_size),
+        std::numeric_limits<float>::quiet_NaN());
+  } else {
+    episode.observations.insert(episode.observations.end(), end.observation.begin(),
+                                end.observation.end());
+  }
+  episode.terminated = end.terminated;
+  episode.truncated = end.truncated || !end.terminated;
+  PassToSink();
+  return false;
+}
+
+void EpisodeRecorder::CutOff() {
+  if (!running_.has_value()) return;
+  Episode& episode = running_->episodes[0];
+  ServedEpisode& served = *episode.served;
+  const size_t steps = episode.rewards.size();
+  episode.actions.pop_back();
+  if (!served.answered_actions.empty()) served.answered_actions.pop_back();
+  served.returns_to_go.pop_back();
+  served.probabilities.resize(served.probabilities.size() / (steps + 1) * steps);
+  served.spikes.pop_back();
+  episode.truncated = true;
+  PassToSink();
+}
+
+void EpisodeRecorder::PassToSink() {
+  Dataset dataset = *std::move(running_);
+  running_.reset();
+  last_ = dataset.episodes[0].steps() > 0 ? sink_(std::move(dataset)) : nullptr;
+}
+
+}  // namespace spikeserve

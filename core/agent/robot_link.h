@@ -1,0 +1,103 @@
+// What a server knows of the link to the robot that plays a session. Not part of the session's
+// value: the next server learns it anew.
+//
+//   RobotLink link;
+//   link.OnRequest(received, observed_at);  // of the server's and of the robot's clock
+//   if (link.LeastAge(clock.Now(), observed_at) > budget) ...  // the observation is too old
+//
+// Not thread-safe: protected by the lock of its session.
+#ifndef CORE_AGENT_ROBOT_LINK_H_
+#define CORE_AGENT_ROBOT_LINK_H_
+
+#include <algorithm>
+#include <cstdint>
+#include <optional>
+
+#include "absl/time/time.h"
+
+namespace spikeserve {
+
+// A robot's own counts since it began to play the session; see BeatReport in policy_service.proto.
+struct BeatCounts {
+  uint64_t fresh = 0;
+  uint64_t held = 0;
+  uint64_t local = 0;
+  uint64_t safe = 0;
+  uint64_t late_answers = 0;
+  uint64_t cancelled_calls = 0;
+  uint64_t reconnects = 0;
+  // Since the last report.
+  double longest_gap_seconds = 0.0;
+  double oldest_age_seconds = 0.0;
+
+  // Returns what was counted after `before`: 0 for a count that has become smaller.
+  BeatCounts Since(const BeatCounts& before) const {
+    const auto grown = [](uint64_t now, uint64_t then) { return now > then ? now - then : 0; };
+    return {.fresh = grown(fresh, before.fresh),
+            .held = grown(held, before.held),
+            .local = grown(local, before.local),
+            .safe = grown(safe, before.safe),
+            .late_answers = grown(late_answers, before.late_answers),
+            .cancelled_calls = grown(cancelled_calls, before.cancelled_calls),
+            .reconnects = grown(reconnects, before.reconnects),
+            .longest_gap_seconds = longest_gap_seconds,
+            .oldest_age_seconds = oldest_age_seconds};
+  }
+};
+
+class RobotLink {
+ public:
+  // Requests of this time are compared with each other. Clocks that differ by 100 parts in a
+  // million drift apart by 2 ms in two of them.
+  static constexpr absl::Duration kWindow = absl::Seconds(10);
+
+  // Takes a request that was received at `received`, by the server's clock, with an observation
+  // that was made at `observed_at` of the robot's clock. A robot's clock that has gone back is
+  // taken for a new one.
+  void OnRequest(absl::Duration received, absl::Duration observed_at) {
+    const absl::Duration offset = received - observed_at;
+    if (!least_.has_value() || observed_at < newest_ - kWindow) {
+      least_ = before_ = offset;
+      since_ = received;
+      newest_ = observed_at;
+    }
+    if (received - since_ > kWindow) {
+      before_ = *least_;
+      least_ = offset;
+      since_ = received;
+    }
+    least_ = std::min(*least_, offset);
+    newest_ = std::max(newest_, observed_at);
+  }
+
+  // Returns how old the observation is at the time `now` of the server's clock, less what the
+  // fastest of the last requests took from its observation to its arrival. The observation is this
+  // old at least: the clocks of the robot and the server are not compared. REQUIRES: OnRequest was
+  // called.
+  absl::Duration LeastAge(absl::Duration now, absl::Duration observed_at) const {
+    return now - observed_at - std::min(*least_, before_);
+  }
+
+  // Takes a report, and returns what it adds to the last one. The first report to a server that has
+  // taken the session over (`is_new_session` is false) adds nothing: another server has counted it.
+  BeatCounts OnReport(const BeatCounts& report, bool is_new_session) {
+    const BeatCounts before = report_.value_or(is_new_session ? BeatCounts() : report);
+    report_ = report;
+    return report.Since(before);
+  }
+
+  // Returns the last report; absent: there was none.
+  const std::optional<BeatCounts>& report() const { return report_; }
+
+ private:
+  // Arrival minus observation of the fastest request in this window and in the window before.
+  std::optional<absl::Duration> least_;
+  absl::Duration before_;
+  absl::Duration since_;   // begin of the window, of the server's clock
+  absl::Duration newest_;  // observation, of the robot's clock
+  std::optional<BeatCounts> report_;
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_AGENT_ROBOT_LINK_H_

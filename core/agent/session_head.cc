@@ -1,0 +1,183 @@
+#include "core/agent/session_head.h"
+
+#include <string>
+#include <utility>
+
+#include "core/contract/dcheck.h"
+#include "core/learning/frobenius_norm.h"
+#include "core/learning/held_out.h"
+#include "core/learning/learner.h"
+#include "core/math/counter_random.h"
+#include "core/math/vector_view.h"
+#include "core/session/session_value.h"
+
+namespace spikeserve {
+
+SessionHead::SessionHead(std::shared_ptr<const ServedPolicy> served, Session* session)
+    : served_(std::move(served)) {
+  const Policy& policy = served_->policy();
+  const SessionOptions& options = session->options;
+  if (options.learning.has_value() && !session->learner.has_value()) {
+    Eigen::VectorXf delta = options.head_delta;
+    if (delta.size() == 0) delta.setZero(AsVector(policy.weights.head.weight.values).size());
+    session->learner = Learner::New(*options.learning, policy, std::move(delta));
+  }
+  if (options.learning.has_value() && options.learning->scope == Scope::kFleet) {
+    const bool by_tenant = served_->SharesHead(options.tenant) && !options.tenant.empty();
+    member_ = std::make_unique<FleetHead::Member>(served_->HeadOf(options.tenant),
+                                                  by_tenant ? options.tenant : session->id,
+                                                  IsHeldOut(session->id));
+    if (served_->log == nullptr) session->pending = nullptr;
+    NewContribution(*session);
+    return;
+  }
+  const Eigen::VectorXf delta = Delta(*session);
+  if (delta.size() > 0) private_head_ = HeadWith(policy, delta);
+}
+
+void SessionHead::Choose(const Session& session, absl::Span<const float> readout,
+                         ActionChoice* choice) const {
+  const ActionSelection& selection = session.options.action_selection;
+  // A greedy choice reads no random number.
+  const uint64_t random =
+      selection.sample ? RandomBits({session.options.seed, session.decisions}) : 0;
+  const auto choose = [&](const Linear& head) {
+    ChooseAction(head, served_->policy().action_space, readout, selection, random, choice);
+  };
+  if (IsInFleet()) return choose(member_->head().Read()->head);
+  choose(private_head_ ? *private_head_ : served_->policy().weights.head);
+}
+
+void SessionHead::SuspendIfPaused(Session* session) const {
+  if (served_->learning->paused()) session->learner->suspended = true;
+}
+
+void SessionHead::OnDecision(const ActionChoice& choice, absl::Span<const float> readout,
+                             double return_to_go, double reward, Session* session) {
+  if (!session->learner.has_value()) return;
+  SuspendIfPaused(session);
+  const auto outcome = session->learner->OnDecision(*session->options.learning, served_->policy(),
+                                                    choice, readout, return_to_go, reward);
+  OnUpdate(outcome, *session);
+}
+
+// Updates the private head and reports the outcome to the observer. An update that a fleet session
+// applies to its contribution is not reported here: the merge at the end of the episode reports the
+// outcome for the fleet head.
+void SessionHead::OnUpdate(std::optional<UpdateOutcome> outcome, const Session& session) {
+  if (!outcome.has_value()) return;
+  if (*outcome == UpdateOutcome::kApplied) {
+    if (IsInFleet()) return;
+    HeadWith(served_->policy(), session.learner->head_delta, &*private_head_);
+  }
+  served_->observer->OnHeadUpdate(*outcome);
+}
+
+void SessionHead::OnExecuted(const Action& executed, Session* session) {
+  if (session->learner.has_value()) SuspendIfPaused(session);
+  const auto outcome = ReplaceLastAction(served_->policy(), executed, session);
+  if (!outcome.has_value()) return;
+  if (!IsInFleet()) HeadWith(served_->policy(), session->learner->head_delta, &*private_head_);
+  // The observer has counted the update that an applied one replaces.
+  if (*outcome != UpdateOutcome::kApplied) served_->observer->OnHeadUpdate(*outcome);
+}
+
+std::optional<LearningSummary> SessionHead::OnEpisodeEnd(const EpisodeEnd& end,
+                                                         double episode_return, const Clock& clock,
+                                                         Session* session) {
+  if (!session->learner.has_value()) return std::nullopt;
+  const LearningOptions& options = *session->options.learning;
+  Learner& learner = *session->learner;
+  SuspendIfPaused(session);
+  OnUpdate(learner.OnEpisodeEnd(options, served_->policy(), end.reward, end.terminated), *session);
+  LearningSummary summary = {.scope = options.scope,
+                             .updates = learner.updates,
+                             .rejected = learner.rejected,
+                             .returns = learner.returns};
+  if (IsInFleet()) {
+    MergeIntoFleet(episode_return, clock, session, &summary);
+  } else {
+    WatchPrivateHead(episode_return, session, &summary);
+  }
+  learner.StartEpisode(options);
+  if (session->pending == nullptr) served_->observer->OnLearned(summary);
+  return summary;
+}
+
+void SessionHead::MergeIntoFleet(double episode_return, const Clock& clock, Session* session,
+                                 LearningSummary* summary) {
+  FleetHead& fleet = member_->head();
+  const Learner& learner = *session->learner;
+  std::shared_ptr<const FleetHead::Snapshot> snapshot;
+  const bool is_logged = served_->log != nullptr;
+  const auto merge = [&] {
+    FleetHead::Merged merged = fleet.Merge(learner.head_delta, episode_return,
+                                           {.contributor = member_->contributor(),
+                                            .held_out = member_->held_out(),
+                                            .now = clock.Now()});
+    served_->observer->OnHeadUpdate(merged.outcome);
+    if (IsRefusedByFleet(merged.outcome)) summary->rejected += std::exchange(summary->updates, 0);
+    summary->rolled_back = merged.rolled_back;
+    snapshot = std::move(merged.snapshot);
+  };
+  const bool merged =
+      !is_logged && !learner.suspended && served_->learning->MergeUnlessPaused(merge);
+  if (!merged) snapshot = fleet.Read();
+  summary->head_drift = snapshot->drift;
+  summary->watched_return = snapshot->level.mean;
+  if (!is_logged || learner.suspended) return;
+  session->pending = std::make_shared<const PendingContribution>(
+      PendingContribution{.episode = session->episode,
+                          .delta = learner.head_delta,
+                          .episode_return = episode_return,
+                          .summary = *summary});
+}
+
+void SessionHead::WatchPrivateHead(double episode_return, Session* session,
+                                   LearningSummary* summary) {
+  Learner& learner = *session->learner;
+  if (!learner.suspended) {
+    summary->rolled_back = learner.Watch(*session->options.learning, episode_return);
+  }
+  if (summary->rolled_back) private_head_ = HeadWith(served_->policy(), learner.head_delta);
+  summary->head_drift = Drift(*session);
+  summary->watched_return = learner.guard.last.mean;
+}
+
+void SessionHead::NewContribution(const Session& session) {
+  if (session.pending == nullptr) return;
+  SPIKESERVE_DCHECK(IsInFleet());
+  const std::string& tenant = session.options.tenant;
+  contribution_ = std::make_shared<FleetContribution>(served_, session.id,
+                                                      served_->SharesHead(tenant) ? "" : tenant,
+                                                      member_->contributor(), session.pending);
+}
+
+void SessionHead::TakeMerged(Session* session) {
+  if (contribution_ == nullptr) return;
+  const auto merged = contribution_->merged();
+  if (!merged.has_value()) return;
+  contribution_ = nullptr;
+  session->pending = nullptr;
+  if (session->last_end == nullptr) return;
+  auto ended = std::make_shared<EndedEpisode>(*session->last_end);
+  ended->summary.learning = *merged;
+  session->last_end = std::move(ended);
+}
+
+Eigen::VectorXf SessionHead::Delta(const Session& session) const {
+  if (IsInFleet()) return member_->head().Read()->delta;
+  return session.learner.has_value() ? session.learner->head_delta : session.options.head_delta;
+}
+
+double SessionHead::Drift(const Session& session) const {
+  if (IsInFleet()) return member_->head().Read()->drift;
+  return FrobeniusNorm(Delta(session)) / BaseNorm(served_->policy());
+}
+
+int64_t SessionHead::Rollbacks(const Session& session) const {
+  if (IsInFleet()) return member_->head().Read()->rollbacks;
+  return session.learner.has_value() ? session.learner->guard.rollbacks : 0;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,76 @@
+// Chooses the actions of one session with its action head, and learns from what becomes of them.
+//
+// The head is the policy's, or a private one, which is rebuilt from its delta, or the current head
+// of the fleet. A session of a fleet stores only what its running episode will contribute to that
+// head.
+//
+// Not thread-safe: protected by the lock of its session.
+#ifndef CORE_AGENT_SESSION_HEAD_H_
+#define CORE_AGENT_SESSION_HEAD_H_
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+
+#include "Eigen/Core"
+#include "absl/types/span.h"
+#include "core/action/action_head.h"
+#include "core/agent/head_log.h"
+#include "core/agent/served_policy.h"
+#include "core/base/clock.h"
+#include "core/learning/fleet_head.h"
+#include "core/session/session.h"
+
+namespace spikeserve {
+
+// `session` is the same one in all calls.
+class SessionHead {
+ public:
+  // Creates the learner of `session` if it learns and has none.
+  SessionHead(std::shared_ptr<const ServedPolicy> served, Session* session);
+
+  // Sets `choice` to the action of the next decision. `readout` [d] is the input of the head.
+  void Choose(const Session& session, absl::Span<const float> readout, ActionChoice* choice) const;
+
+  // The methods below learn, if the session does, and report the updates to the observer.
+
+  void OnDecision(const ActionChoice& choice, absl::Span<const float> readout, double return_to_go,
+                  double reward, Session* session);
+  // Puts `executed` in the place of the last answered action, in the history too. REQUIRES: the
+  // running episode has a decision; `executed` belongs to the action space.
+  void OnExecuted(const Action& executed, Session* session);
+  // Returns what the session has learned in the episode that `end` ends; nullopt if it is frozen.
+  std::optional<LearningSummary> OnEpisodeEnd(const EpisodeEnd& end, double episode_return,
+                                              const Clock& clock, Session* session);
+
+  // Returns what the last episode that has ended contributes to the head of the fleet, from
+  // NewContribution() until TakeMerged() finds its outcome; otherwise null.
+  const std::shared_ptr<FleetContribution>& contribution() const { return contribution_; }
+  // Makes the contribution of `session.pending`, if there is one.
+  void NewContribution(const Session& session);
+  // Completes the summary of the last episode when the outcome of its contribution is known.
+  void TakeMerged(Session* session);
+
+  // As the methods of AgentSession.
+  Eigen::VectorXf Delta(const Session& session) const;
+  double Drift(const Session& session) const;
+  int64_t Rollbacks(const Session& session) const;
+
+ private:
+  bool IsInFleet() const { return member_ != nullptr; }
+  // Suspends the learning of the running episode if that of the policy is paused.
+  void SuspendIfPaused(Session* session) const;
+  void OnUpdate(std::optional<UpdateOutcome> outcome, const Session& session);
+  void MergeIntoFleet(double episode_return, const Clock& clock, Session* session,
+                      LearningSummary* summary);
+  void WatchPrivateHead(double episode_return, Session* session, LearningSummary* summary);
+
+  std::shared_ptr<const ServedPolicy> served_;
+  std::optional<Linear> private_head_;         // absent: the policy's or the fleet's head is used
+  std::unique_ptr<FleetHead::Member> member_;  // null: of no fleet
+  std::shared_ptr<FleetContribution> contribution_;
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_AGENT_SESSION_HEAD_H_

@@ -1,0 +1,85 @@
+#include "core/agent/session_request.h"
+
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "core/learning/frobenius_norm.h"
+#include "core/learning/head_update.h"
+#include "core/session/session_value.h"
+
+namespace spikeserve {
+namespace {
+
+absl::StatusOr<ActionSelection> ResolveSelection(const SessionRequest& request) {
+  ActionSelection selection = {.sample = request.sample};
+  if (!request.temperature.has_value()) return selection;
+  if (!selection.sample) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("temperature: expected unset unless action_selection is SAMPLE, received ",
+                     *request.temperature));
+  }
+  // Decisions divide by the temperature in float32, where doubles below kSmallest are subnormal or
+  // zero.
+  constexpr double kSmallest = std::numeric_limits<float>::min();
+  constexpr double kLargest = std::numeric_limits<float>::max();
+  if (!(*request.temperature >= kSmallest && *request.temperature <= kLargest)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("temperature: expected a finite number above 0 within float32, received ",
+                     *request.temperature));
+  }
+  selection.temperature = static_cast<float>(*request.temperature);
+  return selection;
+}
+
+absl::Status CheckHeadDelta(const SessionRequest& request, const Policy& policy) {
+  const Eigen::VectorXf& delta = request.head_delta;
+  if (delta.size() == 0) return absl::OkStatus();
+  if (request.learning.has_value() && request.learning->scope == Scope::kFleet) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("head_delta: expected none where learning.scope is FLEET, received ",
+                     delta.size(), " numbers"));
+  }
+  const auto size = static_cast<Eigen::Index>(policy.weights.head.weight.values.size());
+  if (delta.size() != size) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("head_delta: expected ", size, " numbers, received ", delta.size()));
+  }
+  for (Eigen::Index i = 0; i < size; ++i) {
+    if (std::isfinite(delta[i])) continue;
+    return absl::InvalidArgumentError(
+        absl::StrCat("head_delta[", i, "]: expected a finite number, received ", delta[i]));
+  }
+  if (const double norm = FrobeniusNorm(delta); norm > kLongestHeadDelta) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("head_delta: expected a Frobenius norm of at most ", kLongestHeadDelta,
+                     ", received ", norm));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::StatusOr<SessionOptions> ResolveSession(SessionRequest request, const ServedPolicy& served) {
+  const Policy& policy = served.policy();
+  SessionOptions options;
+  options.policy = served.name;
+  options.version = served.version;
+  options.seed = request.seed;
+  options.target_return = request.target_return.value_or(static_cast<double>(policy.target_return));
+  if (auto status = CheckTargetReturn(options.target_return); !status.ok()) return status;
+  const auto selection = ResolveSelection(request);
+  if (!selection.ok()) return selection.status();
+  options.action_selection = *selection;
+  if (request.learning.has_value()) {
+    const auto learning = ResolveLearning(*request.learning, policy.action_space, *selection);
+    if (!learning.ok()) return learning.status();
+    options.learning = *learning;
+  }
+  if (auto status = CheckHeadDelta(request, policy); !status.ok()) return status;
+  options.head_delta = std::move(request.head_delta);
+  return options;
+}
+
+}  // namespace spikeserve

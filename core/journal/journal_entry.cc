@@ -1,0 +1,206 @@
+#include "core/journal/journal_entry.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "absl/status/status.h"
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "core/action/action_head.h"
+#include "core/base/status.h"
+#include "core/journal/field_codec.h"
+#include "core/journal/session_bytes.h"
+#include "core/session/session_value.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr char kFormat[] = "spikeserve.decision.v1";
+
+// Returns how the first record of a snapshot's format begins.
+const std::string& SnapshotPrefix() {
+  static const auto* const prefix = [] {
+    auto* bytes = new std::string();
+    codec::Writer(bytes).Begin(kSessionFormat);
+    return bytes;
+  }();
+  return *prefix;
+}
+
+absl::Status Damaged(absl::string_view field, int64_t expected, size_t received) {
+  return absl::DataLossError(
+      absl::StrCat("journal: ", field, ": expected ", expected, " numbers, received ", received));
+}
+
+absl::Status CheckSize(absl::string_view field, int64_t expected, size_t received) {
+  return static_cast<size_t>(expected) == received ? absl::OkStatus()
+                                                   : Damaged(field, expected, received);
+}
+
+absl::Status CheckAction(const Action& action, const ActionSpace& space) {
+  if (space.is_discrete()) {
+    if (action.discrete >= 0 && action.discrete < space.n) return absl::OkStatus();
+    return absl::DataLossError(absl::StrCat("journal: action: expected 0 to ", space.n - 1,
+                                            ", received ", action.discrete));
+  }
+  return CheckSize("action", space.size(), action.continuous.size());
+}
+
+// Checks that a snapshot has the shapes of `policy`.
+absl::Status CheckSnapshot(const Session& session, const Policy& policy) {
+  const History& history = session.history;
+  for (size_t i = 0; i < history.size(); ++i) {
+    if (auto status =
+            CheckSize("observation", policy.observation_size(), history.observation(i).size());
+        !status.ok()) {
+      return status;
+    }
+    if (auto status = CheckAction(history.action(i), policy.action_space); !status.ok()) {
+      return status;
+    }
+  }
+  const auto head = static_cast<int64_t>(policy.weights.head.weight.values.size());
+  if (session.options.head_delta.size() != 0) {
+    const auto size = static_cast<size_t>(session.options.head_delta.size());
+    if (auto status = CheckSize("head_delta", head, size); !status.ok()) return status;
+  }
+  if (!session.learner.has_value()) return absl::OkStatus();
+  return CheckSize("learner", head, static_cast<size_t>(session.learner->head_delta.size()));
+}
+
+// Checks that `entry` is the next decision of `session` and has the shapes of `policy`.
+absl::Status CheckEntry(const JournalEntry& entry, const Session& session, const Policy& policy) {
+  if (entry.decision != session.decisions || entry.answer.step != session.step) {
+    return absl::DataLossError(absl::StrCat("journal: expected decision ", session.decisions,
+                                            " at step ", session.step, ", received decision ",
+                                            entry.decision, " at step ", entry.answer.step));
+  }
+  if (auto status = CheckSize("observation", policy.observation_size(), entry.observation.size());
+      !status.ok()) {
+    return status;
+  }
+  if (auto status = CheckAction(entry.answer.action, policy.action_space); !status.ok()) {
+    return status;
+  }
+  if (entry.executed.has_value()) {
+    if (session.step == 0) {
+      return absl::DataLossError("journal: executed: expected none at step 0, received one");
+    }
+    if (auto status = CheckAction(*entry.executed, policy.action_space); !status.ok()) {
+      return status;
+    }
+  }
+  const int64_t actions = policy.action_space.size();
+  if (auto status = CheckSize("logits", actions, entry.answer.logits.size()); !status.ok()) {
+    return status;
+  }
+  const int64_t probabilities = policy.action_space.is_discrete() ? actions : 0;
+  if (auto status = CheckSize("probabilities", probabilities, entry.answer.probabilities.size());
+      !status.ok()) {
+    return status;
+  }
+  if (!session.learner.has_value()) return absl::OkStatus();
+  const bool noisy = !policy.action_space.is_discrete() && session.options.action_selection.sample;
+  if (auto status = CheckSize("noise", noisy ? actions : 0, entry.noise.size()); !status.ok()) {
+    return status;
+  }
+  const auto head = static_cast<int64_t>(policy.weights.head.weight.values.size());
+  return CheckSize("readout", head / actions, entry.readout.size());
+}
+
+// Does what AgentSession does with an executed action, which ignores the answered one.
+void TakeExecuted(const JournalEntry& entry, const Policy& policy, Session* session) {
+  if (!entry.executed.has_value()) return;
+  const History& history = session->history;
+  if (*entry.executed == history.action(history.size() - 1)) return;
+  ReplaceLastAction(policy, *entry.executed, session);
+}
+
+void Learn(const JournalEntry& entry, const Policy& policy, Session* session) {
+  const ActionChoice choice = {.action = entry.answer.action,
+                               .logits = entry.answer.logits,
+                               .probabilities = entry.answer.probabilities,
+                               .noise = entry.noise};
+  session->learner->OnDecision(*session->options.learning, policy, choice, entry.readout,
+                               static_cast<double>(entry.answer.return_to_go), entry.reward);
+}
+
+}  // namespace
+
+// Lists the members of an entry's binary form, in order, for the writer and the reader.
+template <typename T, typename Visitor>
+requires std::same_as<std::remove_const_t<T>, JournalEntry> ||
+    std::same_as<std::remove_const_t<T>, JournalEntryView>
+void VisitFields(T& entry, Visitor&& visit) {
+  visit("decision", entry.decision);
+  visit("reward", entry.reward);
+  visit("observation", entry.observation);
+  visit("executed", entry.executed);
+  visit("answer", entry.answer);
+  visit("readout", entry.readout);
+  visit("noise", entry.noise);
+  visit("suspended", entry.suspended);
+}
+
+std::string SerializeEntry(const JournalEntryView& entry) {
+  std::string bytes;
+  bytes.reserve(256);
+  codec::Writer writer(&bytes);
+  writer.Begin(kFormat);
+  writer.Write(entry);
+  return bytes;
+}
+
+absl::StatusOr<JournalEntry> ParseEntry(const std::string& bytes) {
+  const auto json = codec::ParseDocument(bytes, "entry", kFormat);
+  if (!json.ok()) return json.status();
+  JournalEntry entry;
+  codec::Reader reader;
+  reader.Read(*json, "entry", entry);
+  if (!reader.status().ok()) return reader.status();
+  return entry;
+}
+
+absl::StatusOr<Journal> ParseJournal(absl::Span<const std::string> records) {
+  size_t first = records.size();
+  while (first > 0 && !absl::StartsWith(records[first - 1], SnapshotPrefix())) --first;
+  if (first == 0) {
+    return absl::DataLossError(absl::StrCat("journal: expected a snapshot, received ",
+                                            records.size(), " records without one"));
+  }
+  const auto damaged = [&](size_t i, const absl::Status& status) {
+    return absl::DataLossError(
+        absl::StrCat("journal: record ", i, " of ", records.size(), ": ", status.message()));
+  };
+  auto snapshot = ParseSession(records[first - 1]);
+  if (!snapshot.ok()) return damaged(first - 1, snapshot.status());
+  Journal journal = {.snapshot = *std::move(snapshot), .entries = {}};
+  uint64_t next = journal.snapshot.decisions;
+  for (size_t i = first; i < records.size(); ++i) {
+    auto entry = ParseEntry(records[i]);
+    if (!entry.ok()) return damaged(i, entry.status());
+    if (entry->decision > next) {
+      journal.after_gap = records.size() - i;
+      break;
+    }
+    next = std::max(next, entry->decision + 1);
+    journal.entries.push_back(*std::move(entry));
+  }
+  return journal;
+}
+
+absl::StatusOr<Session> RestoreSession(Journal journal, const Policy& policy) {
+  Session session = std::move(journal.snapshot);
+  if (auto status = CheckSnapshot(session, policy); !status.ok()) return status;
+  for (JournalEntry& entry : journal.entries) {
+    if (entry.decision < session.decisions) continue;
+    if (auto status = CheckEntry(entry, session, policy); !status.ok()) return status;
+    if (session.learner.has_value()) session.learner->suspended = entry.suspended;
+    TakeExecuted(entry, policy, &session);
+    if (session.learner.has_value()) Learn(entry, policy, &session);
+    CountDecision(policy, std::move(entry.answer), entry.observation, entry.reward, &session);
+  }
+  return session;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,65 @@
+// Defines where the journals of sessions are written.
+#ifndef CORE_JOURNAL_JOURNAL_WRITER_H_
+#define CORE_JOURNAL_JOURNAL_WRITER_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "absl/status/status.h"
+
+namespace spikeserve {
+
+class FleetContribution;
+class SessionJournal;
+
+// One write to the journal of a session.
+struct JournalRecord {
+  enum class Kind {
+    kOpen,      // a snapshot that starts the journal; ALREADY_EXISTS if there is one
+    kEntry,     // adds an entry
+    kSnapshot,  // adds a snapshot, which replaces everything before it
+    kRelease,   // adds a snapshot, and gives the session up: the server stops
+    kClose,     // ends the session: its journal is deleted
+    kConfirm,   // writes nothing: asks whether the writer still owns the journal
+  };
+
+  Kind kind = Kind::kEntry;
+  std::string bytes;       // empty for kClose and kConfirm
+  uint64_t decisions = 0;  // of the session, with this record
+  uint64_t changes = 0;    // the same and the ends of episodes
+  size_t records = 0;      // of the journal in the store, with this one
+  uint64_t position = 0;   // of the record in all that its owner writes, from 1
+  uint64_t base = 0;       // position of the snapshot that the journal begins with; 0: claimed
+  std::shared_ptr<SessionJournal> journal;
+  // To append to the log of its head when the record was written; null: none.
+  std::shared_ptr<FleetContribution> contribution = nullptr;
+};
+
+// Implementations are thread-safe.
+class JournalWriter {
+ public:
+  virtual ~JournalWriter() = default;
+
+  // Queues a record and returns at once. Records of one journal are written in the order of the
+  // calls. Their outcomes go to SessionJournal::OnWritten(), on another thread.
+  virtual void Write(JournalRecord record) = 0;
+
+  // Lets the records in the queue be written now, because an answer waits for one of them. Without
+  // it they may wait a few milliseconds for others.
+  virtual void Hurry() = 0;
+
+  // Returns UNAVAILABLE while the store cannot be reached.
+  virtual absl::Status CheckReachable() const = 0;
+  // Returns UNAVAILABLE while the queue is full.
+  virtual absl::Status CheckBacklog() const = 0;
+  // Returns FAILED_PRECONDITION if the store may remove what it has acknowledged.
+  virtual absl::Status CheckKeepsRecords() const { return absl::OkStatus(); }
+  // Returns whether other processes may claim the sessions of this one.
+  virtual bool IsShared() const { return false; }
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_JOURNAL_JOURNAL_WRITER_H_

@@ -1,0 +1,121 @@
+#include "core/journal/session_bytes.h"
+
+#include <cstdint>
+#include <tuple>
+
+#include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "core/journal/field_codec.h"
+
+namespace spikeserve {
+namespace {
+
+absl::Status Inconsistent(absl::string_view field, absl::string_view expected, int64_t received) {
+  return absl::InvalidArgumentError(
+      absl::StrCat("session.", field, ": expected ", expected, ", received ", received));
+}
+
+// Checks that all arrays of the head's shape have one size, and the ranges of the other members.
+absl::Status CheckLearner(const LearningOptions& options, const Learner& learner) {
+  const int64_t size = learner.head_delta.size();
+  const int64_t sums = options.modulator == Modulator::kRealized ? size : 0;
+  const int64_t kept = options.scope == Scope::kSession ? size : 0;
+  const std::tuple<const char*, int64_t, int64_t> lengths[] = {
+      {"learner.trace", learner.trace.size(), size},
+      {"learner.trace_sum", learner.trace_sum.size(), sums},
+      {"learner.discounted_trace", learner.discounted_trace.size(), sums},
+      {"learner.credit", learner.credit.size(), sums},
+      {"learner.guard.beginning", learner.guard.beginning.size(), kept},
+      {"learner.guard.good", learner.guard.good.size(), kept}};
+  for (const auto& [field, length, expected] : lengths) {
+    if (length == expected) continue;
+    return Inconsistent(field, absl::StrCat(expected, " numbers"), length);
+  }
+  if (learner.post.size() > 0) {
+    if (learner.post.size() * learner.readout.size() != size) {
+      return Inconsistent("learner.readout", "one number for each input of the head",
+                          learner.readout.size());
+    }
+    const int64_t before = options.modulator == Modulator::kTarget ? size : 0;
+    if (learner.before_update.size() != before) {
+      return Inconsistent("learner.before_update", absl::StrCat(before, " numbers"),
+                          learner.before_update.size());
+    }
+  }
+  if (learner.guard.returns.size() >= ReturnGuard::kWindow) {
+    return Inconsistent("learner.guard.returns", absl::StrCat("fewer than ", ReturnGuard::kWindow),
+                        static_cast<int64_t>(learner.guard.returns.size()));
+  }
+  if (learner.returns.variance < 0.0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("session.learner.returns.variance: expected at least 0, received ",
+                     learner.returns.variance));
+  }
+  return absl::OkStatus();
+}
+
+// Checks that a session with a pending contribution is one of a fleet.
+absl::Status CheckPending(const Session& session) {
+  if (session.pending == nullptr) return absl::OkStatus();
+  if (!session.learner.has_value() || session.options.learning->scope != Scope::kFleet) {
+    return absl::InvalidArgumentError(
+        "session.pending: expected none unless session.options.learning.scope is fleet");
+  }
+  const int64_t size = session.learner->head_delta.size();
+  if (session.pending->delta.size() == size) return absl::OkStatus();
+  return Inconsistent("pending.delta", absl::StrCat(size, " numbers"),
+                      session.pending->delta.size());
+}
+
+// Checks the invariants of a session between two requests.
+absl::Status CheckInvariants(const Session& session) {
+  if (session.options.version < 1) {
+    return Inconsistent("options.version", "at least 1", session.options.version);
+  }
+  if (session.episode < 0) return Inconsistent("episode", "at least 0", session.episode);
+  if (session.step < 0) return Inconsistent("step", "at least 0", session.step);
+  const auto timesteps = static_cast<int64_t>(session.history.size());
+  if (timesteps > session.step || (timesteps == 0 && session.step > 0)) {
+    return Inconsistent("history", absl::StrCat("1 to ", session.step, " timesteps"), timesteps);
+  }
+  const int64_t last = session.last_answer.has_value() ? session.last_answer->step : -1;
+  if (last != session.step - 1) {
+    return Inconsistent("last_answer.step", absl::StrCat(session.step - 1), last);
+  }
+  if ((session.last_end != nullptr) != (session.episode > 0 && session.step == 0)) {
+    return absl::InvalidArgumentError(
+        "session.last_end: expected one if and only if an episode has ended and the next has not "
+        "begun");
+  }
+  if (session.learner.has_value() != session.options.learning.has_value()) {
+    return absl::InvalidArgumentError(
+        "session.learner: expected one if and only if session.options.learning is set");
+  }
+  if (auto status = CheckPending(session); !status.ok()) return status;
+  if (session.learner.has_value()) return CheckLearner(*session.options.learning, *session.learner);
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+std::string SerializeSession(const Session& session) {
+  std::string bytes;
+  codec::Writer writer(&bytes);
+  writer.Begin(kSessionFormat);
+  writer.Write(session);
+  return bytes;
+}
+
+absl::StatusOr<Session> ParseSession(const std::string& bytes) {
+  const auto json = codec::ParseDocument(bytes, "session", kSessionFormat);
+  if (!json.ok()) return json.status();
+  Session session;
+  codec::Reader reader;
+  reader.Read(*json, "session", session);
+  if (!reader.status().ok()) return reader.status();
+  if (auto status = CheckInvariants(session); !status.ok()) return status;
+  return session;
+}
+
+}  // namespace spikeserve

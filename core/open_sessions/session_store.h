@@ -1,0 +1,190 @@
+// Stores the open sessions of a server by id.
+//
+// Thread-safe. Ids are distributed over shards, each with a mutex that is held only for a lookup. A
+// decision holds only the mutex of its session. Lock order: a thread that takes a session's mutex
+// holds no mutex of the store.
+#ifndef CORE_OPEN_SESSIONS_SESSION_STORE_H_
+#define CORE_OPEN_SESSIONS_SESSION_STORE_H_
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/container/flat_hash_map.h"
+#include "absl/functional/function_ref.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+#include "core/agent/agent_session.h"
+#include "core/agent/episode_recorder.h"
+#include "core/agent/robot_link.h"
+#include "core/agent/served_policy.h"
+#include "core/agent/shadow_session.h"
+#include "core/base/clock.h"
+#include "core/journal/session_journal.h"
+#include "core/open_sessions/session_quota.h"
+
+namespace spikeserve {
+
+// Ends a label in a LabelText. Labels are UTF-8, which does not contain this byte.
+inline constexpr char kLabelEnd = '\xff';
+
+// Returns the labels as "key=value" in lower case, each followed by kLabelEnd.
+std::string LabelText(const std::map<std::string, std::string>& labels);
+
+// The label that holds the time between two beats of a robot, in seconds.
+inline constexpr char kPeriodLabel[] = "period_seconds";
+
+// Returns the time between two beats that the labels hold; zero if they hold none.
+absl::Duration PeriodOf(const std::map<std::string, std::string>& labels);
+
+// A session, and the lock that admits one request at a time. Outlives its place in the store as
+// long as a request holds a reference.
+struct SessionEntry {
+  SessionEntry(std::shared_ptr<const ServedPolicy> policy, Session session, const Clock* clock)
+      : served(policy),
+        tenant(session.options.tenant),
+        label_text(LabelText(session.options.labels)),
+        period(PeriodOf(session.options.labels)),
+        agent(std::move(policy), std::move(session), clock) {}
+
+  const std::shared_ptr<const ServedPolicy> served;
+  const std::string tenant;      // owner of the session
+  const std::string label_text;  // what filters search for labels, without the lock
+  const absl::Duration period;   // between two beats of the robot; zero: unknown
+  // Null: none. Set before the entry is shared.
+  std::shared_ptr<ShadowSession> shadow;
+  std::shared_ptr<SessionQuota> quota;
+  std::shared_ptr<SessionJournal> journal;  // null: the session is not stored
+  absl::Mutex mutex;
+  std::shared_ptr<EpisodeRecorder> recorder ABSL_PT_GUARDED_BY(mutex);  // null: not recorded
+  AgentSession agent ABSL_GUARDED_BY(mutex);
+  // Steps that the shadow has not processed yet.
+  std::vector<ShadowStep> shadow_steps ABSL_GUARDED_BY(mutex);
+  RobotLink robot ABSL_GUARDED_BY(mutex);
+};
+
+// Optional properties of a new session, beside its policy and options.
+struct SessionExtras {
+  std::string id;                         // from NewSessionId(); empty: created by Open
+  std::shared_ptr<ShadowSession> shadow;  // null: none
+  std::shared_ptr<SessionQuota> quota;    // quota that the session counts against; null: none
+  std::shared_ptr<EpisodeRecorder> recorder = nullptr;  // null: none
+  std::shared_ptr<SessionJournal> journal = nullptr;    // null: the session is not stored
+  bool assigned = false;  // a roll-out has chosen the version of the session
+};
+
+// Returns whether the robot of a session with this period is silent, if it has sent nothing for
+// `idle`: neither a late beat nor a short pause counts.
+inline bool IsSilent(absl::Duration period, absl::Duration idle) {
+  return period > absl::ZeroDuration() && idle > 50 * period && idle > absl::Seconds(2);
+}
+
+// One element of the result of SessionStore::List.
+struct ListedSession {
+  std::string id;
+  std::shared_ptr<SessionEntry> entry;
+  absl::Duration idle;  // since the last Find
+};
+
+// A sharded map from ids to sessions.
+class SessionStore {
+ public:
+  // `clock` must outlive the store and every entry.
+  SessionStore(int64_t max_sessions, const Clock* clock);
+
+  // Opens a session and returns its id. RESOURCE_EXHAUSTED if max_sessions are open or the quota is
+  // used up; ALREADY_EXISTS if a session with the id of `extras` is open; UNAVAILABLE while
+  // draining.
+  absl::StatusOr<std::string> Open(std::shared_ptr<const ServedPolicy> served,
+                                   SessionOptions options, SessionExtras extras = {});
+
+  // Adds a session that was restored from its journal. Errors as for Open.
+  absl::Status Restore(std::shared_ptr<const ServedPolicy> served, Session session,
+                       SessionExtras extras);
+
+  // Refuses new sessions while `draining`. Open sessions continue.
+  void SetDraining(bool draining) { draining_.store(draining, std::memory_order_relaxed); }
+  bool draining() const { return draining_.load(std::memory_order_relaxed); }
+
+  // Looks up a session of `tenant` and resets its idle timer. NOT_FOUND if the tenant has no
+  // session with this id. Removes a session whose journal is lost to another owner.
+  absl::StatusOr<std::shared_ptr<SessionEntry>> Find(absl::string_view id,
+                                                     absl::string_view tenant = "");
+
+  // Looks up a session of any tenant without resetting its idle timer. Returns null if the id is
+  // unknown.
+  std::shared_ptr<SessionEntry> Peek(absl::string_view id);
+
+  // As Peek, with the session's idle time. Returns nullopt if the id is unknown.
+  std::optional<ListedSession> PeekListed(absl::string_view id);
+
+  // Removes a session of `tenant`. NOT_FOUND if the tenant has no session with this id.
+  absl::Status Close(absl::string_view id, absl::string_view tenant = "");
+
+  // The methods below do not reset idle timers. `wanted` is called under a lock of the store: it
+  // must be quick and must not take a session's lock.
+
+  // Returns, sorted by id, the first `limit` sessions after the id `after` for which `wanted`
+  // returns true. Needs memory for these only.
+  std::vector<ListedSession> ListAfter(absl::string_view after, size_t limit,
+                                       absl::FunctionRef<bool(const SessionEntry&)> wanted);
+
+  // Calls `visit` for every open session for which `wanted` returns true, in no order. `visit` may
+  // take the session's lock. Needs memory for one shard.
+  void ForEach(absl::FunctionRef<bool(const SessionEntry&)> wanted,
+               absl::FunctionRef<void(const ListedSession&)> visit);
+
+  // Returns all open sessions for which `wanted` returns true, sorted by id.
+  std::vector<ListedSession> List(absl::FunctionRef<bool(const SessionEntry&)> wanted);
+
+  // Does not count `time`, in which the process did not run, as idle time of the sessions.
+  void Forgive(absl::Duration time);
+
+  // Removes every session that no request holds and that was not used for `time_to_live`. Returns
+  // how many.
+  int64_t RemoveIdle(absl::Duration time_to_live);
+
+  // Compacts every session that no request holds and that was not used for `idle_for`, once until
+  // it is used again. Returns how many. Does not change the sessions' answers.
+  int64_t CompactIdle(absl::Duration idle_for);
+
+  int64_t size() const { return size_.load(std::memory_order_relaxed); }
+
+ private:
+  struct Slot {
+    std::shared_ptr<SessionEntry> entry;
+    absl::Duration last_used;  // time of the clock
+    bool compacted = false;    // since `last_used`
+  };
+  struct Shard {
+    absl::Mutex mutex;
+    absl::flat_hash_map<std::string, Slot> slots ABSL_GUARDED_BY(mutex);
+  };
+  static constexpr size_t kShards = 64;
+
+  Shard& ShardOf(absl::string_view id);
+  // Adds `session`. If `is_new`, its journal starts with it.
+  absl::Status Add(std::shared_ptr<const ServedPolicy> served, Session session,
+                   SessionExtras extras, bool is_new);
+  // Returns false if a session with this id is open.
+  bool Insert(const std::string& id, std::shared_ptr<SessionEntry> entry);
+
+  const int64_t max_sessions_;
+  const Clock* const clock_;
+  std::atomic<int64_t> size_ = 0;
+  std::atomic<bool> draining_ = false;
+  std::array<Shard, kShards> shards_;
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_OPEN_SESSIONS_SESSION_STORE_H_

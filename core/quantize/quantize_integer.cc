@@ -1,0 +1,223 @@
+#include "core/quantize/quantize_integer.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <numbers>
+#include <string>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "core/neuron/period_table.h"
+#include "core/quantize/quantize_dense.h"
+#include "core/quantize/round_fixed_point.h"
+#include "core/quantize/round_population.h"
+
+namespace spikeserve {
+namespace {
+
+// Room that the residual stream keeps for updates before they are normed.
+constexpr double kResidualRoom = 1.25;
+
+// Returns the shift n, 1 to 8, whose leak 2^-n is nearest to `leak` on a logarithmic scale.
+int NearestShift(double leak) {
+  int exponent = 0;
+  const double significand = std::frexp(leak, &exponent);  // 0.5 to 1, squared 0.5 half way
+  return std::clamp(significand * significand < 0.5 ? 1 - exponent : -exponent, 1, 8);
+}
+
+// Tabulates the periods of a coder. The neuron fires within n ticks if its current reaches
+// thresholds[n - 1], so if sign * x exceeds the largest number for which it does not.
+PeriodCoder TabulateCoder(const Coder& coder, const std::vector<float>& thresholds, int fraction) {
+  const auto size = static_cast<int>(coder.gain.values.size());
+  const auto ticks = static_cast<int>(thresholds.size());
+  PeriodCoder table = {Int8Tensor::Zeros({size}), Int16Tensor::Zeros({size, ticks})};
+  for (int j = 0; j < size; ++j) {
+    const double gain = coder.gain.values[j];
+    const double bias = coder.bias.values[j];
+    table.sign.values[j] = gain < 0.0 ? -1 : 1;
+    for (int n = 0; n < ticks; ++n) {
+      double last_silent = bias >= thresholds[n] ? -32768.0 : 32767.0;
+      if (gain != 0.0) {
+        const double smallest = (thresholds[n] - bias) / std::abs(gain);
+        last_silent =
+            std::clamp(std::ceil(std::ldexp(smallest, fraction)) - 1.0, -32768.0, 32767.0);
+      }
+      table.threshold.values[static_cast<size_t>(j) * ticks + n] =
+          static_cast<int16_t>(last_silent);
+    }
+  }
+  return table;
+}
+
+// Rounds the parts of one policy.
+class Rounding {
+ public:
+  Rounding(const Policy& policy, const ModelConfig& config)
+      : policy_(policy),
+        config_(config),
+        periods_({policy.config.membrane_decay, policy.config.threshold}, policy.config.ticks) {}
+
+  absl::Status Run(Policy* integer) {
+    FixedPointEnds& ends = integer->weights.fixed_point;
+    const Weights& weights = policy_.weights;
+    absl::Status status = RoundEmbedding("embed.return", weights.embed_return, &ends.embed_return);
+    status.Update(RoundEmbedding("embed.state", weights.embed_state, &ends.embed_state));
+    status.Update(RoundEmbedding("embed.action", weights.embed_action, &ends.embed_action));
+    for (size_t i = 0; i < weights.layers.size() && status.ok(); ++i) {
+      integer->weights.layers[i] = {};
+      status =
+          RoundLayer(absl::StrCat("layers.", i), weights.layers[i], &integer->weights.layers[i]);
+    }
+    ends.readout_coder = Tabulate(weights.readout_coder);
+    return status;
+  }
+
+ private:
+  PeriodCoder Tabulate(const Coder& coder) const {
+    return TabulateCoder(coder, periods_.thresholds(), config_.residual_fraction);
+  }
+
+  absl::Status RoundEmbedding(const std::string& name, const Embedding& embedding,
+                              FixedPointEmbedding* rounded) const {
+    // The norm that follows cancels the scale of the output.
+    absl::Status status =
+        RoundMap(name, embedding.linear, 1.0, config_.input_fraction,
+                 FractionFor(LargestEmbedded(embedding.linear)), &rounded->linear);
+    status.Update(
+        RoundNorm(name + ".norm", embedding.norm, config_.residual_fraction, &rounded->norm));
+    return status;
+  }
+
+  // Rounds a population, without the inputs that the new mode does not have.
+  absl::Status RoundSpiking(const std::string& name, const Linear& linear, int inputs,
+                            IntegerPopulation* population) const {
+    Linear cropped = {Tensor::Zeros({linear.weight.shape[0], inputs}), linear.bias};
+    for (int k = 0; k < linear.weight.shape[0]; ++k) {
+      for (int j = 0; j < inputs; ++j) {
+        cropped.weight.values[static_cast<size_t>(k) * inputs + j] = linear.weight.at(k, j);
+      }
+    }
+    return RoundPopulation(name, cropped, config_.threshold, population);
+  }
+
+  absl::Status RoundLayer(const std::string& name, const LayerWeights& layer,
+                          LayerWeights* rounded) const {
+    const int inputs = config_.attention_inputs();
+    const std::string attention = name + ".attention";
+    IntegerMaps& maps = rounded->integer;
+    FixedPointLayer& fixed = rounded->fixed_point;
+    const int residual = config_.residual_fraction;
+    absl::Status status = RoundSpiking(attention + ".query", layer.query, inputs, &maps.query);
+    status.Update(RoundSpiking(attention + ".key", layer.key, inputs, &maps.key));
+    status.Update(RoundSpiking(attention + ".value", layer.value, inputs, &maps.value));
+    status.Update(RoundSpiking(name + ".ffn.hidden", layer.ffn_hidden, config_.hidden_size,
+                               &maps.ffn_hidden));
+    status.Update(RoundScales(attention + ".scale", layer.scale, &fixed.attention_scale));
+    if (config_.has_routing()) {
+      status.Update(RoundMap(name + ".routing.hidden", layer.routing_hidden, 1.0, kGateFraction,
+                             kGateFraction, &fixed.routing_hidden));
+      // Scores count octaves instead of multiples of e.
+      Linear gate = layer.routing_gate;
+      for (float& bias : gate.bias.values) bias *= std::numbers::log2e_v<float>;
+      status.Update(RoundMap(name + ".routing.gate", gate, std::numbers::log2e, kGateFraction,
+                             kGateFraction, &fixed.routing_gate));
+    }
+    status.Update(RoundMap(attention + ".output", layer.attention_output, 1.0, kGateFraction,
+                           residual, &fixed.attention_output));
+    status.Update(
+        RoundNorm(attention + ".norm", layer.attention_norm, residual, &fixed.attention_norm));
+    // The inputs of ffn.output are spike counts, and the weights those of firing rates.
+    status.Update(RoundMap(name + ".ffn.output", layer.ffn_output, 1.0 / config_.ticks, 0, residual,
+                           &fixed.ffn_output));
+    status.Update(RoundNorm(name + ".ffn.norm", layer.ffn_norm, residual, &fixed.ffn_norm));
+    fixed.coder = Tabulate(layer.coder);
+    fixed.ffn_coder = Tabulate(layer.ffn_coder);
+    return status;
+  }
+
+  // A row of attention sums the overlaps of all ticks, so the scale is that of their mean.
+  absl::Status RoundScales(const std::string& name, const Tensor& scale,
+                           Int16Tensor* rounded) const {
+    Tensor octaves = scale;
+    for (float& value : octaves.values) {
+      value = static_cast<float>(value * std::numbers::log2e / config_.ticks);
+    }
+    return RoundNumbers(name, octaves, kScaleFraction, rounded);
+  }
+
+  const Policy& policy_;
+  const ModelConfig& config_;
+  const PeriodTable periods_;
+};
+
+// Returns the fraction bits with which no output of a norm can saturate.
+int ResidualFraction(const Policy& policy) {
+  const double root = std::sqrt(static_cast<double>(policy.config.hidden_size));
+  double largest = 0.0;
+  const auto visit = [&](const Norm& norm) {
+    for (size_t k = 0; k < norm.weight.values.size(); ++k) {
+      largest = std::max(
+          largest, std::abs(norm.weight.values[k]) * root + std::abs(double{norm.bias.values[k]}));
+    }
+  };
+  visit(policy.weights.embed_return.norm);
+  visit(policy.weights.embed_state.norm);
+  visit(policy.weights.embed_action.norm);
+  for (const LayerWeights& layer : policy.weights.layers) {
+    visit(layer.attention_norm);
+    visit(layer.ffn_norm);
+  }
+  return FractionFor(kResidualRoom * largest);
+}
+
+// Returns the configuration of the result.
+absl::StatusOr<ModelConfig> ConfigOf(const Policy& policy, const IntegerOptions& options) {
+  ModelConfig config = policy.config;
+  config.arithmetic = Arithmetic::kInteger;
+  config.mode = options.mode.value_or(config.mode);
+  if ((config.has_phase() && !policy.config.has_phase()) ||
+      (config.has_routing() && !policy.config.has_routing()) ||
+      config.is_dense() != policy.config.is_dense()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "mode: expected one whose parts mode ", std::string(ToString(policy.config.mode)),
+        " has, received ", std::string(ToString(config.mode))));
+  }
+  config.attention = options.attention;
+  config.leak =
+      options.leak.value_or(config.membrane_decay < 511.0f / 512.0f ? Leak::kShift : Leak::kNone);
+  const double leak = std::max(1.0 - double{config.membrane_decay}, 1.0 / 256.0);
+  const int shift = NearestShift(leak);
+  config.membrane_decay = config.leak == Leak::kNone ? 1.0f : 1.0f - std::ldexp(1.0f, -shift);
+  config.input_fraction = FractionFor(options.largest_input);
+  config.residual_fraction = ResidualFraction(policy);
+  return config;
+}
+
+}  // namespace
+
+absl::StatusOr<Policy> QuantizeToInteger(const Policy& policy, const IntegerOptions& options) {
+  if (absl::Status status = policy.Validate(); !status.ok()) return status;
+  if (policy.config.arithmetic != Arithmetic::kFloat32) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("arithmetic: expected float32, received ",
+                     std::string(ToString(policy.config.arithmetic))));
+  }
+  const absl::StatusOr<ModelConfig> config = ConfigOf(policy, options);
+  if (!config.ok()) return config.status();
+  if (absl::Status status = config->Validate(); !status.ok()) return status;
+  Policy integer = policy;
+  integer.config = *config;
+  integer.weights.embed_return = {};
+  integer.weights.embed_state = {};
+  integer.weights.embed_action = {};
+  integer.weights.readout_coder = {};
+  if (!config->has_phase()) integer.weights.phase_omega = integer.weights.phase_phi = {};
+  absl::Status rounded = config->is_dense() ? RoundDensePolicy(policy, &integer)
+                                            : Rounding(policy, *config).Run(&integer);
+  if (!rounded.ok()) return rounded;
+  if (absl::Status status = integer.Validate(); !status.ok()) return status;
+  return integer;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,90 @@
+// Records what changed the served policies: an append-only file, the log, and the last entries in
+// memory.
+//
+//   auto audit = AuditLog::Open("/var/lib/spikeserve/audit.jsonl");
+//   if (auto status = (*audit)->Reserve(4096); !status.ok()) return status;  // nothing was changed
+//   ...
+//   (*audit)->Record({.time = absl::Now(), .action = "SetShadow", .policy = "cartpole", ...},
+//   4096);
+//
+// Each line of the file is one entry, a JSON object. A line is there as a whole or not at all: what
+// a full disk or a power cut leaves of one is removed. The file is opened for each entry, so it may
+// be renamed at any time to rotate it. Thread-safe.
+#ifndef SERVER_ADMIN_AUDIT_LOG_H_
+#define SERVER_ADMIN_AUDIT_LOG_H_
+
+#include <cstddef>
+#include <deque>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/functional/function_ref.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+#include "server/base/peer.h"
+
+namespace spikeserve {
+
+// One change; the fields are those of HistoryEntry in policy_admin.proto.
+struct AuditEntry {
+  absl::Time time;
+  std::string action;
+  std::string token = "";
+  std::string tenant = "";
+  Peer peer = {};
+  std::string policy = "";
+  std::string request = "";  // JSON
+  absl::Status outcome = absl::OkStatus();
+  std::string before = "";  // JSON
+  std::string after = "";   // JSON
+  // False: the call of an agent, which changes nothing that is served. The entry is in the file or
+  // the log alone, because such calls are frequent.
+  bool is_operators = true;
+};
+
+class AuditLog {
+ public:
+  static constexpr size_t kRemembered = 1000;  // entries
+
+  // Reads the last entries of the file at `path`, which is created if it does not exist; lines that
+  // are no entries are skipped. If `path` is empty, entries go to the log and to memory alone.
+  // Errors name --audit_log and the path.
+  static absl::StatusOr<std::unique_ptr<AuditLog>> Open(const std::string& path);
+
+  // Reserves room on the disk for an entry of `bytes`, until Record() is called with them. Returns
+  // UNAVAILABLE, which names the path, if there is none. OK without a file.
+  absl::Status Reserve(size_t bytes);
+
+  // Writes an entry to the disk before it returns, without its states if only that fits. `reserved`
+  // was given to Reserve(); 0: nothing was reserved. Returns DATA_LOSS if the entry could not be
+  // written; the server's log has it, and the error.
+  absl::Status Record(AuditEntry entry, size_t reserved = 0);
+
+  // Returns the last `limit` entries for which `wanted` returns true, the latest first. `wanted` is
+  // called under a lock of the log.
+  std::vector<AuditEntry> Last(absl::FunctionRef<bool(const AuditEntry&)> wanted,
+                               size_t limit) const;
+
+ private:
+  explicit AuditLog(std::string path) : path_(std::move(path)) {}
+
+  void Remember(AuditEntry entry) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
+  // Appends a line to the file and flushes it to the disk. Leaves room for what is reserved.
+  absl::Status Append(absl::string_view line) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
+  const std::string path_;  // empty: no file
+  mutable absl::Mutex mutex_;
+  size_t reserved_ ABSL_GUARDED_BY(mutex_) = 0;             // bytes
+  std::deque<AuditEntry> entries_ ABSL_GUARDED_BY(mutex_);  // the latest last
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_ADMIN_AUDIT_LOG_H_

@@ -1,0 +1,125 @@
+#include "server/followers/recordings.h"
+
+#include <stdlib.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <filesystem>
+#include <system_error>
+#include <utility>
+
+#include "absl/random/random.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "core/dataset/recordings.h"
+#include "server/base/log.h"
+
+namespace spikeserve {
+namespace {
+
+// Returns the memory that an episode occupies.
+int64_t BytesOf(const Dataset& dataset) {
+  const Episode& episode = dataset.episodes[0];
+  const ServedEpisode& served = *episode.served;
+  size_t bytes = sizeof(Dataset) + sizeof(Episode);
+  bytes += (episode.observations.size() + served.returns_to_go.size()) * sizeof(float);
+  bytes += served.probabilities.size() * sizeof(float);
+  bytes += episode.rewards.size() * sizeof(double) + served.spikes.size() * sizeof(uint64_t);
+  const size_t elements = static_cast<size_t>(dataset.action_space.size());
+  const size_t values = dataset.action_space.is_discrete() ? 0 : elements * sizeof(float);
+  bytes += episode.actions.size() * (sizeof(Action) + values);
+  for (const auto& [key, value] : served.labels) bytes += key.size() + value.size();
+  return static_cast<int64_t>(bytes);
+}
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<Recordings>> Recordings::Create(const std::string& directory,
+                                                               Metrics* metrics) {
+  std::error_code error;
+  std::filesystem::create_directories(directory, error);
+  // A recording is a folder. Creating one is the only check that also finds full and read-only file
+  // systems, and what a superuser cannot do either.
+  std::string probe = (std::filesystem::path(directory) / ".probe-XXXXXX").string();
+  if (error || mkdtemp(probe.data()) == nullptr) {
+    if (!error) error = std::error_code(errno, std::generic_category());
+    return absl::FailedPreconditionError(absl::StrCat(
+        "--record_dir: expected a directory in which the server can create folders, received ",
+        directory, ": ", error.message(),
+        ". Give the user of the server write access, or record into another directory"));
+  }
+  rmdir(probe.c_str());
+  return std::unique_ptr<Recordings>(new Recordings(directory, metrics));
+}
+
+Recordings::Recordings(std::string directory, Metrics* metrics)
+    : directory_(std::move(directory)), metrics_(metrics), worker_(kMostEpisodes) {}
+
+std::string Recordings::NewName(const ServedPolicy& served) {
+  return absl::StrFormat("%s-%d-%016x", served.name, served.version,
+                         absl::Uniform<uint64_t>(absl::BitGen()));
+}
+
+std::unique_ptr<EpisodeRecorder> Recordings::Record(std::shared_ptr<const ServedPolicy> served,
+                                                    const std::string& name) {
+  return std::make_unique<EpisodeRecorder>(std::move(served), [this, name](Dataset episode) {
+    return Submit(name, std::move(episode));
+  });
+}
+
+bool Recordings::Reserve(int64_t bytes) {
+  if (queued_bytes_.fetch_add(bytes) + bytes > kMostBytes) {
+    queued_bytes_.fetch_sub(bytes);
+    return false;
+  }
+  metrics_->AddRecordingQueue(1, bytes);
+  return true;
+}
+
+void Recordings::Release(int64_t bytes) {
+  queued_bytes_.fetch_sub(bytes);
+  metrics_->AddRecordingQueue(-1, -bytes);
+}
+
+RecordingTicket Recordings::Submit(const std::string& name, Dataset episode) {
+  const int64_t bytes = BytesOf(episode);
+  const auto shared = std::make_shared<const Dataset>(std::move(episode));
+  const auto state = std::make_shared<std::atomic<RecordingState>>(RecordingState::kQueued);
+  const auto write = [this, name, shared, state, bytes] {
+    const RecordingOutcome outcome = Write(name, *shared);
+    const bool written = outcome == RecordingOutcome::kWritten;
+    *state = written ? RecordingState::kStored : RecordingState::kNotRecorded;
+    Release(bytes);
+    metrics_->CountRecordedEpisode(outcome);
+  };
+  const bool reserved = Reserve(bytes);
+  if (reserved && worker_.Submit(write).ok()) return state;
+  if (reserved) Release(bytes);
+  metrics_->CountRecordedEpisode(RecordingOutcome::kQueueFull);
+  return nullptr;
+}
+
+RecordingOutcome Recordings::Write(const std::string& name, const Dataset& episode) {
+  const std::string path = RecordingPath(directory_, name, episode.episodes[0].served->episode);
+  const std::filesystem::path folder = std::filesystem::path(path).parent_path();
+  std::error_code error;
+  std::filesystem::create_directories(folder, error);
+  const absl::Status status =
+      error ? absl::UnavailableError(absl::StrCat(path, ": ", error.message()))
+            : WriteDataset(episode, path);
+  LogWritten(status);
+  if (status.ok()) return RecordingOutcome::kWritten;
+  rmdir(folder.c_str());  // fails unless it is empty
+  return RecordingOutcome::kWriteFailed;
+}
+
+void Recordings::LogWritten(const absl::Status& status) {
+  if (status.ok() && failed_in_a_row_ > 0) {
+    LogInfo("recordings are written again", {{"lost", absl::StrCat(failed_in_a_row_)}});
+  } else if (!status.ok() && failed_in_a_row_ == 0) {
+    LogError("recordings are lost until the server can write them", {{"error", status.message()}});
+  }
+  failed_in_a_row_ = status.ok() ? 0 : failed_in_a_row_ + 1;
+}
+
+}  // namespace spikeserve

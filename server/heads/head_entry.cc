@@ -1,0 +1,78 @@
+#include "server/heads/head_entry.h"
+
+#include <openssl/sha.h>
+
+#include <algorithm>
+#include <concepts>
+#include <string>
+#include <type_traits>
+#include <utility>
+
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "core/journal/field_codec.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr char kFormat[] = "spikeserve.head_entry.v1";
+
+}  // namespace
+
+template <typename T, typename Visitor>
+requires std::same_as<std::remove_const_t<T>, HeadEntry>
+void VisitFields(T& entry, Visitor&& visit) {
+  visit("kind", entry.kind);
+  visit("session", entry.session);
+  visit("episode", entry.episode);
+  visit("head", entry.head);
+  visit("contributor", entry.contributor);
+  visit("delta", entry.delta);
+  visit("episode_return", entry.episode_return);
+}
+
+std::string SerializeHeadEntry(const HeadEntry& entry) {
+  std::string bytes;
+  codec::Writer writer(&bytes);
+  writer.Begin(kFormat);
+  writer.Write(entry);
+  return bytes;
+}
+
+std::string HeadEntryIdentity(const HeadEntry& entry) {
+  // The forms of two entries with different heads differ from the head on, which follows the
+  // episode: the length of a text comes before it.
+  const auto with_head = [&](std::string head) {
+    return SerializeHeadEntry({.kind = entry.kind,
+                               .session = entry.session,
+                               .episode = entry.episode,
+                               .head = std::move(head),
+                               .contributor = "",
+                               .delta = {}});
+  };
+  const std::string first = with_head("");
+  const std::string second = with_head("other");
+  return {first.begin(), std::ranges::mismatch(first, second).in1};
+}
+
+absl::StatusOr<HeadEntry> ParseHeadEntry(const std::string& bytes) {
+  const auto json = codec::ParseDocument(bytes, "head entry", kFormat);
+  if (!json.ok()) return json.status();
+  HeadEntry entry;
+  codec::Reader reader;
+  reader.Read(*json, "head entry", entry);
+  if (!reader.status().ok()) return reader.status();
+  return entry;
+}
+
+std::string NextDigest(absl::string_view before, const LoggedEntry& entry) {
+  // As the script computes it that appends an entry (redis_head_log.cc).
+  const std::string text =
+      absl::StrCat(before, "|", entry.position.number, "|", entry.members, "|", entry.bytes);
+  unsigned char digest[SHA_DIGEST_LENGTH];
+  SHA1(reinterpret_cast<const unsigned char*>(text.data()), text.size(), digest);
+  return absl::BytesToHexString(
+      absl::string_view(reinterpret_cast<const char*>(digest), sizeof(digest)));
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,68 @@
+// Defines the entries of the log of a policy version's heads, and their binary form (CBOR).
+//
+// Free functions without shared state; safe to call from many threads.
+#ifndef SERVER_HEADS_HEAD_ENTRY_H_
+#define SERVER_HEADS_HEAD_ENTRY_H_
+
+#include <array>
+#include <cstdint>
+#include <string>
+
+#include "Eigen/Core"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "core/base/enum_names.h"
+
+namespace spikeserve {
+
+struct HeadEntry {
+  enum class Kind { kMerge, kRollback, kPause, kResume };
+
+  Kind kind = Kind::kMerge;
+  // Identify the entry, which the log has once: the session and its episode, or a random name.
+  std::string session;
+  int64_t episode = 0;
+  std::string head;  // tenant whose head it changes; unused by kPause and kResume, which change all
+  // kMerge only:
+  std::string contributor;  // as for FleetHead::Merge()
+  Eigen::VectorXf delta;    // [act * d]
+  double episode_return = 0.0;
+};
+
+constexpr std::array<EnumName<HeadEntry::Kind>, 4> EnumNames(HeadEntry::Kind) {
+  return {{{HeadEntry::Kind::kMerge, "merge"},
+           {HeadEntry::Kind::kRollback, "rollback"},
+           {HeadEntry::Kind::kPause, "pause"},
+           {HeadEntry::Kind::kResume, "resume"}}};
+}
+
+std::string SerializeHeadEntry(const HeadEntry& entry);
+// Returns the bytes with which the forms of all entries of this kind, session and episode begin,
+// and no others.
+std::string HeadEntryIdentity(const HeadEntry& entry);
+// Converts the bytes back to an entry that is equal bit for bit. INVALID_ARGUMENT if `bytes` is not
+// such a form.
+absl::StatusOr<HeadEntry> ParseHeadEntry(const std::string& bytes);
+
+// A place in the log. The digest is that of all entries up to this one.
+struct HeadPosition {
+  std::string id = "0-0";  // of the stream: milliseconds of the clock of Redis, and a counter
+  int64_t number = 0;      // of the entry, from 1; 0: before the first
+  std::string digest;      // empty before the first
+
+  friend bool operator==(const HeadPosition&, const HeadPosition&) = default;
+};
+
+// An entry as the log has it.
+struct LoggedEntry {
+  HeadPosition position;
+  int64_t members = 0;  // contributors with a session on any server; see FleetHead::Merge()
+  std::string bytes;    // of SerializeHeadEntry()
+};
+
+// Returns the digest of the position at which `entry` follows one with the digest `before`.
+std::string NextDigest(absl::string_view before, const LoggedEntry& entry);
+
+}  // namespace spikeserve
+
+#endif  // SERVER_HEADS_HEAD_ENTRY_H_

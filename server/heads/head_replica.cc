@@ -1,0 +1,241 @@
+#include "server/heads/head_replica.h"
+
+#include <algorithm>
+#include <concepts>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "core/journal/field_codec.h"
+#include "core/journal/session_fields.h"
+#include "core/learning/fleet_head.h"
+#include "core/learning/held_out.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr char kFormat[] = "spikeserve.heads.v1";
+
+struct StoredHead {
+  std::string tenant;
+  FleetHead::State state;
+};
+
+struct StoredHeads {
+  bool paused = false;
+  std::vector<StoredHead> heads;
+  std::vector<HeadReplica::Folded> last;
+};
+
+// Returns the time at which Redis has made the entry.
+absl::Duration TimeOf(const HeadPosition& position) {
+  int64_t milliseconds = 0;
+  const absl::string_view id = position.id;
+  if (!absl::SimpleAtoi(id.substr(0, id.find('-')), &milliseconds)) return absl::ZeroDuration();
+  return absl::Milliseconds(milliseconds);
+}
+
+}  // namespace
+
+template <Is<ContributionBudget::Account> T, typename Visitor>
+void VisitFields(T& account, Visitor&& visit) {
+  visit("in_window", account.in_window);
+  visit("in_minute", account.in_minute);
+  visit("suspended_windows", account.suspended_windows);
+}
+
+template <Is<ContributionBudget::State> T, typename Visitor>
+void VisitFields(T& budget, Visitor&& visit) {
+  visit("contributors", budget.contributors);
+  visit("accounts", budget.accounts);
+  visit("minute_ms", budget.minute_ms);
+  visit("total_in_minute", budget.total_in_minute);
+}
+
+template <Is<PeerNorms::State> T, typename Visitor>
+void VisitFields(T& norms, Visitor&& visit) {
+  visit("contributors", norms.contributors);
+  visit("norms", norms.norms);
+}
+
+template <Is<FleetHead::Gathered> T, typename Visitor>
+void VisitFields(T& gathered, Visitor&& visit) {
+  visit("contributor", gathered.contributor);
+  visit("delta", gathered.delta);
+}
+
+template <Is<FleetHead::State> T, typename Visitor>
+void VisitFields(T& state, Visitor&& visit) {
+  visit("delta", state.delta);
+  visit("gathered", state.gathered);
+  visit("guard", state.guard);
+  visit("held_out_guard", state.held_out_guard);
+  visit("budget", state.budget);
+  visit("held_out_budget", state.held_out_budget);
+  visit("norms", state.norms);
+  visit("updates", state.updates);
+  visit("rejected", state.rejected);
+  visit("trimmed", state.trimmed);
+  visit("rollbacks", state.rollbacks);
+}
+
+template <Is<HeadPosition> T, typename Visitor>
+void VisitFields(T& position, Visitor&& visit) {
+  visit("id", position.id);
+  visit("number", position.number);
+  visit("digest", position.digest);
+}
+
+template <Is<MergeOutcome> T, typename Visitor>
+void VisitFields(T& outcome, Visitor&& visit) {
+  visit("paused", outcome.paused);
+  visit("update", outcome.update);
+  visit("rolled_back", outcome.rolled_back);
+  visit("drift", outcome.drift);
+  visit("watched_return", outcome.watched_return);
+}
+
+template <Is<HeadReplica::Folded> T, typename Visitor>
+void VisitFields(T& folded, Visitor&& visit) {
+  visit("position", folded.position);
+  visit("session", folded.session);
+  visit("episode", folded.episode);
+  visit("outcome", folded.outcome);
+}
+
+namespace {
+
+template <Is<StoredHead> T, typename Visitor>
+void VisitFields(T& head, Visitor&& visit) {
+  visit("tenant", head.tenant);
+  visit("state", head.state);
+}
+
+template <Is<StoredHeads> T, typename Visitor>
+void VisitFields(T& heads, Visitor&& visit) {
+  visit("paused", heads.paused);
+  visit("heads", heads.heads);
+  visit("last", heads.last);
+}
+
+}  // namespace
+
+absl::StatusOr<HeadReplica::Folded> HeadReplica::Fold(const LoggedEntry& entry) {
+  if (entry.position.number != position_.number + 1 ||
+      entry.position.digest != NextDigest(position_.digest, entry)) {
+    return absl::DataLossError(absl::StrCat("expected the entry after ", position_.number,
+                                            ", received number ", entry.position.number));
+  }
+  const auto parsed = ParseHeadEntry(entry.bytes);
+  if (!parsed.ok()) return parsed.status();
+  const bool merges = parsed->kind == HeadEntry::Kind::kMerge;
+  const auto size = static_cast<Eigen::Index>(heads_->policy()->weights.head.weight.values.size());
+  if (merges && parsed->delta.size() != size) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("delta: expected ", size, " numbers, received ", parsed->delta.size()));
+  }
+  position_ = entry.position;
+  last_.push_back({.position = position_,
+                   .session = parsed->session,
+                   .episode = parsed->episode,
+                   .outcome = Apply(*parsed, entry)});
+  if (last_.size() > kRemembered) last_.pop_front();
+  return last_.back();
+}
+
+MergeOutcome HeadReplica::Apply(const HeadEntry& entry, const LoggedEntry& logged) {
+  MergeOutcome outcome;
+  switch (entry.kind) {
+    case HeadEntry::Kind::kPause:
+    case HeadEntry::Kind::kResume:
+      paused_ = entry.kind == HeadEntry::Kind::kPause;
+      return outcome;
+    case HeadEntry::Kind::kRollback:
+      outcome.drift = heads_->Of(entry.head)->Rollback()->drift;
+      return outcome;
+    case HeadEntry::Kind::kMerge:
+      break;
+  }
+  const std::shared_ptr<FleetHead> head = heads_->Of(entry.head);
+  outcome.paused = paused_;
+  if (!paused_) {
+    const auto merged =
+        head->Merge(entry.delta, entry.episode_return,
+                    {.contributor = entry.contributor,
+                     .held_out = IsHeldOut(entry.session),
+                     .now = TimeOf(logged.position),
+                     .members = static_cast<size_t>(std::max<int64_t>(logged.members, 0))});
+    outcome.update = merged.outcome;
+    outcome.rolled_back = merged.rolled_back;
+  }
+  const auto snapshot = head->Read();
+  outcome.drift = snapshot->drift;
+  outcome.watched_return = snapshot->level.mean;
+  return outcome;
+}
+
+std::optional<MergeOutcome> HeadReplica::Find(const std::string& session, int64_t episode) const {
+  const auto found = std::find_if(last_.begin(), last_.end(), [&](const Folded& folded) {
+    return folded.session == session && folded.episode == episode;
+  });
+  if (found == last_.end()) return std::nullopt;
+  return found->outcome;
+}
+
+bool HeadReplica::HasPassed(const HeadPosition& position) const {
+  if (position == position_ || position.number == 0) return true;
+  return std::any_of(last_.begin(), last_.end(),
+                     [&](const Folded& folded) { return folded.position == position; });
+}
+
+std::string HeadReplica::Serialize() const {
+  StoredHeads stored = {.paused = paused_, .heads = {}, .last = {last_.begin(), last_.end()}};
+  for (const std::string& tenant : heads_->Tenants()) {
+    stored.heads.push_back({.tenant = tenant, .state = heads_->Of(tenant)->state()});
+  }
+  std::string bytes;
+  codec::Writer writer(&bytes);
+  writer.Begin(kFormat);
+  writer.Write(stored);
+  return bytes;
+}
+
+absl::Status HeadReplica::Restore(const HeadPosition& position, const std::string& bytes) {
+  const auto json = codec::ParseDocument(bytes, "heads", kFormat);
+  if (!json.ok()) return json.status();
+  StoredHeads stored;
+  codec::Reader reader;
+  reader.Read(*json, "heads", stored);
+  if (!reader.status().ok()) return reader.status();
+  const FleetHead any(heads_->policy());
+  for (const StoredHead& head : stored.heads) {
+    if (!any.IsPossible(head.state)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("heads: expected a head of the policy as that "
+                       "of tenant ",
+                       head.tenant, ", received another one"));
+    }
+  }
+  for (const StoredHead& head : stored.heads) heads_->Of(head.tenant)->Restore(head.state);
+  position_ = position;
+  paused_ = stored.paused;
+  last_ = {stored.last.begin(), stored.last.end()};
+  return absl::OkStatus();
+}
+
+void HeadReplica::TakeOver(const HeadReplica& other) {
+  // Heads that the other one does not have become like new.
+  for (const std::string& tenant : heads_->Tenants()) other.heads_->Of(tenant);
+  for (const std::string& tenant : other.heads_->Tenants()) {
+    heads_->Of(tenant)->Restore(other.heads_->Of(tenant)->state());
+  }
+  position_ = other.position_;
+  paused_ = other.paused_;
+  last_ = other.last_;
+}
+
+}  // namespace spikeserve

@@ -1,0 +1,76 @@
+// The heads of one policy version as the entries of their log leave them.
+//
+//   HeadReplica replica(heads);
+//   for (const LoggedEntry& entry : entries) replica.Fold(entry);
+//
+// Replicas that have folded the same entries have heads that are equal bit for bit: the merge, its
+// bounds, the guard and the budgets depend on the entries alone. Not thread-safe, except that the
+// heads may be read at any time.
+#ifndef SERVER_HEADS_HEAD_REPLICA_H_
+#define SERVER_HEADS_HEAD_REPLICA_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/agent/head_log.h"
+#include "core/learning/tenant_heads.h"
+#include "server/heads/head_entry.h"
+
+namespace spikeserve {
+
+class HeadReplica {
+ public:
+  // The outcomes and digests of this many entries are remembered.
+  static constexpr size_t kRemembered = 256;
+
+  // Starts before the first entry, with heads that have learned nothing.
+  explicit HeadReplica(std::shared_ptr<TenantHeads> heads) : heads_(std::move(heads)) {}
+
+  const std::shared_ptr<TenantHeads>& heads() const { return heads_; }
+  const HeadPosition& position() const { return position_; }
+  bool paused() const { return paused_; }
+
+  // What an entry has done. The drift of a rollback is that before it.
+  struct Folded {
+    HeadPosition position;
+    std::string session;
+    int64_t episode = 0;
+    MergeOutcome outcome;
+  };
+  // Takes the next entry. Returns DATA_LOSS if it does not follow the last one, and
+  // INVALID_ARGUMENT if it has a form that this release does not know; then nothing changes.
+  absl::StatusOr<Folded> Fold(const LoggedEntry& entry);
+
+  // Returns the outcome of one of the last entries, or nullopt.
+  std::optional<MergeOutcome> Find(const std::string& session, int64_t episode) const;
+  // Returns the last entries, oldest first.
+  const std::deque<Folded>& last() const { return last_; }
+  // Returns true if `position` is one of the last that this replica was at.
+  bool HasPassed(const HeadPosition& position) const;
+
+  // Converts everything but the position to a binary form.
+  std::string Serialize() const;
+  // Continues from such a form, at `position`. INVALID_ARGUMENT if it is not that of heads of this
+  // policy; then nothing changes.
+  absl::Status Restore(const HeadPosition& position, const std::string& bytes);
+  // Becomes equal to `other`.
+  void TakeOver(const HeadReplica& other);
+
+ private:
+  MergeOutcome Apply(const HeadEntry& entry, const LoggedEntry& logged);
+
+  const std::shared_ptr<TenantHeads> heads_;
+  HeadPosition position_;
+  bool paused_ = false;
+  std::deque<Folded> last_;  // entries, oldest first
+};
+
+}  // namespace spikeserve
+
+#endif  // SERVER_HEADS_HEAD_REPLICA_H_

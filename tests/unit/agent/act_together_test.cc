@@ -1,0 +1,97 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <limits>
+#include <memory>
+#include <vector>
+
+#include "core/agent/agent_session.h"
+#include "core/journal/session_bytes.h"
+#include "core/session/session_value.h"
+#include "tests/support/fake_clock.h"
+#include "tests/support/session_fixture.h"
+
+namespace spikeserve {
+namespace {
+
+using ::testing::HasSubstr;
+
+class ActTogetherTest : public ::testing::Test {
+ protected:
+  static SessionOptions Options(int i) {
+    SessionOptions options = SmallOptions();
+    options.seed = static_cast<uint64_t>(i);
+    options.action_selection.sample = i % 2 == 1;
+    options.target_return += i;
+    if (i % 3 == 2) options.learning.emplace();
+    return options;
+  }
+
+  // Returns sessions that alternate between two versions; some sample and some learn.
+  std::vector<std::unique_ptr<AgentSession>> NewSessions() {
+    std::vector<std::unique_ptr<AgentSession>> sessions;
+    for (int i = 0; i < 8; ++i) {
+      sessions.push_back(std::make_unique<AgentSession>(i % 2 == 0 ? even_ : odd_,
+                                                        NewSession("id", Options(i)), &clock_));
+    }
+    return sessions;
+  }
+
+  FakeClock clock_;
+  std::shared_ptr<const ServedPolicy> even_ = Serve(SmallConfig(), ActionSpace::Discrete(2));
+  std::shared_ptr<const ServedPolicy> odd_ = Serve(SmallConfig(), ActionSpace::Discrete(3));
+};
+
+TEST_F(ActTogetherTest, EqualsOneAfterTheOtherBitForBit) {
+  const auto alone = NewSessions();
+  const auto together = NewSessions();
+  for (int64_t step = 0; step < 30; ++step) {
+    std::vector<std::vector<float>> observations;
+    for (size_t i = 0; i < together.size(); ++i) {
+      observations.push_back(ObservationAt(step + static_cast<int64_t>(i)));
+    }
+    std::vector<ActCall> calls;
+    std::vector<AgentSession*> sessions;
+    for (size_t i = 0; i < together.size(); ++i) {
+      calls.push_back({.session = together[i].get(),
+                       .step = step,
+                       .observation = observations[i],
+                       .reward = RewardAt(step)});
+      sessions.push_back(together[i].get());
+    }
+    if (step % 7 == 3) together[2]->DropContext();
+    AgentSession::ActTogether(absl::MakeSpan(calls));
+    for (size_t i = 0; i < alone.size(); ++i) {
+      ASSERT_TRUE(alone[i]->Act(step, observations[i], RewardAt(step)).ok());
+      ASSERT_TRUE(calls[i].answer.ok()) << calls[i].answer.status();
+      EXPECT_FALSE(calls[i].is_retry);
+      EXPECT_EQ(SerializeSession(together[i]->session()), SerializeSession(alone[i]->session()))
+          << "session " << i << " at step " << step;
+    }
+    if (step % 3 == 0) AgentSession::AppendPendingActions(sessions);
+  }
+}
+
+TEST_F(ActTogetherTest, ARetryAndABadRequestLeaveTheOthersAlone) {
+  const auto sessions = NewSessions();
+  const std::vector<float> observation = ObservationAt(0);
+  ASSERT_TRUE(sessions[0]->Act(0, observation, 0.0).ok());
+  const std::vector<float> bad = {1.0f, std::numeric_limits<float>::infinity(), 1.0f};
+  const std::string untouched = SerializeSession(sessions[1]->session());
+  std::vector<ActCall> calls = {
+      {.session = sessions[0].get(), .step = 0, .observation = bad},
+      {.session = sessions[1].get(), .step = 0, .observation = bad},
+      {.session = sessions[2].get(), .step = 0, .observation = observation},
+      {.session = sessions[3].get(), .step = 4, .observation = observation}};
+  AgentSession::ActTogether(absl::MakeSpan(calls));
+  EXPECT_TRUE(calls[0].answer.ok());
+  EXPECT_TRUE(calls[0].is_retry);
+  EXPECT_THAT(calls[1].answer.status().message(), HasSubstr("observation[1]: expected a finite"));
+  EXPECT_EQ(SerializeSession(sessions[1]->session()), untouched);
+  EXPECT_TRUE(calls[2].answer.ok());
+  EXPECT_EQ(sessions[2]->session().step, 1);
+  EXPECT_EQ(calls[3].answer.status().code(), absl::StatusCode::kFailedPrecondition);
+}
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,15 @@
+// Counts the allocations of a thread. Linking it replaces operator new in the whole program.
+// malloc, which Eigen calls directly, is counted in the objects that are linked with --wrap=malloc.
+#ifndef TESTS_UNIT_AGENT_ALLOCATION_COUNTER_H_
+#define TESTS_UNIT_AGENT_ALLOCATION_COUNTER_H_
+
+#include <cstdint>
+
+namespace spikeserve {
+
+// Returns the number of allocations of the calling thread since it started.
+int64_t Allocations();
+
+}  // namespace spikeserve
+
+#endif  // TESTS_UNIT_AGENT_ALLOCATION_COUNTER_H_

@@ -1,0 +1,403 @@
+// Tests of beats: a session whose robot decided by itself for a while, and told the server
+// afterwards, equals the undisturbed session, bit for bit.
+#include "core/agent/beats.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <ostream>
+#include <random>
+
+#include "core/journal/journal_entry.h"
+#include "core/journal/session_bytes.h"
+#include "core/journal/session_export.h"
+#include "core/journal/session_journal.h"
+#include "core/session/session_value.h"
+#include "tests/support/fake_clock.h"
+#include "tests/support/session_fixture.h"
+
+namespace spikeserve {
+namespace {
+
+using ::testing::HasSubstr;
+
+// Holds what a store would hold.
+class MemoryWriter final : public JournalWriter {
+ public:
+  void Write(JournalRecord record) override {
+    if (record.kind != JournalRecord::Kind::kEntry) records_.clear();
+    records_.push_back(record.bytes);
+  }
+  void Hurry() override {}
+  absl::Status CheckReachable() const override { return absl::OkStatus(); }
+  absl::Status CheckBacklog() const override { return absl::OkStatus(); }
+
+  std::vector<std::string> records_;
+};
+
+// What a robot did, with memory of its own.
+struct DoneBeat {
+  std::vector<float> observation;
+  double reward;
+  Action executed;
+};
+
+ReportedAction Reported(const Action& action, const ActionSpace& space) {
+  if (space.is_discrete()) return int64_t{action.discrete};
+  return absl::MakeConstSpan(action.continuous);
+}
+
+struct BeatCase {
+  std::string name;
+  ActionSpace action_space;
+  ActionSelection selection = {};
+  std::optional<LearningOptions> learning = std::nullopt;
+  Arithmetic arithmetic = Arithmetic::kFloat32;
+};
+
+void PrintTo(const BeatCase& test, std::ostream* out) { *out << test.name; }
+
+std::vector<BeatCase> BeatCases() {
+  const ActionSpace discrete = ActionSpace::Discrete(3);
+  const ActionSpace box = ActionSpace::Box({-2.0f, 0.0f}, {2.0f, 1.0f});
+  const ActionSelection sampled = {.sample = true, .temperature = 0.7f};
+  std::vector<BeatCase> cases = {
+      {"GreedyDiscrete", discrete},
+      {"GreedyBox", box},
+      {"SampledBox", box, sampled},
+      {"Int8", discrete, sampled, {}, Arithmetic::kInt8},
+      {"Int8Learning", box, sampled, LearningOptions{.learning_rate = 0.05}, Arithmetic::kInt8}};
+  for (const Rule rule : {Rule::kPolicyGradient, Rule::kHebbian}) {
+    for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
+      const LearningOptions learning = {
+          .rule = rule, .modulator = modulator, .learning_rate = 0.05};
+      cases.push_back({absl::StrCat(rule == Rule::kHebbian ? "Hebbian" : "Gradient",
+                                    modulator == Modulator::kTarget ? "Target" : "Realized"),
+                       discrete, sampled, learning});
+    }
+  }
+  return cases;
+}
+
+class BeatsTest : public ::testing::TestWithParam<BeatCase> {
+ protected:
+  AgentSession NewAgent(std::shared_ptr<const ServedPolicy> served) {
+    SessionOptions options = SmallOptions();
+    options.action_selection = GetParam().selection;
+    options.learning = GetParam().learning;
+    return AgentSession(std::move(served), NewSession("id", std::move(options)), &clock_);
+  }
+  AgentSession NewAgent() { return NewAgent(served_); }
+
+  static ModelConfig Config() {
+    ModelConfig config = SmallConfig();
+    config.arithmetic = GetParam().arithmetic;
+    return config;
+  }
+
+  // Calls `use` with the history of the last `count` of `done`, before the step behind them.
+  template <typename Use>
+  auto WithHistory(const AgentSession& steady, const std::vector<DoneBeat>& done, size_t count,
+                   Use use, std::vector<double> skipped = {}) {
+    const size_t first = done.size() - count;
+    const auto beat = [&](size_t i) -> Beat {
+      const DoneBeat& at = done[first + i];
+      return {.step = static_cast<int64_t>(first + i),
+              .observation = at.observation,
+              .reward = at.reward,
+              .executed = Reported(at.executed, GetParam().action_space)};
+    };
+    const BeatHistory history = {.step = static_cast<int64_t>(done.size()),
+                                 .decision = steady.session().decisions,
+                                 .skipped_rewards = skipped,
+                                 .size = count,
+                                 .beat = beat,
+                                 .observation = {},
+                                 .reward = 0.0};
+    return use(history);
+  }
+
+  FakeClock clock_;
+  std::shared_ptr<RecordingObserver> observer_ = std::make_shared<RecordingObserver>();
+  std::shared_ptr<const ServedPolicy> served_ = Serve(Config(), GetParam().action_space);
+  std::shared_ptr<const ServedPolicy> observed_ =
+      Serve(Config(), GetParam().action_space, observer_);
+};
+
+// The robot decides some beats by itself, with the session that it has exported. It executes its
+// own decisions, or holds an older action; the undisturbed session is told the same.
+TEST_P(BeatsTest, ACutSessionEqualsTheUndisturbedOne) {
+  std::mt19937 random(3);
+  AgentSession steady = NewAgent();
+  AgentSession cut = NewAgent(observed_);
+  MemoryWriter writer;
+  const auto journal = std::make_shared<SessionJournal>(
+      SessionJournal::Key{.id = "id", .tenant = ""}, Durability::kAsync, 0, &writer);
+  journal->OnOpen(cut.session());
+  cut.AddListener(journal);
+  size_t asked = 0;
+  for (int episode = 0; episode < 2; ++episode) {
+    std::vector<DoneBeat> done;
+    std::optional<Action> executed;  // before the next step
+    int64_t t = 0;
+    while (t < 60) {
+      const int64_t away = t + static_cast<int64_t>(random() % 9);
+      auto imported = ImportSession(ExportSession(cut));
+      ASSERT_TRUE(imported.ok()) << imported.status();
+      AgentSession local(served_, *std::move(imported), &clock_);
+      const size_t before = done.size();
+      for (; t <= away; ++t) {
+        const auto told =
+            executed.has_value()
+                ? std::optional<ReportedAction>(Reported(*executed, GetParam().action_space))
+                : std::nullopt;
+        const auto expected = steady.Act(t, ObservationAt(t), RewardAt(t), told);
+        ASSERT_TRUE(expected.ok()) << expected.status();
+        if (t < away) {
+          const auto decided = local.Act(t, ObservationAt(t), RewardAt(t), told);
+          ASSERT_TRUE(decided.ok()) << decided.status();
+          ASSERT_EQ(**decided, **expected) << "step " << t;
+        } else {
+          // The link is back: the history, then a decision.
+          const size_t known = done.size() - before + (before > 0 ? 1 : 0);
+          if (known > 0) {
+            const auto appended = WithHistory(steady, done, known, [&](BeatHistory history) {
+              history.decision = *history.decision - 1;  // `steady` has decided this step
+              return AppendBeats(history, &cut);
+            });
+            ASSERT_TRUE(appended.ok()) << appended.status();
+            EXPECT_EQ(appended->appended, static_cast<int64_t>(done.size() - before));
+          }
+          const auto decided = cut.Act(t, ObservationAt(t), RewardAt(t), told);
+          ASSERT_TRUE(decided.ok()) << decided.status();
+          ASSERT_EQ(**decided, **expected) << "step " << t;
+          ++asked;
+        }
+        // Every fifth action is not the answered one.
+        executed = t % 5 == 3 && !done.empty() ? done.back().executed : (*expected)->action;
+        done.push_back({ObservationAt(t), RewardAt(t), *executed});
+      }
+      ASSERT_EQ(ExportSession(cut), ExportSession(steady)) << "step " << t;
+      const auto restored = RestoreSession(*ParseJournal(writer.records_), served_->policy());
+      ASSERT_TRUE(restored.ok()) << restored.status();
+      ASSERT_EQ(SerializeSession(*restored), SerializeSession(cut.session())) << "step " << t;
+    }
+    for (AgentSession* agent : {&steady, &cut}) {
+      ASSERT_TRUE(agent->EndEpisode({.reward = 2.0, .terminated = true}).ok());
+    }
+    ASSERT_EQ(ExportSession(cut), ExportSession(steady));
+  }
+  EXPECT_EQ(observer_->decisions.size(), asked);
+}
+
+TEST_P(BeatsTest, BeatsCountOnceAndInParts) {
+  AgentSession steady = NewAgent();
+  AgentSession cut = NewAgent();
+  std::vector<DoneBeat> done;
+  for (int64_t t = 0; t < 20; ++t) {
+    const auto answer = steady.Act(t, ObservationAt(t), RewardAt(t));
+    ASSERT_TRUE(answer.ok());
+    done.push_back({ObservationAt(t), RewardAt(t), (*answer)->action});
+  }
+  const auto append = [&](int64_t most) {
+    const auto result = WithHistory(steady, done, 20, [&](const BeatHistory& history) {
+      return AppendBeats(history, &cut, most);
+    });
+    EXPECT_TRUE(result.ok()) << result.status();
+    return *result;
+  };
+  EXPECT_EQ(append(7).appended, 7);
+  EXPECT_FALSE(append(7).finished);
+  EXPECT_EQ(append(7).appended, 6);
+  const AppendedBeats again = append(7);
+  EXPECT_EQ(again.appended, 0);
+  EXPECT_TRUE(again.finished);
+  EXPECT_EQ(ExportSession(cut), ExportSession(steady));
+}
+
+// Of steps without observations, the rewards count, in the return and in what is learned.
+TEST_P(BeatsTest, SkippedRewardsCount) {
+  AgentSession agent = NewAgent();
+  MemoryWriter writer;
+  const auto journal = std::make_shared<SessionJournal>(
+      SessionJournal::Key{.id = "id", .tenant = ""}, Durability::kAsync, 0, &writer);
+  journal->OnOpen(agent.session());
+  agent.AddListener(journal);
+  for (int64_t t = 0; t < 3; ++t) ASSERT_TRUE(agent.Act(t, ObservationAt(t), RewardAt(t)).ok());
+  // Steps 1 to 5 as rewards, of which 3 to 5 are new, and step 6 as a beat.
+  std::vector<DoneBeat> done(7, {ObservationAt(6), 0.25, agent.session().last_answer->action});
+  const auto result = WithHistory(agent, done, 1,
+                                  [&](BeatHistory history) {
+                                    history.decision = 7;
+                                    return AppendBeats(history, &agent);
+                                  },
+                                  {100.0, 100.0, 1.0, 2.0, 4.0});
+  ASSERT_TRUE(result.ok()) << result.status();
+  EXPECT_EQ(result->appended, 1);
+  EXPECT_EQ(result->dropped, 3);
+  EXPECT_EQ(agent.session().step, 7);
+  EXPECT_EQ(agent.session().decisions, 7u);
+  EXPECT_EQ(agent.session().history.size(), 1u);
+  EXPECT_DOUBLE_EQ(agent.session().episode_return, RewardAt(1) + RewardAt(2) + 7.25);
+  EXPECT_DOUBLE_EQ(agent.session().return_to_go, 10.0 - agent.session().episode_return);
+  const auto restored = RestoreSession(*ParseJournal(writer.records_), served_->policy());
+  ASSERT_TRUE(restored.ok()) << restored.status();
+  EXPECT_EQ(SerializeSession(*restored), SerializeSession(agent.session()));
+  AgentSession next(served_, *restored, &clock_);
+  for (AgentSession* one : {&agent, &next}) {
+    ASSERT_TRUE(one->Act(7, ObservationAt(7), 0.5).ok());
+    ASSERT_TRUE(one->EndEpisode({.reward = 2.0, .terminated = true}).ok());
+  }
+  EXPECT_EQ(ExportSession(agent), ExportSession(next));
+}
+
+// The action of the newest beat counts, too, if nothing is asked.
+TEST_P(BeatsTest, TheLastActionIsTakenWithoutADecision) {
+  AgentSession steady = NewAgent();
+  AgentSession cut = NewAgent();
+  MemoryWriter writer;
+  const auto journal = std::make_shared<SessionJournal>(
+      SessionJournal::Key{.id = "id", .tenant = ""}, Durability::kAsync, 0, &writer);
+  journal->OnOpen(cut.session());
+  cut.AddListener(journal);
+  const ActionSpace& space = GetParam().action_space;
+  const Action held = space.is_discrete() ? Action{.discrete = 1, .continuous = {}}
+                                          : Action{.discrete = 0, .continuous = {0.5f, 0.25f}};
+  std::vector<DoneBeat> done;
+  for (int64_t t = 0; t < 4; ++t) {
+    const auto told = t == 0 ? std::nullopt : std::optional<ReportedAction>(Reported(held, space));
+    ASSERT_TRUE(steady.Act(t, ObservationAt(t), RewardAt(t), told).ok());
+    done.push_back({ObservationAt(t), RewardAt(t), held});
+  }
+  const auto status = WithHistory(steady, done, 4, [&](const BeatHistory& history) {
+    const auto appended = AppendBeats(history, &cut);
+    if (!appended.ok()) return appended.status();
+    return TakeLastExecuted(history, &cut);
+  });
+  ASSERT_TRUE(status.ok()) << status;
+  steady.ReportExecuted(held);
+  EXPECT_EQ(ExportSession(cut), ExportSession(steady));
+  const auto restored = RestoreSession(*ParseJournal(writer.records_), served_->policy());
+  ASSERT_TRUE(restored.ok()) << restored.status();
+  EXPECT_EQ(SerializeSession(*restored), SerializeSession(cut.session()));
+}
+
+INSTANTIATE_TEST_SUITE_P(All, BeatsTest, ::testing::ValuesIn(BeatCases()),
+                         [](const auto& instance) { return instance.param.name; });
+
+// Each history is refused, and the session is as it was.
+TEST(BeatsRefusalTest, NothingIsHalfApplied) {
+  FakeClock clock;
+  const ActionSpace space = ActionSpace::Discrete(3);
+  AgentSession agent(Serve(SmallConfig(), space), NewSession("id", SmallOptions()), &clock);
+  for (int64_t t = 0; t < 2; ++t) ASSERT_TRUE(agent.Act(t, ObservationAt(t), RewardAt(t)).ok());
+  const std::string before = SerializeSession(agent.session());
+  const std::vector<float> good = ObservationAt(5);
+  std::vector<Beat> beats;
+  for (int64_t step = 1; step < 5; ++step) {
+    beats.push_back(
+        {.step = step, .observation = good, .reward = 1.0, .executed = int64_t{step % 3}});
+  }
+  struct Change {
+    std::string expected;
+    absl::StatusCode code;
+    std::function<void(std::vector<Beat>&, BeatHistory&)> make;
+  };
+  const auto kInvalid = absl::StatusCode::kInvalidArgument;
+  const auto kPlace = absl::StatusCode::kFailedPrecondition;
+  static const std::vector<float> kShort = {1.0f};
+  static const std::vector<double> kRewards = {std::nan("")};
+  const std::vector<Change> changes = {
+      {"history[3]: observation: expected 3 numbers, received 1", kInvalid,
+       [](auto& all, auto&) { all[3].observation = kShort; }},
+      {"history[2]: reward: expected a finite number", kInvalid,
+       [](auto& all, auto&) { all[2].reward = INFINITY; }},
+      {"history[0]: executed_action: expected an index from 0 to 2, received index 3", kInvalid,
+       [](auto& all, auto&) { all[0].executed = int64_t{3}; }},
+      {"history[3]: executed_action: expected an index from 0 to 2, received none", kInvalid,
+       [](auto& all, auto&) { all[3].executed = std::monostate(); }},
+      {"history[2]: step: expected 3, received 4", kInvalid,
+       [](auto& all, auto&) { all[2].step = 4; }},
+      {"observation: expected 3 numbers, received 1", kInvalid,
+       [](auto&, auto& history) { history.observation = kShort; }},
+      {"decision: expected the number of the decision", kInvalid,
+       [](auto&, auto& history) { history.decision = std::nullopt; }},
+      {"decision: expected 2 for step 2, received 9 for step 5", kPlace,
+       [](auto&, auto& history) { history.decision = 9; }},
+      {"history: expected beats from step 2 on, received those from step 3 on", kPlace,
+       [](auto& all, auto& history) {
+         all.erase(all.begin(), all.begin() + 2);
+         history.size = 2;
+       }},
+      {"skipped_rewards[0]: reward: expected a finite number", kInvalid,
+       [](auto& all, auto& history) {
+         all.erase(all.begin(), all.begin() + 2);
+         history.size = 2;
+         history.skipped_rewards = kRewards;
+       }},
+      {"history: expected at least one beat behind skipped_rewards, received none", kInvalid,
+       [](auto&, auto& history) { history.size = 0; }}};
+  for (const Change& change : changes) {
+    std::vector<Beat> changed = beats;
+    const auto at = [&](size_t i) { return changed[i]; };
+    BeatHistory history = {.step = 5,
+                           .decision = 5,
+                           .skipped_rewards = {},
+                           .size = 4,
+                           .beat = at,
+                           .observation = good,
+                           .reward = 1.0};
+    change.make(changed, history);
+    const auto result = AppendBeats(history, &agent);
+    EXPECT_EQ(result.status().code(), change.code) << change.expected << ": " << result.status();
+    EXPECT_THAT(std::string(result.status().message()), HasSubstr(change.expected));
+    EXPECT_EQ(SerializeSession(agent.session()), before) << change.expected;
+  }
+}
+
+TEST(SessionExportTest, ADamagedValueIsRefused) {
+  FakeClock clock;
+  const AgentSession agent(Serve(SmallConfig(), ActionSpace::Discrete(3)),
+                           NewSession("id", SmallOptions()), &clock);
+  const std::string value = ExportSession(agent);
+  EXPECT_TRUE(ImportSession(value).ok());
+  for (size_t i = 0; i < value.size(); i += 7) {
+    std::string changed = value;
+    changed[i] = static_cast<char>(changed[i] ^ 1);
+    EXPECT_EQ(ImportSession(changed).status().code(), absl::StatusCode::kInvalidArgument) << i;
+  }
+  for (const size_t size : {size_t{0}, size_t{5}, value.size() - 1}) {
+    EXPECT_FALSE(ImportSession(value.substr(0, size)).ok()) << size;
+  }
+}
+
+TEST(RobotLinkTest, AnObservationIsAsOldAsTheFastestRequestProves) {
+  RobotLink link;
+  const auto at = [](double seconds) { return absl::Seconds(seconds); };
+  // The robot's clock is 1,000 s ahead; the fastest request takes an unknown time.
+  link.OnRequest(at(5.0), at(1004.98));
+  EXPECT_EQ(link.LeastAge(at(5.0), at(1004.98)), absl::ZeroDuration());
+  link.OnRequest(at(5.02), at(1005.01));  // 10 ms faster
+  EXPECT_EQ(link.LeastAge(at(5.02), at(1005.01)), absl::ZeroDuration());
+  EXPECT_EQ(link.LeastAge(at(5.02), at(1004.98)), absl::Milliseconds(30));
+  // Requests that waited in a cut link, and arrive together.
+  link.OnRequest(at(25.0), at(1010.0));
+  EXPECT_EQ(link.LeastAge(at(25.0), at(1010.0)), at(14.99));
+  // A robot that has restarted.
+  link.OnRequest(at(26.0), at(3.0));
+  EXPECT_EQ(link.LeastAge(at(26.0), at(3.0)), absl::ZeroDuration());
+}
+
+TEST(RobotLinkTest, AReportCountsWhatItAdds) {
+  RobotLink link;
+  EXPECT_EQ(link.OnReport({.fresh = 5, .held = 1}, /*is_new_session=*/true).fresh, 5u);
+  EXPECT_EQ(link.OnReport({.fresh = 5, .held = 1}, true).fresh, 0u);
+  EXPECT_EQ(link.OnReport({.fresh = 9, .held = 3}, true).held, 2u);
+  EXPECT_EQ(link.OnReport({.fresh = 7, .held = 3}, true).fresh, 0u);
+  RobotLink taken_over;
+  EXPECT_EQ(taken_over.OnReport({.fresh = 9}, /*is_new_session=*/false).fresh, 0u);
+  EXPECT_EQ(taken_over.OnReport({.fresh = 12}, false).fresh, 3u);
+}
+
+}  // namespace
+}  // namespace spikeserve

@@ -1,0 +1,249 @@
+// Tests of sessions that learn: the behaviour that the session adds to the rules, which have their
+// own tests.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <nlohmann/json.hpp>
+#include <ostream>
+
+#include "core/agent/agent_session.h"
+#include "core/journal/session_bytes.h"
+#include "core/session/session_value.h"
+#include "tests/support/fake_clock.h"
+#include "tests/support/session_fixture.h"
+
+namespace spikeserve {
+namespace {
+
+using ::testing::HasSubstr;
+using Json = nlohmann::json;
+
+struct LearningCase {
+  std::string name;
+  ActionSpace action_space;
+  LearningOptions learning;
+};
+
+void PrintTo(const LearningCase& test, std::ostream* out) { *out << test.name; }
+
+std::vector<LearningCase> LearningCases() {
+  const ActionSpace discrete = ActionSpace::Discrete(3);
+  const ActionSpace box = ActionSpace::Box({-2.0f, 0.0f}, {2.0f, 1.0f});
+  std::vector<LearningCase> cases;
+  for (const Rule rule : {Rule::kPolicyGradient, Rule::kHebbian}) {
+    for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
+      for (const Scope scope : {Scope::kSession, Scope::kFleet}) {
+        const LearningOptions learning = {
+            .scope = scope, .rule = rule, .modulator = modulator, .learning_rate = 0.05};
+        const std::string name =
+            std::string(rule == Rule::kHebbian ? "Hebbian" : "PolicyGradient") +
+            (modulator == Modulator::kTarget ? "Target" : "Realized") +
+            (scope == Scope::kFleet ? "Fleet" : "Session");
+        cases.push_back({name + "Discrete", discrete, learning});
+        cases.push_back({name + "Box", box, learning});
+      }
+    }
+  }
+  return cases;
+}
+
+class LearningSessionTest : public ::testing::TestWithParam<LearningCase> {
+ protected:
+  // Returns an agent with a policy of its own, and therefore a fleet head of its own.
+  AgentSession NewAgentElsewhere() {
+    served_ = Serve(SmallConfig(), GetParam().action_space);
+    return NewAgent();
+  }
+
+  AgentSession NewAgent(bool learns = true) {
+    SessionOptions options = SmallOptions();
+    options.action_selection = {.sample = true, .temperature = 0.7f};
+    if (learns) options.learning = GetParam().learning;
+    return AgentSession(served_, NewSession("id", std::move(options)), &clock_);
+  }
+
+  // Plays the steps [from, to) of an episode.
+  void Play(AgentSession& agent, int64_t from, int64_t to) {
+    for (int64_t t = from; t < to; ++t) {
+      ASSERT_TRUE(agent.Act(t, ObservationAt(t), RewardAt(t)).ok());
+    }
+  }
+
+  void End(AgentSession& agent) {
+    ASSERT_TRUE(agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}}).ok());
+  }
+
+  FakeClock clock_;
+  std::shared_ptr<const ServedPolicy> served_ = Serve(SmallConfig(), GetParam().action_space);
+};
+
+TEST_P(LearningSessionTest, RestoredMidEpisodeItGoesOnBitForBit) {
+  AgentSession steady = NewAgent();
+  AgentSession moved = NewAgentElsewhere();
+  for (int episode = 0; episode < 3; ++episode) {
+    for (int64_t t = 0; t < 15; ++t) {
+      if (t % 4 == episode) {
+        auto restored = ParseSession(SerializeSession(moved.session()));
+        ASSERT_TRUE(restored.ok()) << restored.status();
+        moved = AgentSession(served_, *std::move(restored), &clock_);
+      }
+      const auto expected = steady.Act(t, ObservationAt(t), RewardAt(t));
+      const auto actual = moved.Act(t, ObservationAt(t), RewardAt(t));
+      ASSERT_TRUE(expected.ok() && actual.ok());
+      ASSERT_EQ(**actual, **expected) << "episode " << episode << ", step " << t;
+    }
+    End(steady);
+    End(moved);
+    EXPECT_EQ(SerializeSession(moved.session()), SerializeSession(steady.session()));
+  }
+  EXPECT_GT(steady.HeadDrift(), 0.0);
+}
+
+// A session that is restored or loses its context between a decision and the report of what was
+// executed continues as one that did neither.
+TEST_P(LearningSessionTest, ExecutedActionsAreLearnedBitForBitAfterARestart) {
+  const ActionSpace& space = served_->policy().action_space;
+  const auto fleet = GetParam().learning.scope == Scope::kFleet;
+  AgentSession steady = NewAgent();
+  AgentSession answered = NewAgent();
+  AgentSession moved = fleet ? NewAgentElsewhere() : NewAgent();
+  const std::vector<float> values = {0.5f, 0.25f};
+  for (int64_t t = 0; t < 15; ++t) {
+    std::optional<ReportedAction> executed;
+    if (t % 2 == 1 && space.is_discrete()) executed = t % 3;
+    if (t % 2 == 1 && !space.is_discrete()) executed = absl::MakeConstSpan(values);
+    ASSERT_TRUE(answered.Act(t, ObservationAt(t), RewardAt(t)).ok());
+    const auto expected = steady.Act(t, ObservationAt(t), RewardAt(t), executed);
+    auto restored = ParseSession(SerializeSession(moved.session()));
+    ASSERT_TRUE(restored.ok()) << restored.status();
+    moved = AgentSession(served_, *std::move(restored), &clock_);
+    const auto actual = moved.Act(t, ObservationAt(t), RewardAt(t), executed);
+    ASSERT_TRUE(expected.ok() && actual.ok()) << expected.status();
+    ASSERT_EQ(**actual, **expected) << t;
+    if (t % 3 == 0) steady.AppendPendingAction();
+  }
+  EXPECT_EQ(SerializeSession(moved.session()), SerializeSession(steady.session()));
+  const bool changed = GetParam().learning.rule == Rule::kPolicyGradient;
+  const auto difference = (answered.session().learner->trace - steady.session().learner->trace);
+  if (changed) {
+    EXPECT_GT(difference.norm(), 0.0f);
+  }
+  EXPECT_EQ(steady.session().learner->updates, answered.session().learner->updates);
+}
+
+TEST_P(LearningSessionTest, RetriesNeverLearn) {
+  AgentSession agent = NewAgent();
+  for (int64_t t = 0; t < 10; ++t) {
+    Play(agent, t, t + 1);
+    const std::string before = SerializeSession(agent.session());
+    ASSERT_TRUE(agent.Act(t, ObservationAt(t + 1), 1e9).ok());
+    EXPECT_EQ(SerializeSession(agent.session()), before);
+  }
+  End(agent);
+  const std::string before = SerializeSession(agent.session());
+  const auto again = agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}});
+  ASSERT_TRUE(again.ok() && again->learning.has_value());
+  EXPECT_EQ(again->learning->head_drift, agent.HeadDrift());
+  EXPECT_EQ(SerializeSession(*ParseSession(before)), before);
+  EXPECT_EQ(SerializeSession(agent.session()), before);
+}
+
+TEST_P(LearningSessionTest, TheHeadMovesWhenItsModulatorIsKnown) {
+  AgentSession agent = NewAgent();
+  Play(agent, 0, 10);
+  const bool each_decision = GetParam().learning.modulator == Modulator::kTarget;
+  EXPECT_EQ(agent.HeadDrift() > 0.0, each_decision && GetParam().learning.scope == Scope::kSession);
+  EXPECT_GT(agent.session().learner->trace.norm(), 0.0);
+  const auto summary = agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}});
+  ASSERT_TRUE(summary.ok() && summary->learning.has_value());
+  EXPECT_EQ(summary->learning->updates, each_decision ? 10 : 1);
+  EXPECT_EQ(summary->learning->rejected, 0);
+  EXPECT_GT(summary->learning->head_drift, 0.0);
+  EXPECT_EQ(summary->learning->head_drift, agent.HeadDrift());
+  EXPECT_EQ(agent.session().learner->trace.norm(), 0.0);
+}
+
+TEST_P(LearningSessionTest, OthersOfThePolicyAreUntouched) {
+  AgentSession alone = NewAgent(/*learns=*/false);
+  AgentSession frozen = NewAgent(/*learns=*/false);
+  AgentSession learning = NewAgent();
+  for (int episode = 0; episode < 2; ++episode) {
+    Play(learning, 0, 12);
+    End(learning);
+    for (int64_t t = 0; t < 12; ++t) {
+      EXPECT_EQ(**frozen.Act(t, ObservationAt(t), RewardAt(t)),
+                **alone.Act(t, ObservationAt(t), RewardAt(t)));
+    }
+    End(frozen);
+    End(alone);
+  }
+  EXPECT_GT(learning.HeadDrift(), 0.0);
+  EXPECT_EQ(frozen.HeadDrift(), 0.0);
+  EXPECT_FALSE(frozen.session().learner.has_value());
+}
+
+TEST_P(LearningSessionTest, AnEpisodeInWhichLearningWasPausedTeachesNothingMore) {
+  AgentSession agent = NewAgent();
+  served_->learning->set_paused(true);
+  Play(agent, 0, 5);
+  served_->learning->set_paused(false);
+  Play(agent, 5, 10);
+  const auto summary = agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}});
+  ASSERT_TRUE(summary.ok());
+  EXPECT_EQ(summary->learning->updates, 0);
+  EXPECT_EQ(agent.HeadDrift(), 0.0);
+  Play(agent, 0, 10);
+  End(agent);
+  EXPECT_GT(agent.HeadDrift(), 0.0);
+}
+
+TEST_P(LearningSessionTest, AFrozenSessionGoesOnFromWhatWasLearned) {
+  AgentSession agent = NewAgent();
+  Play(agent, 0, 10);
+  End(agent);
+  SessionOptions options = SmallOptions();
+  options.head_delta = agent.HeadDelta();
+  AgentSession frozen(served_, NewSession("id", options), &clock_);
+  EXPECT_EQ(frozen.HeadDrift(), agent.HeadDrift());
+  Play(frozen, 0, 10);
+  End(frozen);
+  EXPECT_EQ(frozen.HeadDelta(), agent.HeadDelta());
+}
+
+INSTANTIATE_TEST_SUITE_P(Rules, LearningSessionTest, ::testing::ValuesIn(LearningCases()),
+                         [](const auto& test) { return test.param.name; });
+
+// Returns the bytes of a session that learns, with one value replaced.
+std::string EditedLearner(const std::string& pointer, const Json& value) {
+  const auto served = Serve(SmallConfig(), ActionSpace::Discrete(2));
+  FakeClock clock;
+  SessionOptions options = SmallOptions();
+  options.learning = LearningOptions{.modulator = Modulator::kRealized};
+  const AgentSession agent(served, NewSession("id", options), &clock);
+  Json json = Json::from_cbor(SerializeSession(agent.session()));
+  json[1][Json::json_pointer(pointer)] = value;
+  const std::vector<uint8_t> bytes = Json::to_cbor(json);
+  return std::string(bytes.begin(), bytes.end());
+}
+
+TEST(ParseLearningSessionTest, WrongFieldsAreNamed) {
+  const auto refuse = [](const std::string& pointer, const Json& value,
+                         const std::string& message) {
+    const auto parsed = ParseSession(EditedLearner(pointer, value));
+    EXPECT_EQ(parsed.status().code(), absl::StatusCode::kInvalidArgument);
+    EXPECT_THAT(std::string(parsed.status().message()), HasSubstr(message));
+  };
+  refuse("/1/7/0", "universe", "session.options.learning.scope: expected session or fleet");
+  refuse("/1/7/1", "sarsa", "session.options.learning.rule: expected policy_gradient or hebbian");
+  refuse("/1/7", nullptr, "session.learner: expected one if and only if");
+  refuse("/15/1/1", -1.0, "session.learner.returns.variance: expected at least 0");
+  refuse("/15/2/2", Json::array(), "session.learner.guard.good: expected 32 numbers, received 0");
+  refuse("/15/2/0", std::vector<double>(20, 1.5),
+         "session.learner.guard.returns: expected fewer than 20, received 20");
+  refuse("/15/3", Json::array(), "session.learner.trace: expected 32 numbers, received 0");
+  refuse("/15/5", Json::array(), "session.learner.trace_sum: expected 32 numbers, received 0");
+  refuse("/15/0/5", "x", "session.learner.head_delta[5]: expected a finite");
+}
+
+}  // namespace
+}  // namespace spikeserve
