@@ -13,12 +13,12 @@
 #include "absl/strings/strip.h"
 #include "core/base/clock.h"
 #include "core/journal/session_journal.h"
-#include "core/session/session_id.h"
 #include "core/store/redis_client.h"
 #include "core/store/redis_durability.h"
 #include "core/store/stored_session.h"
 #include "server/base/log.h"
-#include "server/store/lost_session.h"
+#include "server/store/redis_claims.h"
+#include "server/store/redis_journal.h"
 #include "server/store/redis_scripts.h"
 
 namespace spikeserve {
@@ -36,34 +36,10 @@ constexpr absl::Duration kFresh = absl::Milliseconds(500);
 constexpr absl::Duration kLookInterval = absl::Seconds(5);
 constexpr absl::Duration kRefusedInterval = absl::Milliseconds(500);
 
-// How often a claim is tried again that another server was faster than.
-constexpr int kMostClaims = 3;
-
-// A claim adds a random number up to this to the epoch. If a primary fails and its replica did not
-// have the last claim yet, the next claim then gets another epoch, and the two owners do not append
-// to one list. A journal that is moved gets its new epoch in the same way.
-constexpr uint32_t kMostEpochs = 1 << 20;
-
-std::string ListKey(absl::string_view id, absl::string_view epoch) {
-  return absl::StrCat(RedisListPrefix(id), epoch);
-}
-
-std::string TextAt(const redisReply& reply, size_t i) {
-  return std::string(TextOf(*reply.element[i]));
-}
-
 // Returns what names the snapshot with which the journal of an owner begins. With the epoch, it
 // also tells the owner whether the hash is still its own.
 std::string BaseOf(const SessionJournal& journal, uint64_t base) {
   return absl::StrCat(journal.epoch(), ":", base);
-}
-
-bool IsArray(const redisReply& reply, size_t elements) {
-  return reply.type == REDIS_REPLY_ARRAY && reply.elements == elements;
-}
-
-absl::Status Unexpected(absl::string_view expected) {
-  return absl::UnavailableError(absl::StrCat("session store: expected ", expected));
 }
 
 // A script that begins with kIsMine.
@@ -118,21 +94,6 @@ class RedisBackend final : public JournalBackend {
     size_t kept = 0;     // records that were acknowledged; 0: a snapshot follows, keep all
   };
 
-  // A claim under way.
-  struct ClaimState {
-    const JournalClaim* claim = nullptr;
-    absl::StatusOr<ClaimedJournal>* result = nullptr;
-    std::string found;   // epoch in the store
-    uint64_t epoch = 0;  // new; 0: the session is left to its owner
-  };
-
-  // What the store has of a session.
-  struct Found {
-    std::string epoch;  // empty: nothing
-    std::string owner;
-    std::string state;
-  };
-
   // Runs `exchange` on a connected client, which is dropped if it fails, and waits for the
   // replicas.
   template <typename Exchange>
@@ -158,12 +119,6 @@ class RedisBackend final : public JournalBackend {
   // Finds why the store does not have what the owner of the journal expects: ABORTED if another
   // owner has it, otherwise NOT_FOUND. Returns UNAVAILABLE if the store does not answer.
   absl::Status FindReason(SessionJournal& journal, absl::Status* reason);
-  // Begins claims: finds the sessions. Those that are done have a result afterwards.
-  std::vector<ClaimState> FindClaims(std::vector<ClaimState> claims);
-  // Runs the claims that were found, and returns those that are to be tried again.
-  std::vector<ClaimState> RunClaims(std::vector<ClaimState> claims);
-  void AppendClaim(const ClaimState& state);
-
   const RedisOptions options_;
   const bool may_evict_;
   const std::string retention_;  // milliseconds
@@ -203,7 +158,7 @@ absl::Status RedisBackend::Ping() {
   const std::string expected = absl::StrCat(owner_, "-", ++pings_);
   const auto reply = client_->Run({"PING", expected});
   if (!reply.ok()) return reply.status();
-  return TextOf(**reply) == expected ? absl::OkStatus() : Unexpected("the answer to a PING");
+  return TextOf(**reply) == expected ? absl::OkStatus() : UnexpectedReply("the answer to a PING");
 }
 
 absl::Status RedisBackend::LookAtSettings() {
@@ -267,8 +222,9 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::CheckAll(
     asked.push_back(i);
     const std::string epoch = absl::StrCat(journal.epoch());
     client_->Append({"EVAL", redis_scripts::kCheck, "2", RedisHashKey(journal.key().id),
-                     ListKey(journal.key().id, epoch), epoch, owner_, BaseOf(journal, stored.base),
-                     absl::StrCat(stored.records), journals[i].is_used ? retention_ : ""});
+                     RedisListKey(journal.key().id, epoch), epoch, owner_,
+                     BaseOf(journal, stored.base), absl::StrCat(stored.records),
+                     journals[i].is_used ? retention_ : ""});
   }
   std::vector<size_t> others;
   for (const size_t i : asked) {
@@ -297,7 +253,7 @@ void RedisBackend::OnUncertain(absl::Span<const JournalRecord> records) {
     const auto [found, is_first] = uncertain_.try_emplace(record.journal);
     Move& move = found->second;
     if (is_first) {
-      move.epoch = record.journal->epoch() + absl::Uniform(random_, 1U, kMostEpochs);
+      move.epoch = NextRedisEpoch(record.journal->epoch(), random_);
       move.kept = record.records - 1;
     }
     if (record.kind != JournalRecord::Kind::kEntry) move.kept = 0;
@@ -311,8 +267,9 @@ absl::Status RedisBackend::MoveUncertain() {
     const std::string& id = journal->key().id;
     const std::string epoch = absl::StrCat(journal->epoch());
     const std::string new_epoch = absl::StrCat(move.epoch);
-    client_->Append({"EVAL", redis_scripts::kMove, "3", RedisHashKey(id), ListKey(id, epoch),
-                     ListKey(id, new_epoch), epoch, new_epoch, owner_, absl::StrCat(move.kept)});
+    client_->Append({"EVAL", redis_scripts::kMove, "3", RedisHashKey(id), RedisListKey(id, epoch),
+                     RedisListKey(id, new_epoch), epoch, new_epoch, owner_,
+                     absl::StrCat(move.kept)});
   }
   Journals moved;
   for (const auto& [journal, move] : uncertain_) {
@@ -365,8 +322,8 @@ void RedisBackend::AppendSnapshot(const JournalRecord& record) {
   const std::string replaces = absl::StrCat(journal.replaces());
   // While a Cluster moves a slot, a script with a key that it does not have waits until the end.
   const std::string& compared = journal.is_set_back() ? replaces : epoch;
-  client_->Append({"EVAL", PutScript(), "3", RedisHashKey(key.id), ListKey(key.id, epoch),
-                   ListKey(key.id, compared), epoch, owner_, replaces, releases ? "" : owner_,
+  client_->Append({"EVAL", PutScript(), "3", RedisHashKey(key.id), RedisListKey(key.id, epoch),
+                   RedisListKey(key.id, compared), epoch, owner_, replaces, releases ? "" : owner_,
                    key.tenant, record.bytes, retention_, key.policy_file,
                    BaseOf(journal, record.base), absl::StrCat(record.changes),
                    absl::StrCat(MostReplaced(journal, journal.replaces()))});
@@ -376,7 +333,7 @@ void RedisBackend::Append(const JournalRecord& record) {
   const SessionJournal& journal = *record.journal;
   const std::string hash = RedisHashKey(journal.key().id);
   const std::string epoch = absl::StrCat(journal.epoch());
-  const std::string list = ListKey(journal.key().id, epoch);
+  const std::string list = RedisListKey(journal.key().id, epoch);
   switch (record.kind) {
     case JournalRecord::Kind::kOpen:
     case JournalRecord::Kind::kSnapshot:
@@ -422,7 +379,7 @@ absl::StatusOr<bool> RedisBackend::ReadPut(const JournalRecord& record) {
   of_unknown_length_.erase(record.journal);
   if (is_number) return true;
   // What an older epoch has left. If this is not done, it expires.
-  left_over_.push_back(ListKey(record.journal->key().id, TextOf(**reply)));
+  left_over_.push_back(RedisListKey(record.journal->key().id, TextOf(**reply)));
   return true;
 }
 
@@ -431,7 +388,7 @@ absl::Status RedisBackend::FindReason(SessionJournal& journal, absl::Status* rea
   const auto reply =
       client_->Run({"HMGET", RedisHashKey(id), "epoch", "owner", "state", "changes"});
   if (!reply.ok()) return reply.status();
-  if (!IsArray(**reply, 4)) return Unexpected("four fields");
+  if (!IsArray(**reply, 4)) return UnexpectedReply("four fields");
   const std::string epoch = TextAt(**reply, 0);
   if (epoch.empty()) {
     *reason = absl::NotFoundError("the store does not have the session");
@@ -443,7 +400,7 @@ absl::Status RedisBackend::FindReason(SessionJournal& journal, absl::Status* rea
   *reason = absl::AbortedError("another owner has claimed the session");
   if (!is_known) return absl::OkStatus();
   if (!is_mine) {
-    const auto length = client_->Run({"LLEN", ListKey(id, epoch)});
+    const auto length = client_->Run({"LLEN", RedisListKey(id, epoch)});
     if (!length.ok()) return length.status();
     int64_t changes = 0;
     absl::string_view text = TextOf(*(*reply)->element[3]);
@@ -455,7 +412,7 @@ absl::Status RedisBackend::FindReason(SessionJournal& journal, absl::Status* rea
     if (!has_changes && !is_known_owner) return absl::OkStatus();
     journal.OnSetBack(number);
     if (number >= journal.epoch()) {
-      journal.OnMoved(number + absl::Uniform(random_, 1U, kMostEpochs));
+      journal.OnMoved(NextRedisEpoch(number, random_));
     }
   } else if (number > journal.epoch()) {
     return absl::OkStatus();
@@ -466,14 +423,9 @@ absl::Status RedisBackend::FindReason(SessionJournal& journal, absl::Status* rea
 
 std::vector<absl::StatusOr<ClaimedJournal>> RedisBackend::Claim(
     absl::Span<const JournalClaim> claims) {
-  std::vector<absl::StatusOr<ClaimedJournal>> results(
-      claims.size(), Unexpected("a session that stays at one server; try again"));
-  std::vector<ClaimState> waiting;
-  for (size_t i = 0; i < claims.size(); ++i) waiting.push_back({&claims[i], &results[i], "", 0});
+  std::vector<absl::StatusOr<ClaimedJournal>> results;
   const auto outcome = OnClient([&]() -> absl::StatusOr<Outcomes> {
-    for (int i = 0; i < kMostClaims && !waiting.empty(); ++i) {
-      waiting = RunClaims(FindClaims(std::move(waiting)));
-    }
+    results = ClaimRedisJournals(*client_, {owner_, retention_}, claims, random_);
     // A claim may have failed because of its keys alone, or because the connection did.
     if (auto status = Ping(); !status.ok()) return status;
     return Outcomes();
@@ -482,70 +434,6 @@ std::vector<absl::StatusOr<ClaimedJournal>> RedisBackend::Claim(
   return std::vector<absl::StatusOr<ClaimedJournal>>(claims.size(), outcome.status());
 }
 
-std::vector<RedisBackend::ClaimState> RedisBackend::FindClaims(std::vector<ClaimState> claims) {
-  for (const ClaimState& state : claims) {
-    client_->Append({"HMGET", RedisHashKey(state.claim->id), "epoch", "tenant", "state", "policy"});
-  }
-  std::vector<ClaimState> found;
-  for (ClaimState& state : claims) {
-    const auto reply = client_->Read();
-    uint64_t epoch = 0;
-    if (!reply.ok()) {
-      *state.result = reply.status();
-    } else if (!IsArray(**reply, 4)) {
-      *state.result = Unexpected("four fields");
-    } else if (TextAt(**reply, 0).empty()) {
-      *state.result = MarkLost(NoSuchSession(state.claim->id));
-    } else if (!absl::SimpleAtoi(TextAt(**reply, 0), &epoch) ||
-               TextAt(**reply, 1) != state.claim->tenant || TextAt(**reply, 2) != "open") {
-      *state.result = NoSuchSession(state.claim->id);
-    } else {
-      const std::string policy = TextAt(**reply, 3);
-      const auto& has_policy = state.claim->has_policy;
-      const bool has_it = policy.empty() || has_policy == nullptr || has_policy(policy);
-      const bool takes_it = has_it && !state.claim->only_reads;
-      state.found = TextAt(**reply, 0);
-      state.epoch = takes_it ? epoch + absl::Uniform(random_, 1U, kMostEpochs) : 0;
-      found.push_back(std::move(state));
-    }
-  }
-  return found;
-}
-
-void RedisBackend::AppendClaim(const ClaimState& state) {
-  const std::string& id = state.claim->id;
-  const std::string list = ListKey(id, state.found);
-  if (state.epoch == 0) {
-    return client_->Append({"LRANGE", list, "0", state.claim->only_reads ? "-1" : "0"});
-  }
-  const std::string epoch = absl::StrCat(state.epoch);
-  client_->Append({"EVAL", redis_scripts::kClaim, "3", RedisHashKey(id), list, ListKey(id, epoch),
-                   state.found, epoch, owner_, retention_});
-}
-
-std::vector<RedisBackend::ClaimState> RedisBackend::RunClaims(std::vector<ClaimState> claims) {
-  for (const ClaimState& state : claims) AppendClaim(state);
-  std::vector<ClaimState> again;
-  for (ClaimState& state : claims) {
-    const auto reply = client_->Read();
-    if (!reply.ok()) {
-      *state.result = reply.status();
-      continue;
-    }
-    const bool is_list = (*reply)->type == REDIS_REPLY_ARRAY;
-    const bool is_gone = (*reply)->type == REDIS_REPLY_NIL || (is_list && (*reply)->elements == 0);
-    if (is_gone) *state.result = MarkLost(NoSuchSession(state.claim->id));
-    if (is_gone || !is_list) {  // unless another server has moved it meanwhile
-      again.push_back(std::move(state));
-      continue;
-    }
-    ClaimedJournal journal = {.epoch = state.epoch, .records = {}};
-    absl::SimpleAtoi(state.found, &journal.claimed_from);
-    for (size_t i = 0; i < (*reply)->elements; ++i) journal.records.push_back(TextAt(**reply, i));
-    *state.result = std::move(journal);
-  }
-  return again;
-}
 }  // namespace
 
 std::unique_ptr<JournalBackend> NewRedisBackend(RedisOptions options, absl::Duration retention,
