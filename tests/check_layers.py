@@ -22,6 +22,20 @@ ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 INCLUDE = re.compile(r'^#include "([^"]+)"', re.MULTILINE)
 JS_IMPORT = re.compile(r"""^\s*(?:import|export)\b[^'"]*?['"](\.[^'"]+)['"]""", re.MULTILINE)
 
+# Rooms whose modules include each other in a circle: an interface with the function that makes its implementations, or the
+# halves of one subject.
+OPEN_CIRCLES = {
+    "client/src",
+    "core/dataset",
+    "core/engine/spiking",
+    "core/engine/spiking/kernels",
+    "core/environment",
+    "server/agent",
+    "server/transport",
+    "server/web",
+    "train/expert",
+}
+
 
 def tracked(*patterns):
     """Returns the files of the tree that match git's patterns, relative to its root."""
@@ -33,6 +47,12 @@ def tracked(*patterns):
 def read(name):
     with open(os.path.join(ROOT, name), encoding="utf-8") as file:
         return file.read()
+
+
+def module_of(path):
+    """Returns the path of a C++ file without its extension, the same for a header and its source."""
+    stem = os.path.splitext(path)[0].replace("client/engine/include/spikeserve/", "client/engine/")
+    return stem.replace("client/include/spikeserve/", "client/src/")
 
 
 def find_cycle(graph):
@@ -83,8 +103,7 @@ def check_cpp(layers):
 
     def owners(path):
         """Returns the library that compiles the file or its .cc; without one, all of its folder."""
-        stem = os.path.splitext(path)[0].replace("client/include/spikeserve/", "client/src/")
-        stem = stem.replace("client/engine/include/spikeserve/", "client/engine/")
+        stem = module_of(path)
         if stem in stems:
             return {stems[stem]}
         folder = os.path.dirname(path)
@@ -114,7 +133,20 @@ def check_cpp(layers):
                 complaints.append(f"{path} includes {header}: only server/ may include server/")
     if cycle := find_cycle(includes):
         complaints.append("headers include each other in a circle: " + " -> ".join(cycle))
-    return complaints
+    return complaints + check_modules(includes)
+
+
+def check_modules(includes):
+    """Returns complaints about modules that include each other in a circle. `includes` is a dict from a file to headers."""
+    graph = {}
+    for path, headers in includes.items():
+        module = module_of(path)
+        for other in set(map(module_of, headers)) - {module}:
+            if not {os.path.dirname(module), os.path.dirname(other)} <= OPEN_CIRCLES:
+                graph.setdefault(module, set()).add(other)
+    if cycle := find_cycle(graph):
+        return ["modules include each other in a circle: " + " -> ".join(cycle)]
+    return []
 
 
 def check_map(layers):

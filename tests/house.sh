@@ -62,4 +62,15 @@ mapfile -t sources < <(git ls-files '*.h' '*.cc' ':!core/contract' ':!tests')
 at_least 100 'checks of what headers require' "$(count '\bSPIKESERVE_DCHECK(_[A-Z]{2})?\(' "${sources[@]}")"
 at_least 30 'checks that a method runs on the thread of its loop' "$(count '\bAssertCurrent\(\);' "${sources[@]}")"
 
+# Rooms of one subject. The first two need more files for theirs; the other two are still to be divided.
+largest=$(git ls-files '*.h' '*.cc' ':!tests' | sed -E 's,/[^/]+$,,' |
+  grep -vE '^(server/transport|client/spikectl|core/engine/spiking|train/data)$' | sort | uniq -c | sort -rn | head -1)
+at_most 25 "files of the largest room, ${largest##* }" "$(awk '{ print $1 }' <<<"$largest")"
+session=core/agent/agent_session.h
+at_most 9 'fields of AgentSession' \
+  "$(awk '/^ private:/ { inside = 1 } /^};/ { inside = 0 } inside' $session | count '^  [^/(]*[a-z]_( = .*)?;' -)"
+at_most 139 'lines of its header' "$(wc -l <$session)"
+at_most 500 'lines of its source' "$(wc -l <core/agent/agent_session.cc)"
+at_most 0 'friends in the stores of the server' "$(count '^ *friend (class|struct) ' server/store/* server/heads/*)"
+
 exit "$failed"
