@@ -85,6 +85,7 @@ def test_verdicts(tmp_path):
         "`route` halves the loss of `baseline`": "does not hold",
         "`full` returns more than trained with N = 1": "cannot be told",  # one seed
     }
+    assert "| cartpole | `baseline` | 10 | 400.0 (400.0 to 400.0) | 5 | 2.0 | 1e-3 |" in study_page.tables(tmp_path)
     assert "| cartpole | `full-n1` | 1 | 510.0 (one seed) | 5 | 2.0 | 1e-3 |" in study_page.tables(tmp_path)
 
 
@@ -138,7 +139,8 @@ def test_a_miniature(tmp_path):
     subprocess.run([sys.executable, REPORT / "study_page.py", tmp_path / "out", page], check=True)
     text = page.read_text()
     assert text.startswith("before\n") and text.endswith("\nafter\n") and "\nold\n" not in text
-    assert "Finished: 7 runs." in text
+    assert "Finished: 7 of 300 runs, at least 0 and at most 1 seeds of a task and arm." in text
+    assert "| score over all tasks |" not in text  # no seed has every task
     assert "| repeat-4 | `full` | 1 | " in text
 
 

@@ -74,7 +74,7 @@ def main():
     parser.add_argument("--work", required=True, type=pathlib.Path, help="folder of data and policies")
     parser.add_argument("--out", required=True, type=pathlib.Path, help="folder of the results")
     parser.add_argument("--spiketrain", help="the program; default: $SPIKETRAIN, or the one on PATH")
-    parser.add_argument("--seeds", default=10, type=int, help="train from seed 1 to this one")
+    parser.add_argument("--seeds", default=study_plan.SEEDS, type=int, help="train from seed 1 to this one")
     parser.add_argument("--tasks", default=",".join(study_plan.TASKS), help="tasks of study_plan.py")
     parser.add_argument("--jobs", default=1, type=int, help="runs at the same time")
     parser.add_argument("--only", help="the name of one run, such as cartpole-full-3")

@@ -150,13 +150,15 @@ def returns_table(results):
 
 
 def scores_table(results):
-    """The score over all tasks, of seeds that every task and arm has."""
+    """The score over all tasks, of seeds that every task and arm has; no table without such seeds."""
     seeds = set.intersection(*(set(runs) for arms in results.values() for runs in arms.values()))
+    if not seeds:
+        return
     yield row(["arm", "score over all tasks", "seeds"])
     yield row(["---", "---:", "---:"])
     for arm in study_plan.ARMS:
         groups = [[score(arms[arm][seed]) for seed in sorted(seeds)] for arms in results.values()]
-        yield row([f"`{arm}`", with_interval(groups, 1) if seeds else "", str(len(seeds))])
+        yield row([f"`{arm}`", with_interval(groups, 1), str(len(seeds))])
 
 
 def sweep_table(folder):
@@ -173,15 +175,16 @@ def sweep_table(folder):
 def tables(folder):
     """Returns the generated part of the page."""
     results = read_results(folder)
-    runs = sum(len(seeds) for arms in results.values() for seeds in arms.values())
-    parts = [
-        [f"Finished: {runs} runs."],
-        verdict_table(results),
-        returns_table(results),
-        scores_table(results),
-        sweep_table(folder),
-    ]
-    return "\n\n".join("\n".join(part) for part in parts)
+    counts = [len(seeds) for arms in results.values() for seeds in arms.values()]
+    finished = (
+        f"Finished: {sum(counts)} of {study_plan.SEEDS * len(counts)} runs, at least {min(counts)} and at most "
+        f"{max(counts)} seeds of a task and arm."
+    )
+    parts = [[finished], verdict_table(results), scores_table(results), sweep_table(folder)]
+    if sum(counts):
+        parts.insert(2, returns_table(results))
+    texts = ["\n".join(part) for part in parts]
+    return "\n\n".join(text for text in texts if text)
 
 
 def main():

@@ -11,6 +11,7 @@ FIRST_SELECTION_SEED = 1_000_000  # starts by which the learning rate of `dense`
 STARTS_OF_A_SEED = 4_000  # seed 3 records its data from the environment's start 12,000 on
 RATES = ("3e-4", "1e-3", "3e-3")  # of `dense`
 SWEEP_SEEDS = (101, 102)
+SEEDS = 10
 COMMON = (
     *("--hidden_size=64", "--ticks=8", "--slope=4", "--observation_changes=false", "--no_baselines", "--episodes=1"),
     "--validate_every=100",
