@@ -61,7 +61,6 @@ test-arm64-short:
 golden: configure
 	cmake --build $(BUILD) --target rewrite_golden
 	$(BUILD)/tests/rewrite_golden deploy/policies tests/golden/answers.txt
-	$(BUILD)/tests/rewrite_golden deploy/integer tests/golden/integer_answers.txt
 
 # Fills dist/ with everything that a release publishes: packages, wheels, sources, notes, an SBOM and checksums.
 dist: configure

@@ -112,7 +112,7 @@ class SteppedServer:
         self.policies = folder / "policies"
         self.tokens = folder / "tokens.json"
         self._new_tokens = 0
-        self._new_versions = 2
+        self._new_versions = 3
         shutil.copytree(SHIPPED_POLICIES / "cartpole", self.policies / "cartpole")
         tomorrow = datetime.datetime.now(datetime.UTC) + datetime.timedelta(days=1)
         self._entries = [

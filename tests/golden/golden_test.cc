@@ -1,4 +1,4 @@
-// Tests that every policy of a folder gives the answers whose hashes are in a file. Every
+// Tests that every shipped policy gives the answers whose hashes are in a file. Every
 // processor, SIMD target, compiler and build type must give them. `make golden` rewrites the file.
 
 #include <gtest/gtest.h>

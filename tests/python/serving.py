@@ -14,7 +14,6 @@ from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
 
 DEPLOY = pathlib.Path(__file__).parents[2] / "deploy"
 SHIPPED_POLICIES = DEPLOY / "policies"
-INTEGER_POLICIES = DEPLOY / "integer"  # version 3 of each, in integer arithmetic
 # How many times as long as usual a test may take, for emulated processors.
 TEST_TIME = int(os.environ.get("TEST_TIME", "1"))
 DEADLINE_SECONDS = 30 * TEST_TIME

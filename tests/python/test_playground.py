@@ -96,7 +96,7 @@ def play_natively(policy, seed):
     raise AssertionError("the episode does not end")
 
 
-@pytest.mark.parametrize("policy", ["cartpole-frugal/2", "cartpole/1", "pendulum-frugal/2"])
+@pytest.mark.parametrize("policy", ["cartpole-frugal/3", "cartpole/1", "pendulum-frugal/3"])
 def test_a_policy_plays_as_the_native_engine_does(browser, address, policy):
     browser.driver.get("about:blank")
     browser.driver.get(address)

@@ -14,14 +14,14 @@ def evaluate(address, name, environment, episodes, version, **options):
     )
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [1, 2, 3])
 def test_lunar_lander(address, version):
     played = evaluate(address, "lunar-lander", "LunarLander-v3", 10, version)
     assert np.median(played.returns) > 230
     assert played.spikes_per_decision < 1000
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [1, 2, 3])
 def test_double_pendulum(address, version):
     pytest.importorskip("mujoco", reason="gymnasium[mujoco] is not installed: its packages are 30 MB")
     played = evaluate(address, "double-pendulum", "InvertedDoublePendulum-v5", 2, version)
@@ -29,7 +29,7 @@ def test_double_pendulum(address, version):
 
 
 @pytest.mark.parametrize("size", ["Easy", "Medium", "Hard"])
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [1, 2, 3])
 def test_repeat_first(address, size, version):
     """One policy remembers the first card for 51, 415 and 831 steps."""
     played = evaluate(address, "repeat-first", f"popgym:popgym-RepeatFirst{size}-v0", 3, version)
@@ -37,7 +37,7 @@ def test_repeat_first(address, size, version):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [1, 2, 3])
 def test_minigrid_memory(address, version):
     from minigrid.wrappers import ImgObsWrapper, OneHotPartialObsWrapper
 
@@ -50,14 +50,14 @@ def test_minigrid_memory(address, version):
     ("name", "size", "episodes"),
     [("repeat-previous", "Easy", 20), ("repeat-previous-medium", "Medium", 5), ("repeat-previous-hard", "Hard", 5)],
 )
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [1, 2, 3])
 def test_repeat_previous(address, name, size, episodes, version):
     """What was observed 3, 31 and 63 steps ago decides."""
     played = evaluate(address, name, f"popgym:popgym-RepeatPrevious{size}-v0", episodes, version)
     assert played.mean_return > 0.9
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [1, 2, 3])
 def test_policies_that_know_their_delay(address, version):
     """The usual policies for CartPole and Pendulum fall below 130 and -600 with a delay of four beats."""
     for beats in (0, 4):

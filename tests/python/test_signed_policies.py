@@ -27,10 +27,15 @@ def keys(tmp_path_factory):
     return path
 
 
+def copy_cartpole(folder):
+    for version in ("1", "2"):
+        shutil.copytree(SHIPPED_POLICIES / "cartpole" / version, folder / "cartpole" / version)
+
+
 @pytest.fixture
 def folder(tmp_path):
     """Returns a policy directory with two versions of cartpole, without signatures."""
-    shutil.copytree(SHIPPED_POLICIES / "cartpole", tmp_path / "policies/cartpole")
+    copy_cartpole(tmp_path / "policies")
     return tmp_path / "policies"
 
 
@@ -312,7 +317,7 @@ def test_promoted_versions_of_other_servers(keys, folder, tmp_path):
         assert signature_file(other, 3).read_bytes() == signature_file(folder, 3).read_bytes()
 
         third = tmp_path / "third"
-        shutil.copytree(SHIPPED_POLICIES / "cartpole", third / "cartpole")
+        copy_cartpole(third)
         with replica(redis, keys, third) as (unguarded, unguarded_admin):  # trusts everything and signs nothing
             until(lambda: served(unguarded) == [1, 2, 3])
             learn(unguarded, seed=2)  # other actions, so that the new version has other bytes

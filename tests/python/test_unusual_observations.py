@@ -46,7 +46,7 @@ def test_elements_far_from_the_training_data_are_counted(moments):
         text = urllib.request.urlopen(f"http://{server.http}/metrics", timeout=30).read().decode()
         series = dict(
             re.findall(
-                r'spikeserve_unusual_observations_total\{element="(\d+)",policy="cartpole",version="2"\} (\d+)',
+                r'spikeserve_unusual_observations_total\{element="(\d+)",policy="cartpole",version="3"\} (\d+)',
                 text,
             )
         )

@@ -1,6 +1,6 @@
 """Prints the table of docs/evidence/training-runs.md: what the three versions of the shipped policies return.
 
-    python train/recipes/integer_table.py deploy
+    python train/recipes/integer_table.py
 
 All figures are those that the policy files record: version 2 (8-bit weights) and version 3 (integer arithmetic) played the
 same starts as version 1 (float32), from seed 2,000,000 on. Needs the package safetensors.
@@ -8,10 +8,10 @@ same starts as version 1 (float32), from seed 2,000,000 on. Needs the package sa
 
 import json
 import pathlib
-import sys
 
 from safetensors import safe_open
 
+POLICIES = pathlib.Path(__file__).parents[2] / "deploy/policies"
 HEADER = ("policy", "starts", "float32", "int8", "integer", "difference, 95% interval", "spikes per decision", "KB")
 
 
@@ -27,10 +27,9 @@ def number(value, digits):
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
-def row(folder, name):
-    """Returns the cells of a policy."""
-    files = [folder / "policies" / name / version / "policy.safetensors" for version in "12"]
-    files.append(folder / "integer" / name / "3/policy.safetensors")
+def row(folder):
+    """Returns the cells of the policy of a folder."""
+    files = [folder / version / "policy.safetensors" for version in "123"]
     _, (int8, _), (integer, config) = map(read, files)
     pair = integer["paired_returns"]
     digits = 2 if max(map(abs, pair["mean_returns"])) > 2 else 4
@@ -39,7 +38,7 @@ def row(folder, name):
     low, high = pair["difference_95_percent"]
     interval = f" ({number(low, digits)} to {number(high, digits)})" if low < high else ""
     return [
-        f"`{name}` (`{config['mode']}`, F = {config['ffn_size']})",
+        f"`{folder.name}` (`{config['mode']}`, F = {config['ffn_size']})",
         str(pair["episodes"]),
         *(number(value, digits) for value in returns),
         number(pair["mean_difference"], digits) + interval,
@@ -50,8 +49,7 @@ def row(folder, name):
 
 def main():
     lines = [HEADER, ["---", *["---:"] * (len(HEADER) - 1)]]
-    folder = pathlib.Path(sys.argv[1])
-    lines += [row(folder, policy.name) for policy in sorted((folder / "integer").iterdir())]
+    lines += [row(policy) for policy in sorted(POLICIES.iterdir())]
     for line in lines:
         print("| " + " | ".join(line) + " |")
 
