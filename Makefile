@@ -102,7 +102,7 @@ study: build setup
 	  --spiketrain=$(BIN)/spiketrain $(STUDY_FLAGS)
 	build/venv/bin/python train/report/study_page.py docs/evidence/study docs/evidence/study.md
 
-# Runs all benchmarks, which takes about eight minutes on an idle machine. BENCH_FLAGS="--rounds=20" makes the runs
+# Runs all benchmarks, which takes about eighteen minutes on an idle machine. BENCH_FLAGS="--rounds=20" makes the runs
 # longer, "--sections engine" selects a part.
 bench: build setup
 	loadtest/bench/setup.sh $(BUILD)/bench_venv

@@ -48,6 +48,7 @@ struct LoadOptions {
   bool retry = false;              // the client repeats failed calls and reopens broken streams
   double rate = 0.0;               // requests per second of all callers; 0: closed loop
   double observation_bound = 1.0;  // largest absolute value of the random observations
+  std::string observations;        // file of a RecordedEpisode; empty: random observations
   uint64_t seed = 0;               // of the observations
 
   // Returns INVALID_ARGUMENT with the flag, the expected and the received value.

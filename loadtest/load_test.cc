@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "loadtest/caller.h"
+#include "loadtest/recorded_episode.h"
 #include "spikeserve/client.h"
 
 namespace spikeserve {
@@ -24,6 +25,7 @@ absl::StatusOr<std::string> ChoosePolicy(Client& client, const std::string& name
 // Opens the sessions of one caller: agents `index`, `index` + options.streams, `index` + 2
 // options.streams and so on.
 absl::StatusOr<std::vector<SimulatedAgent>> OpenAgents(const LoadOptions& options,
+                                                       const RecordedEpisode& recorded,
                                                        const std::string& policy, int index,
                                                        Client* client,
                                                        const std::shared_ptr<Route>& route) {
@@ -42,8 +44,13 @@ absl::StatusOr<std::vector<SimulatedAgent>> OpenAgents(const LoadOptions& option
     if (!session.ok()) return session.status();
     const auto observation_size = static_cast<int>(session->opening().observation_size());
     const int first_episode_steps = 1 + i % options.episode_steps;
-    agents.emplace_back(*std::move(session), observation_size, first_episode_steps,
-                        options.episode_steps, seed, options.observation_bound);
+    if (recorded.empty()) {
+      agents.emplace_back(*std::move(session), observation_size, first_episode_steps,
+                          options.episode_steps, seed, options.observation_bound);
+    } else {
+      agents.emplace_back(*std::move(session), &recorded, first_episode_steps,
+                          options.episode_steps);
+    }
   }
   return agents;
 }
@@ -81,6 +88,12 @@ absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
   if (!options.retry) client_options.retry.max_attempts = 1;  // every failure is counted
   client_options.call_timeout = options.call_timeout;
   client_options.security = options.security;
+  RecordedEpisode recorded;
+  if (!options.observations.empty()) {
+    auto episode = ReadRecordedEpisode(options.observations);
+    if (!episode.ok()) return episode.status();
+    recorded = *std::move(episode);
+  }
   std::vector<std::unique_ptr<Client>> clients;
   std::vector<Caller> callers;
   for (int i = 0; i < std::min(options.streams, options.sessions); ++i) {
@@ -91,7 +104,7 @@ absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
     if (!policy.ok()) return policy.status();
     // The sessions of a stream or a batch go to one server; those of single calls are spread.
     const auto route = options.mode == LoadMode::kUnary ? nullptr : MakeRoute();
-    auto agents = OpenAgents(options, *policy, i, clients.back().get(), route);
+    auto agents = OpenAgents(options, recorded, *policy, i, clients.back().get(), route);
     if (!agents.ok()) return agents.status();
     callers.emplace_back(
         MakeExchange(options.mode, options.batch_size, clients.back().get(), route),

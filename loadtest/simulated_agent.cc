@@ -22,6 +22,15 @@ SimulatedAgent::SimulatedAgent(RemoteSession session, int observation_size, int 
   MakeRequest();
 }
 
+SimulatedAgent::SimulatedAgent(RemoteSession session, const RecordedEpisode* recorded,
+                               int first_episode_steps, int episode_steps)
+    : session_(std::move(session)),
+      steps_left_(first_episode_steps),
+      episode_steps_(episode_steps),
+      recorded_(recorded) {
+  MakeRequest();
+}
+
 absl::Status SimulatedAgent::Accept(const v1::ActResponse& response) {
   if (absl::Status status = session_.Accept(response); !status.ok()) return status;
   if (--steps_left_ == 0) {
@@ -42,6 +51,7 @@ absl::Status SimulatedAgent::EndEpisode() {
 void SimulatedAgent::StartEpisode() {
   episode_over_ = false;
   steps_left_ = episode_steps_;
+  next_ = 0;
   MakeRequest();
 }
 
@@ -60,6 +70,11 @@ absl::Status SimulatedAgent::Resume(const absl::Status& error) {
 }
 
 void SimulatedAgent::MakeRequest() {
+  if (recorded_ != nullptr) {
+    const RecordedStep& step = (*recorded_)[next_++ % recorded_->size()];
+    request_ = session_.MakeRequest(step.observation, step.reward);
+    return;
+  }
   // Computed by hand, because the standard distributions differ between libraries.
   constexpr double kHalf = (std::minstd_rand::max() - std::minstd_rand::min()) / 2.0;
   for (float& value : observation_) {

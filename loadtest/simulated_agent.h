@@ -1,5 +1,5 @@
 // An agent without an environment: it sends random observations within a bound and a reward of 1
-// per step, in episodes of a fixed length.
+// per step, or the steps of a recorded episode, in episodes of a fixed length.
 //
 // Not thread-safe. A seed gives the same observations on every machine.
 #ifndef LOADTEST_SIMULATED_AGENT_H_
@@ -12,6 +12,7 @@
 #include <string>
 
 #include "absl/status/status.h"
+#include "loadtest/recorded_episode.h"
 #include "spikeserve/remote_session.h"
 #include "spikeserve/retry.h"
 
@@ -24,6 +25,10 @@ class SimulatedAgent {
   // observations are in [-observation_bound, observation_bound]. REQUIRES: `session` is at step 0.
   SimulatedAgent(RemoteSession session, int observation_size, int first_episode_steps,
                  int episode_steps, uint64_t seed, double observation_bound = 1.0);
+  // Sends the steps of `recorded`, and after them the first ones again. REQUIRES: `session` is at
+  // step 0; `recorded` outlives the agent and is not empty.
+  SimulatedAgent(RemoteSession session, const RecordedEpisode* recorded, int first_episode_steps,
+                 int episode_steps);
 
   const std::string& session_id() const { return session_.session_id(); }
 
@@ -58,9 +63,11 @@ class SimulatedAgent {
   RemoteSession session_;
   int steps_left_;  // remaining steps of this episode
   int episode_steps_;
-  bool episode_over_ = false;  // the end of the episode was not answered yet
-  int sessions_lost_ = 0;      // of which Resume knows
-  double observation_bound_;   // largest absolute value
+  bool episode_over_ = false;                  // the end of the episode was not answered yet
+  int sessions_lost_ = 0;                      // of which Resume knows
+  const RecordedEpisode* recorded_ = nullptr;  // null: random observations
+  size_t next_ = 0;                            // step of `recorded_`
+  double observation_bound_ = 0.0;             // largest absolute value
   std::minstd_rand random_;
   std::vector<float> observation_;
   v1::ActRequest request_;

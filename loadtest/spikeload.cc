@@ -81,6 +81,8 @@ void AddAgentFlags(FlagGroup agents, LoadOptions* options) {
       .Add("episode_steps", "N", &options->episode_steps, "Steps of an episode")
       .Add("observation_bound", "X", &options->observation_bound,
            "Random observations are within plus and minus this")
+      .Add("observations", "FILE", &options->observations,
+           "Sends these rewards and observations, a line for each step, instead of random ones")
       .Add("seed", "N", &options->seed, "Seed of the random observations");
 }
 

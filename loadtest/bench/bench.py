@@ -18,7 +18,7 @@ import fleet_bench
 import programs
 import report
 import server_bench
-from server_bench import BATCH, BENCH, SHIPPED, SHIPPED_INT8, summarize
+from server_bench import BATCH, BENCH, SHIPPED, SHIPPED_INT8, SHIPPED_INTEGER, summarize
 
 
 def parse_arguments():
@@ -30,7 +30,7 @@ def parse_arguments():
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=1.0, help="seconds for each contestant in a round")
     parser.add_argument("--max_sessions", type=int, default=1_000_000, help="largest number of open sessions")
-    sections = ["engine", "growth", "sessions", "server", "learning", "fleet"]
+    sections = ["engine", "growth", "sessions", "server", "own", "learning", "fleet"]
     parser.add_argument("--sections", nargs="+", choices=sections, default=sections)
     return parser.parse_args()
 
@@ -67,6 +67,8 @@ def engine_contestants(arguments, folder):
         "spikeserve_loud": [engine],
         "spikeserve_silent_int8": [engine, shipped, "--arithmetic=int8"],
         "spikeserve_loud_int8": [engine, "--arithmetic=int8"],
+        "spikeserve_silent_integer": [engine, f"--policy={SHIPPED_INTEGER}"],
+        "spikeserve_loud_integer": [engine, "--arithmetic=integer"],
         "spikeserve_silent_together": [engine, shipped, f"--together={BATCH}"],
         "spikeserve_loud_together": [engine, f"--together={BATCH}"],
         "reference": [engine, shipped, "--engine=reference", "--episode_steps=20"],
@@ -96,8 +98,8 @@ def growth_contestants(arguments):
         for value in values:
             command = [engine, f"--{flag}={value}", f"--episode_steps={4 * value if flag == 'context' else 500}"]
             commands[f"{flag}={value}"] = command
-            if flag != "ticks":
-                commands[f"{flag}={value}, int8"] = [*command, "--arithmetic=int8"]
+            for arithmetic in ("int8", "integer") if flag != "ticks" else ():
+                commands[f"{flag}={value}, {arithmetic}"] = [*command, f"--arithmetic={arithmetic}"]
     for steps in [20, 100, 500, 10_000]:
         commands[f"episode_steps={steps}"] = [engine, f"--policy={SHIPPED}", f"--episode_steps={steps}"]
     return commands
@@ -109,10 +111,11 @@ def measure_sessions(arguments):
     exact = os.environ | {"GLIBC_TUNABLES": "glibc.malloc.tcache_count=0"}
     cases = [(n, SHIPPED) for n in (1, 1000, 100_000, 1_000_000) if n <= arguments.max_sessions]
     results = []
-    for count, policy in [*cases, (1000, SHIPPED_INT8)]:
+    arithmetics = {SHIPPED_INT8: "int8", SHIPPED_INTEGER: "integer"}
+    for count, policy in [*cases, *((1000, policy) for policy in arithmetics)]:
         command = [arguments.bin / "session_bench", f"--policy={policy}", f"--sessions={count}"]
         output = subprocess.run(command, check=True, capture_output=True, text=True, env=exact).stdout
-        results.append({"arithmetic": "int8" if policy == SHIPPED_INT8 else "float32", **json.loads(output)})
+        results.append({"arithmetic": arithmetics.get(policy, "float32"), **json.loads(output)})
     return results
 
 
@@ -142,6 +145,7 @@ def main():
     section("growth", lambda: run_contestants(growth_contestants(arguments), arguments.rounds, arguments.seconds / 2))
     section("sessions", lambda: measure_sessions(arguments))
     section("server", lambda: server_bench.measure_servers(arguments))
+    section("own", lambda: server_bench.measure_own_observations(arguments))
     section("learning", lambda: server_bench.measure_learning(arguments))
     section("fleet", lambda: fleet_bench.measure_fleet(arguments))
     result["duration_seconds"] = time.monotonic() - start

@@ -1,10 +1,11 @@
 // A contestant of the benchmark: decisions of an engine without a server, including the action
 // tokens.
 //
-// The inputs are those of CartPole, played in closed loop by the policy itself. The environment is
-// reset when its episode ends, and the context every --episode_steps decisions, so that policies
-// with episodes of different lengths can be compared. With --observation_bound, the observations
-// are random as those of spikeload, so that the engine can be compared with a server under load.
+// The inputs are those of the policy's environment, CartPole if it is a random one, played in
+// closed loop by the policy itself. The environment is reset when its episode ends, and the context
+// every --episode_steps decisions, so that policies with episodes of different lengths can be
+// compared. With --observation_bound, the observations are random as those of spikeload, so that
+// the engine can be compared with a server under load.
 
 #include <CLI/CLI.hpp>
 #include <iostream>
@@ -16,6 +17,8 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/string_view.h"
 #include "core/action/action_head.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
@@ -27,7 +30,8 @@
 namespace spikeserve {
 namespace {
 
-constexpr int kObservationSize = 4;  // of CartPole-v1, which every policy plays
+constexpr absl::string_view kCartPole = "CartPole-v1";  // what random policies play
+constexpr int kObservationSize = 4;                     // of CartPole-v1
 
 struct Flags {
   std::string policy;
@@ -36,19 +40,30 @@ struct Flags {
   ModelConfig random;      // shape of a random policy
   int together = 1;
   int episode_steps = 500;
-  float observation_bound = 0.0f;  // 0: CartPole's own observations
+  float observation_bound = 0.0f;  // 0: the environment's own observations
+  int print_episode = 0;           // at most so many steps to print instead of a measurement
 };
 
-absl::StatusOr<Policy> ReadCartPolePolicy(const std::string& path) {
+// Makes the environment that a policy plays.
+absl::StatusOr<std::unique_ptr<Environment>> MakeEnvironmentOf(const Policy& policy) {
+  return MakeEnvironment(policy.environment.empty() ? kCartPole : policy.environment);
+}
+
+// Returns an error unless the policy can play its environment.
+absl::StatusOr<Policy> ReadPlayablePolicy(const std::string& path) {
   absl::StatusOr<Policy> policy = ReadPolicyFile(path);
-  if (!policy.ok() || policy->observation_size() == kObservationSize) return policy;
-  return absl::InvalidArgumentError(absl::StrCat("--policy: expected observations of ",
-                                                 kObservationSize, " elements, received ",
+  if (!policy.ok()) return policy;
+  const auto environment = MakeEnvironmentOf(*policy);
+  if (!environment.ok()) return environment.status();
+  const int expected = (*environment)->observation_size();
+  if (policy->observation_size() == expected) return policy;
+  return absl::InvalidArgumentError(absl::StrCat("--policy: expected observations of ", expected,
+                                                 " elements, received ",
                                                  policy->observation_size()));
 }
 
 absl::StatusOr<Policy> GivenPolicy(const Flags& flags) {
-  if (!flags.policy.empty()) return ReadCartPolePolicy(flags.policy);
+  if (!flags.policy.empty()) return ReadPlayablePolicy(flags.policy);
   ModelConfig config = flags.random;
   config.ffn_size = 4 * config.hidden_size;
   if (auto status = config.Validate(); !status.ok()) return status;
@@ -66,12 +81,12 @@ absl::StatusOr<Policy> LoadPolicy(const Flags& flags) {
   return Quantize(*policy);  // fails for a policy that is already in int8
 }
 
-// An agent and its CartPole environment. Not thread-safe.
+// An agent and its environment. Not thread-safe.
 class Player {
  public:
   Player(const Engine* engine, const Flags& flags, uint64_t seed)
       : engine_(engine),
-        environment_(*MakeEnvironment("CartPole-v1")),
+        environment_(*MakeEnvironmentOf(engine->policy())),
         episode_steps_(flags.episode_steps),
         observation_bound_(flags.observation_bound),
         seed_(seed),
@@ -99,13 +114,19 @@ class Player {
     return {context_.get(), encoded_};
   }
 
+  bool at_start() const { return at_start_; }  // of an episode
+  // Prints the reward of the step before and the next observation.
+  void Print() const { std::cout << reward_ << "," << absl::StrJoin(observation_, ",") << "\n"; }
+
   uint64_t spikes() const { return output_.counts.total_spikes(); }
 
  private:
   void Step() {
     const StepResult step = environment_->Step(choice_.action);
     observation_ = step.observation;
+    reward_ = step.reward;
     return_to_go_ -= static_cast<float>(step.reward);
+    at_start_ = false;
     if (step.done()) Reset();
   }
 
@@ -118,6 +139,8 @@ class Player {
 
   void Reset() {
     observation_ = environment_->Reset(seed_++);
+    reward_ = 0.0;
+    at_start_ = true;
     return_to_go_ = engine_->policy().target_return;
   }
 
@@ -130,6 +153,8 @@ class Player {
   int64_t steps_ = 0;
   std::unique_ptr<Engine::Context> context_;
   float return_to_go_ = 0.0f;
+  double reward_ = 0.0;
+  bool at_start_ = true;
   std::vector<float> observation_;
   std::vector<float> encoded_;
   Engine::Output output_;
@@ -161,6 +186,14 @@ absl::Status Run(const Flags& flags) {
   for (int i = 0; i < flags.together; ++i) {
     players.emplace_back(engine.get(), flags, /*seed=*/1000 * static_cast<uint64_t>(i));
   }
+  if (flags.print_episode > 0) {
+    for (int step = 0; step < flags.print_episode; ++step) {
+      players[0].Print();
+      PlayTogether(*engine, players);
+      if (players[0].at_start()) break;
+    }
+    return absl::OkStatus();
+  }
   RunContestant([&] { return PlayTogether(*engine, players); });
   return absl::OkStatus();
 }
@@ -181,7 +214,10 @@ int main(int argc, char** argv) {
   app.add_option("--together", flags.together, "Agents that decide together");
   app.add_option("--episode_steps", flags.episode_steps, "Decisions of a context");
   app.add_option("--observation_bound", flags.observation_bound,
-                 "Bound of random observations; default: those of CartPole");
+                 "Bound of random observations; default: those of the environment");
+  app.add_option(
+      "--print_episode", flags.print_episode,
+      "Prints at most so many steps of an episode, as spikeload --observations reads them");
   CLI11_PARSE(app, argc, argv);
   const absl::Status status = spikeserve::Run(flags);
   if (status.ok()) return 0;

@@ -4,11 +4,15 @@ import json
 import pathlib
 import statistics
 
+from server_bench import OWN_SHARES
+
 ENGINE_NAMES = {
     "spikeserve_silent": "spikeserve, shipped CartPole policy",
     "spikeserve_loud": "spikeserve, unregularised (random weights)",
     "spikeserve_silent_int8": "spikeserve, shipped CartPole policy, 8-bit weights",
     "spikeserve_loud_int8": "spikeserve, unregularised, 8-bit weights",
+    "spikeserve_silent_integer": "spikeserve, shipped CartPole policy, integers",
+    "spikeserve_loud_integer": "spikeserve, unregularised, integers",
     "spikeserve_silent_together": "spikeserve, shipped policy, 64 sessions together",
     "spikeserve_loud_together": "spikeserve, unregularised, 64 sessions together",
     "reference": "reference engine, shipped policy, episodes of one window",
@@ -48,8 +52,8 @@ def engine_targets(engine):
     return [
         ["decisions a second, silent policy", *verdict(rate[silent], 60_000)],
         ["decisions a second, unregularised", *verdict(rate["spikeserve_loud"], 25_000)],
-        ["8-bit weights, times float32, silent policy", *verdict(ratio(engine, f"{silent}_int8", silent), 1.4)],
-        ["8-bit weights, times float32, unregularised", *verdict(ratio(engine, "spikeserve_loud_int8", "spikeserve_loud"), 2)],
+        ["integers, times float32, silent policy", *verdict(ratio(engine, f"{silent}_integer", silent), 1.8)],
+        ["integers, times float32, unregularised", *verdict(ratio(engine, "spikeserve_loud_integer", "spikeserve_loud"), 2.5)],
         ["times libtorch eager, full window", *verdict(ratio(engine, silent, "torch_snn_window"), 300)],
         ["times the dense model in libtorch, full window", *verdict(ratio(engine, silent, "torch_dense_window"), 30)],
         ["times the cached dense model in ONNX Runtime", *verdict(ratio(engine, silent, "onnx_dense_cached"), 1)],
@@ -68,7 +72,8 @@ def server_targets(server):
         share = cases[mode, 64]["share_of_echo"][arithmetic]
         rows.append([f"share of the echo's rate, {arithmetic}, {mode}, 64 sessions", *verdict(share, target)])
     for case in server["batch"]:
-        rows.append([f"`ActBatch` of 64, share of the engine's rate, {case['server']}", *verdict(case["share"], 0.9)])
+        target = 0.8 if case["server"] == "integer" else 0.9
+        rows.append([f"`ActBatch` of 64, share of the engine's rate, {case['server']}", *verdict(case["share"], target)])
     for case in server["half_peak"]:
         of = f"at half the peak rate, {case['server']}, {case['mode']}, {case['sessions']} sessions"
         ours, echo = (1e3 * case[name]["p99_seconds"] for name in ("spikeserve", "echo"))
@@ -76,6 +81,15 @@ def server_targets(server):
         rows.append([f"p99 {of}, times the echo's", *verdict(ours / echo, 1, at_least=False)])
     for case in server["loops"]:
         rows.append([f"rate of two loops on two cores, times one's, {case['mode']}", *verdict(case["ratio"], 1.8)])
+    return rows
+
+
+def own_targets(own):
+    rows = []
+    for case in own:
+        if case["policy"] in ("acrobot", "cartpole", "mountaincar", "pendulum"):
+            of = f"share of the echo's rate, {case['policy']} on its own observations, {case['mode']}"
+            rows.append([of, *verdict(case["share_of_echo"], OWN_SHARES[case["mode"]])])
     return rows
 
 
@@ -106,7 +120,8 @@ def fleet_targets(fleet):
 
 def growth_targets(growth):
     rows = []
-    for arithmetic, suffix in (("float32", ""), ("int8", ", int8")):
+    for arithmetic in ("float32", "int8", "integer"):
+        suffix = "" if arithmetic == "float32" else f", {arithmetic}"
         wide = ratio(growth, f"hidden_size=128{suffix}", f"hidden_size=512{suffix}") / (512 / 128) ** 2
         rows.append([f"cost at d = 512, times d² of d = 128, {arithmetic}", *verdict(wide, 1.3, at_least=False)])
         long = ratio(growth, f"context=100{suffix}", f"context=1000{suffix}")
@@ -115,11 +130,12 @@ def growth_targets(growth):
 
 
 def session_targets(sessions):
-    policy = max(s["policy_bytes"] for s in sessions if s["arithmetic"] == "int8")
+    bytes_of = {s["arithmetic"]: s["policy_bytes"] for s in sessions}
     active = max(s.get("active_bytes", 0) for s in sessions if s["sessions"] > 1)
     idle = max(s["idle_bytes"] for s in sessions if s["sessions"] > 1)
     return [
-        ["MB a policy with its engine, int8", *verdict(policy / 1e6, 0.45, at_least=False)],
+        ["MB a policy with its engine, int8", *verdict(bytes_of["int8"] / 1e6, 0.45, at_least=False)],
+        ["MB a policy with its engine, integer", *verdict(bytes_of["integer"] / 1e6, 0.4, at_least=False)],
         ["KiB an active session", *verdict(active / 1024, 32, at_least=False)],
         ["KiB an idle session", *verdict(idle / 1024, 4, at_least=False)],
         ["idle sessions open at once", *verdict(max(s["sessions"] for s in sessions), 1_000_000)],
@@ -131,6 +147,7 @@ def targets_section(result):
     of = {
         "engine": engine_targets,
         "server": server_targets,
+        "own": own_targets,
         "learning": learning_targets,
         "fleet": fleet_targets,
         "growth": growth_targets,
@@ -165,9 +182,9 @@ def growth_section(growth):
     text += "500 steps; where the context N varies, 4 N steps. The table of episode lengths uses the shipped policy.\n\n"
     flags = dict.fromkeys(key.split("=")[0] for key in growth)
     for flag in flags:
-        values = [key.split("=")[1] for key in growth if key.split("=")[0] == flag and not key.endswith("int8")]
+        values = [key.split("=")[1] for key in growth if key.split("=")[0] == flag and "," not in key]
         rows = []
-        for suffix, name in (("", ""), (", int8", ", 8-bit weights")):
+        for suffix, name in (("", ""), (", int8", ", 8-bit weights"), (", integer", ", integers")):
             cases = [growth[key] for value in values if (key := f"{flag}={value}{suffix}") in growth]
             if not cases:
                 continue
@@ -198,7 +215,7 @@ def sessions_section(sessions):
 def closed_loop_section(server):
     rows = []
     for case in server["closed_loop"]:
-        for name in ("float32", "int8", "echo"):
+        for name in ("float32", "int8", "integer", "echo"):
             ours = name != "echo"
             rows.append(
                 [
@@ -279,6 +296,23 @@ def server_section(server):
     parts = [closed_loop_section(server), half_peak_section(server), batch_section(server)]
     parts += [write(server) for key, write in (("loops", loops_section), ("torch_server", torch_section)) if server[key]]
     return "\n".join(parts)
+
+
+def own_section(own):
+    shares = {(case["policy"], case["mode"]): case for case in own}
+    rows = []
+    for policy in dict.fromkeys(case["policy"] for case in own):
+        cases = [shares[policy, mode] for mode in OWN_SHARES]
+        shares_of = ("share_of_echo", "processor_share_of_echo")
+        cells = [[number(case["decisions_per_second"]), *(f"{case[share]:.2f}" for share in shares_of)] for case in cases]
+        rows.append([policy, *cells[0], *cells[1]])
+    header = ["policy"]
+    for mode in OWN_SHARES:
+        header += [f"{mode}, decisions/s", "share", "processor share"]
+    text = "## Policies on observations of their own episodes\n\nThe default version of each policy whose environment the engine "
+    text += "bench has, with 64 sessions that send an episode of this policy. The shares compare "
+    text += "rates with the echo's, and the rates that the processor time of a decision allows.\n\n"
+    return text + table(header, rows)
 
 
 def learning_section(learning):
@@ -364,6 +398,7 @@ def to_markdown(result):
     sections = [
         (engine_section, ["engine"]),
         (server_section, ["server"]),
+        (own_section, ["own"]),
         (learning_section, ["learning"]),
         (fleet_section, ["fleet"]),
         (growth_section, ["growth"]),

@@ -21,10 +21,15 @@ BENCH = pathlib.Path(__file__).parent
 POLICIES = ROOT / "deploy/policies"
 SHIPPED = POLICIES / "cartpole/1/policy.safetensors"  # in float32
 SHIPPED_INT8 = POLICIES / "cartpole/2/policy.safetensors"  # the same policy in int8
-VERSIONS = {"float32": "1", "int8": "2"}
+SHIPPED_INTEGER = POLICIES / "cartpole/3/policy.safetensors"  # and in integers
+VERSIONS = {"float32": "1", "int8": "2", "integer": "3"}
 
 SESSIONS = [1, 8, 64, 512]
 BATCH = 64  # requests
+EPISODE_STEPS = 200  # as spikeload
+OWN_SESSIONS = 64
+# The least share of the echo's rate that each policy shall have on observations of its own episodes.
+OWN_SHARES = {"unary": 0.8, "stream": 0.6}
 # Bound of the initial states of CartPole. The shipped policy was trained to emit few spikes there.
 OBSERVATION_BOUND = 0.05
 TOKEN = "bench"
@@ -69,14 +74,15 @@ class Bench:
 
     def __init__(self, arguments, folder):
         self._bin = arguments.bin
-        self._folder = pathlib.Path(folder)
+        self.folder = pathlib.Path(folder)
         self._duration = f"{arguments.seconds}s"
-        self._tokens, self._token = token_files(self._folder)
-        self._policies = {arithmetic: policy_folder(self._folder, arithmetic) for arithmetic in VERSIONS}
+        self._tokens, self._token = token_files(self.folder)
+        self._policies = {arithmetic: policy_folder(self.folder, arithmetic) for arithmetic in VERSIONS}
 
-    def spikeserve(self, arithmetic, cores=programs.MEASURED_CORE, flags=()):
-        """Starts spikeserve with one loop, unless `flags` say otherwise."""
-        command = [self._bin / "spikeserve", f"--policies={self._policies[arithmetic]}", "--listen=127.0.0.1:0"]
+    def spikeserve(self, arithmetic=None, cores=programs.MEASURED_CORE, flags=()):
+        """Starts spikeserve with one loop, unless `flags` say otherwise, and all policies, unless with one in `arithmetic`."""
+        policies = self._policies[arithmetic] if arithmetic else POLICIES
+        command = [self._bin / "spikeserve", f"--policies={policies}", "--listen=127.0.0.1:0"]
         command += ["--http_listen=", "--loops=1", f"--tokens={self._tokens}", *flags]
         return programs.running_server(command, "spikeserve: serving gRPC on ", cores)
 
@@ -86,9 +92,10 @@ class Bench:
 
     @contextlib.contextmanager
     def servers(self):
-        """Starts spikeserve in both arithmetics and the echo service. Yields them by name."""
-        with self.spikeserve("float32") as float32, self.spikeserve("int8") as int8, self.echo() as echo:
-            yield {"float32": float32, "int8": int8, "echo": echo}
+        """Starts spikeserve in each arithmetic and the echo service. Yields them by name."""
+        with contextlib.ExitStack() as stack:
+            servers = {name: stack.enter_context(self.spikeserve(name)) for name in VERSIONS}
+            yield {**servers, "echo": stack.enter_context(self.echo())}
 
     def load(self, server, mode, sessions, cores=programs.LOAD_CORES, **flags):
         """Loads a server for the duration of a measurement. Returns the report."""
@@ -138,8 +145,9 @@ def half_peak(bench, servers, rounds, peaks):
 def batch_share(bench, arguments, servers, rounds):
     """Compares the rate of ActBatch with that of the engine alone, for as many sessions and like requests, in turns."""
     command = [arguments.bin / "engine_bench", f"--policy={SHIPPED}", f"--together={BATCH}"]
-    command += ["--episode_steps=200", f"--observation_bound={OBSERVATION_BOUND}"]  # as spikeload
+    command += [f"--episode_steps={EPISODE_STEPS}", f"--observation_bound={OBSERVATION_BOUND}"]  # as spikeload
     commands = {"float32": command, "int8": [*command, "--arithmetic=int8"]}
+    commands["integer"] = [command[0], f"--policy={SHIPPED_INTEGER}", *command[2:]]
     shares = {name: [] for name in commands}
     with programs.running_contestants(commands) as contestants:
         for _ in range(rounds):
@@ -214,6 +222,36 @@ def measure_servers(arguments):
         "loops": scaling,
         "torch_server": measure_torch_server(arguments),
     }
+
+
+def record_episode(arguments, policy, path):
+    """Writes an episode that a policy plays to `path`, as spikeload reads it. Returns its steps, 0 without its environment."""
+    file = max(policy.iterdir(), key=lambda version: int(version.name)) / "policy.safetensors"  # the default
+    command = [arguments.bin / "engine_bench", f"--policy={file}", f"--print_episode={EPISODE_STEPS}"]
+    played = subprocess.run(command, capture_output=True, text=True)
+    path.write_text(played.stdout)
+    return played.stdout.count("\n")
+
+
+def measure_own_observations(arguments):
+    """Measures the default version of every shipped policy on the observations of its own episodes, as a share of the echo."""
+    results = []
+    with prepared(arguments) as bench, bench.spikeserve() as server, bench.echo() as echo:
+        for policy in sorted(POLICIES.iterdir()):
+            episode = bench.folder / f"{policy.name}.csv"
+            steps = record_episode(arguments, policy, episode)
+            if steps == 0:
+                continue  # its environment is one of Gymnasium's
+            for mode in OWN_SHARES:
+                flags = {"policy": policy.name, "observations": episode, "episode_steps": steps}
+                rounds = []
+                for _ in range(arguments.rounds):
+                    ours, theirs = (bench.load(each, mode, OWN_SESSIONS, **flags) for each in (server, echo))
+                    rate = "decisions_per_second"
+                    shares = {"share_of_echo": ours[rate] / theirs[rate], "processor_share_of_echo": theirs[COST] / ours[COST]}
+                    rounds.append({rate: ours[rate], **shares})
+                results.append({"policy": policy.name, "mode": mode, **summarize(rounds)})
+    return results
 
 
 def measure_learning(arguments):

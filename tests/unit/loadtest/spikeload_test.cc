@@ -1,9 +1,12 @@
 // Tests of the loops of spikeload, without running the program.
+#include <fstream>
+
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "loadtest/caller.h"
 #include "loadtest/load_options.h"
 #include "loadtest/load_report.h"
+#include "loadtest/recorded_episode.h"
 #include "tests/support/fake_policy_service.h"
 
 namespace spikeserve {
@@ -169,6 +172,37 @@ TEST(SimulatedAgentTest, ObservationsAreSeededAndWithinBounds) {
   };
   EXPECT_EQ(observations(3), observations(3));
   EXPECT_NE(observations(3), observations(4));
+}
+
+TEST(SimulatedAgentTest, ARecordedEpisodeIsSentAsItIsAndThenAgain) {
+  const std::string path = testing::TempDir() + "/episode.csv";
+  std::ofstream(path) << "0,0.5,-1\n-1,0.25,2e-3\n";
+  const auto recorded = ReadRecordedEpisode(path);
+  ASSERT_TRUE(recorded.ok()) << recorded.status();
+  SimulatedAgent agent(RemoteSession(nullptr, "s", 0), &*recorded, 9, 9);
+  const auto expect_request = [&agent](double reward, std::vector<float> observation) {
+    EXPECT_EQ(agent.request().reward(), reward);
+    EXPECT_THAT(agent.request().observation(), testing::ElementsAreArray(observation));
+    v1::ActResponse answer;
+    answer.set_session_id("s");
+    answer.set_step(agent.request().step());
+    ASSERT_TRUE(agent.Accept(answer).ok());
+  };
+  expect_request(0.0, {0.5f, -1.0f});
+  expect_request(-1.0, {0.25f, 2e-3f});
+  expect_request(0.0, {0.5f, -1.0f});
+}
+
+TEST(SimulatedAgentTest, FilesThatAreNoEpisodeAreRefusedWithTheLine) {
+  const std::string path = testing::TempDir() + "/no_episode.csv";
+  for (const auto* text : {"0,1\n0,1,2\n", "0,1\n3\n", "0,1\n0,one\n", "0,1\n\n"}) {
+    std::ofstream(path) << text;
+    EXPECT_THAT(ReadRecordedEpisode(path).status().message(),
+                HasSubstr("no_episode.csv:2: expected"));
+  }
+  std::ofstream(path) << "";
+  EXPECT_THAT(ReadRecordedEpisode(path).status().message(), HasSubstr("expected a line"));
+  EXPECT_EQ(ReadRecordedEpisode(path + ".missing").status().code(), absl::StatusCode::kNotFound);
 }
 
 TEST(LoadReportTest, MergeAddsCallersThatRanSideBySide) {
