@@ -326,14 +326,8 @@ void AgentSession::ReportExecuted(const Action& executed) {
 }
 
 absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
+  if (session_.step == 0) return RepeatEnd(end);
   head_.TakeMerged(&session_);
-  if (session_.step == 0) {
-    if (session_.last_end != nullptr && session_.last_end->end == end) {
-      return session_.last_end->summary;
-    }
-    return absl::FailedPreconditionError(
-        "step: expected at least one decision since the last episode ended, received none");
-  }
   if (auto status = CheckReward(end.reward, NextReturnToGo(session_, end.reward)); !status.ok()) {
     return status;
   }
@@ -379,6 +373,19 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   life_.OnEpisode(summary.episode_return);
   served_->observer->OnEpisodeEnd(summary.episode_return);
   return summary;
+}
+
+absl::StatusOr<EpisodeSummary> AgentSession::RepeatEnd(const EpisodeEnd& end) {
+  head_.TakeMerged(&session_);
+  if (session_.last_end != nullptr && session_.last_end->end == end) {
+    return session_.last_end->summary;
+  }
+  if (session_.step > 0) {
+    return absl::FailedPreconditionError(
+        "episode: expected the same end as before, received another one");
+  }
+  return absl::FailedPreconditionError(
+      "step: expected at least one decision since the last episode ended, received none");
 }
 
 void AgentSession::Compact() {

@@ -89,6 +89,9 @@ class AgentSession {
   // for a number that is not finite or an observation of the wrong length; UNAVAILABLE if the
   // contribution of the episode before is not in the log of the fleet's head yet.
   absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
+  // Returns the summary of the last end if `end` repeats it, whatever was decided since, otherwise
+  // FAILED_PRECONDITION.
+  absl::StatusOr<EpisodeSummary> RepeatEnd(const EpisodeEnd& end);
   // Returns the contribution whose outcome the last returned summary may lack; null: it lacks none.
   const std::shared_ptr<FleetContribution>& contribution() const { return head_.contribution(); }
 

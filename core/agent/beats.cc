@@ -109,6 +109,7 @@ absl::Status CheckBeats(const BeatHistory& history, const AgentSession& agent) {
     }
     if (!status.ok()) return Annotate(status, Name(index));
   }
+  if (history.end_reward.has_value()) return return_to_go.Take(*history.end_reward);
   if (history.observation.empty()) return absl::OkStatus();
   if (auto status = CheckObservation(history.observation, policy.observation_size());
       !status.ok()) {

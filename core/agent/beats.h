@@ -44,6 +44,7 @@ struct BeatHistory {
   absl::FunctionRef<Beat(size_t)> beat;  // in their order; the last one has step - 1
   absl::Span<const float> observation;   // of the request; empty: it asks for no decision
   double reward = 0.0;                   // of the request
+  std::optional<double> end_reward = std::nullopt;  // the last one of an episode that ends
 };
 
 // What AppendBeats has done.

@@ -212,7 +212,13 @@ void VisitFields(T& session, Visitor&& visit) {
   visit("episode_energy_joules", session.episode_energy_joules);
   visit("history", session.history);
   visit("last_answer", session.last_answer);
-  visit("last_end", session.last_end);
+  if constexpr (std::is_const_v<T>) {
+    // Written until the next decision only, so that the value of a session does not depend on it.
+    const auto last_end = session.step == 0 ? session.last_end : decltype(session.last_end)();
+    visit("last_end", last_end);
+  } else {
+    visit("last_end", session.last_end);
+  }
   visit("decisions", session.decisions);
   visit("spikes", session.spikes);
   visit("energy_joules", session.energy_joules);

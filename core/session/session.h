@@ -80,7 +80,8 @@ struct Session {
   double episode_energy_joules = 0.0;
   History history;  // last timesteps, at most HistorySize()
   std::optional<Answer> last_answer;
-  // End of the previous episode, until the first decision of this one; null otherwise.
+  // End of the previous episode. A session that was restored has it only until the first decision
+  // of this one.
   std::shared_ptr<const EndedEpisode> last_end;
 
   // Over the session's life.

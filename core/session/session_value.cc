@@ -61,7 +61,6 @@ void CountDecision(const Policy& policy, Answer answer, absl::Span<const float> 
   ++session->step;
   ++session->decisions;
   session->last_answer = std::move(answer);
-  session->last_end.reset();
 }
 
 void CountSkipped(double reward, Session* session) {

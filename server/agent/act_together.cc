@@ -10,6 +10,7 @@
 #include "core/open_sessions/session_locks.h"
 #include "server/agent/beat_requests.h"
 #include "server/agent/convert.h"
+#include "server/agent/episode_end.h"
 #include "server/agent/request_order.h"
 #include "server/agent/session_gate.h"
 
@@ -113,6 +114,28 @@ void Conclude(DecisionRequest& act, bool is_new) ABSL_EXCLUSIVE_LOCKS_REQUIRED(a
   }
 }
 
+// Ends the episode of a request with end_episode, behind its history. The history of a request that
+// was answered before is known.
+void TakeEnd(DecisionRequest& act, const Clock& clock, int64_t* budget)
+    ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->mutex) {
+  const v1::ActRequest& request = *act.request;
+  AgentSession& agent = act.entry->agent;
+  const int64_t episode = agent.session().episode;
+  act.status = CheckEndBehindHistory(request, agent.policy());
+  if (act.status.ok() && request.end_episode().episode() == episode && HasBeats(request)) {
+    TakeBeatsOf(act, clock, budget);
+    if (!act.is_finished()) return;
+  }
+  const absl::Duration begun = clock.Now();
+  if (act.status.ok()) {
+    act.status =
+        EndBehindHistory(*act.entry, request, act.context->span, act.response->mutable_ended());
+  }
+  Conclude(act, /*is_new=*/agent.session().episode > episode);
+  if (!act.status.ok()) return act.response->clear_ended();
+  FillBeats(request, act.beats, agent.session(), act.received, begun, act.response);
+}
+
 }  // namespace
 
 void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
@@ -130,6 +153,10 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
     AgentSession& agent = act->entry->agent;
     if (act->entry->journal != nullptr) act->entry->journal->WriteAgainIfMissing(agent.session());
     act->beats.finished = true;  // also if it had to wait for another request
+    if (act->request->has_end_episode()) {
+      TakeEnd(*act, clock, &budget);
+      continue;
+    }
     if (HasBeats(*act->request)) {
       const bool decides = TakeBeatsOf(*act, clock, &budget);
       if (!act->is_finished()) continue;

@@ -35,7 +35,10 @@ BeatHistory HistoryOf(const v1::ActRequest& request, const RequestBeats& beats) 
           .size = static_cast<size_t>(request.history_size()),
           .beat = beats,
           .observation = request.observation(),
-          .reward = request.reward()};
+          .reward = request.reward(),
+          .end_reward = request.has_end_episode()
+                            ? std::optional<double>(request.end_episode().reward())
+                            : std::nullopt};
 }
 
 double Finite(double value) { return std::isfinite(value) ? std::max(0.0, value) : 0.0; }

@@ -16,6 +16,7 @@
 #include "core/session/session_id.h"
 #include "core/session/session_value.h"
 #include "server/agent/convert.h"
+#include "server/agent/episode_end.h"
 #include "server/agent/explain_convert.h"
 #include "server/agent/request_order.h"
 #include "server/agent/session_recovery.h"
@@ -77,39 +78,6 @@ absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const s
                          .version = request.version(),
                          .label = request.version_label(),
                          .routing_key = key.empty() ? id : key});
-}
-
-// Checks that the request ends the running episode, or repeats the end of the one before. Without
-// `episode` and `steps`, any request does.
-absl::Status CheckEpisode(const v1::EndEpisodeRequest& request, const Session& session) {
-  const bool repeats = session.last_end != nullptr &&
-                       (!request.has_episode() || request.episode() == session.episode - 1);
-  const int64_t episode = repeats ? session.episode - 1 : session.episode;
-  const int64_t steps = repeats ? session.last_end->summary.steps : session.step;
-  const auto refuse = [](const char* field, int64_t expected, int64_t received) {
-    return absl::FailedPreconditionError(
-        absl::StrCat(field, ": expected ", expected, ", received ", received));
-  };
-  if (request.has_episode() && request.episode() != episode) {
-    return refuse("episode", episode, request.episode());
-  }
-  if (request.has_steps() && request.steps() != steps) {
-    return refuse("steps", steps, request.steps());
-  }
-  if (request.has_episode() && !repeats && session.step == 0) {
-    return absl::FailedPreconditionError(
-        "step: expected at least one decision since the last episode ended, received none");
-  }
-  return absl::OkStatus();
-}
-
-// Begins the span of a merge into the head of a fleet that the end of the episode itself does,
-// because the session is not stored; empty for other sessions.
-Span StartMerge(const Span& call, const SessionEntry& entry)
-    ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex) {
-  const auto& learning = entry.agent.session().options.learning;
-  const bool merges = learning.has_value() && learning->scope == Scope::kFleet;
-  return merges && entry.journal == nullptr ? call.Child("merge") : Span();
 }
 
 // Checks that a caller who may not learn does not play a session that does, which another token has
@@ -430,38 +398,12 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
   const auto entry = gate_->Find(context, request.session_id());
   if (!entry.ok()) return entry.status();
   if (auto status = CheckMayPlay(*context.caller, **entry); !status.ok()) return status;
-  EpisodeEnd end = {.reward = request.reward(),
-                    .terminated = request.terminated(),
-                    .target_return = std::nullopt,
-                    .truncated = request.truncated(),
-                    .observation = {request.observation().begin(), request.observation().end()},
-                    .executed_action = std::nullopt};
-  if (request.has_target_return()) end.target_return = request.target_return();
-  if (request.has_executed_action()) {
-    auto executed = ParseExecutedAction(FromProto(request.executed_action()),
-                                        (*entry)->served->policy().action_space);
-    if (!executed.ok()) return executed.status();
-    end.executed_action = *std::move(executed);
-  }
   absl::MutexLock lock(&(*entry)->mutex);
   AgentSession& agent = (*entry)->agent;
   if ((*entry)->journal != nullptr) (*entry)->journal->WriteAgainIfMissing(agent.session());
   const int64_t episode = agent.session().episode;
   const Place place = PlaceOf(request);
-  absl::Status status = CheckEpisode(request, agent.session());
-  if (status.ok()) {
-    Span merge = StartMerge(context.span, **entry);
-    const auto summary = agent.EndEpisode(end);
-    status = summary.status();
-    merge.Fail(status);
-    merge.End();
-    if (summary.ok()) {
-      *response = ToProto(*summary);
-      const auto& recorder = (*entry)->recorder;
-      response->set_recording(
-          ToProto(recorder == nullptr ? RecordingState::kNotRecorded : recorder->last_state()));
-    }
-  }
+  const absl::Status status = EndEpisodeOf(**entry, request, context.span, response);
   if (absl::IsFailedPrecondition(status)) {
     return SessionGate::Refused(context, place, status, **entry);
   }

@@ -5,6 +5,7 @@ namespace spikeserve {
 Place PlaceOf(const v1::ActRequest& request) {
   Place place = {.step = request.step(), .is_of_session = request.has_decision()};
   if (request.has_decision()) place.decision = request.decision();
+  if (request.has_end_episode()) place.episode = request.end_episode().episode();
   return place;
 }
 

@@ -15,8 +15,9 @@ class Link:
     """Forwards connections to `target`, HOST:PORT, which may change, and listens at `address`.
 
     `delay` is that of one direction in seconds. Of the segments, `loss` are lost and sent again: those that follow
-    them wait, as with TCP. `cut` keeps everything back until `heal`. `forget` keeps back for ever what comes on the
-    connections that are open, as a NAT that has forgotten them, while new ones work.
+    them wait, as with TCP. `cut` keeps everything back until `heal`, and `hold_answers` what comes from the target.
+    `forget` keeps back for ever what comes on the connections that are open, as a NAT that has forgotten them, while
+    new ones work.
     """
 
     def __init__(self, target, delay=0.0, loss=0.0, seed=0):
@@ -27,7 +28,7 @@ class Link:
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
         self.accepted = 0  # connections
         self.changed = threading.Condition()
-        self.is_cut = False
+        self.is_cut = self.holds_answers = False
         self._pipes = []
         threading.Thread(target=self._accept, daemon=True).start()
 
@@ -46,10 +47,15 @@ class Link:
         with self.changed:
             self.is_cut = True
 
+    def hold_answers(self):
+        """Keeps back what the target sends, until `heal`."""
+        with self.changed:
+            self.holds_answers = True
+
     def heal(self):
         """Forwards what was kept back, and what comes."""
         with self.changed:
-            self.is_cut = False
+            self.is_cut = self.holds_answers = False
             self.changed.notify_all()
 
     def forget(self):
@@ -72,14 +78,15 @@ class Link:
                     side.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 with self.changed:
                     self.accepted += 1
-                    self._pipes += [_Pipe(self, client, server), _Pipe(self, server, client)]
+                    self._pipes += [_Pipe(self, client, server), _Pipe(self, server, client, is_answer=True)]
 
 
 class _Pipe:
     """One direction of a connection: one thread reads, one writes when the time of a chunk has come."""
 
-    def __init__(self, link, source, sink):
+    def __init__(self, link, source, sink, is_answer=False):
         self._link, self._source, self._sink = link, source, sink
+        self._is_answer = is_answer
         self.is_forgotten = False
         self._chunks = collections.deque()  # (time.monotonic() of its delivery, bytes; empty: the end)
         self._last = 0.0
@@ -132,4 +139,5 @@ class _Pipe:
                 self._sink.sendall(data)
 
     def _may_write(self):
-        return bool(self._chunks) and not (self.is_forgotten or self._link.is_cut)
+        is_held = self._is_answer and self._link.holds_answers
+        return bool(self._chunks) and not (self.is_forgotten or self._link.is_cut or is_held)

@@ -29,7 +29,7 @@ BY_THE_LIBRARY = {
     # The session counts its steps and decisions. A plain session asks for every step, so it has no history.
     "ActRequest": {
         *("session_id", "step", "decision"),
-        *("history", "skipped_rewards", "observed_at", "valid_until", "report"),
+        *("history", "skipped_rewards", "observed_at", "valid_until", "report", "end_episode"),
         "traceparent",  # of the active span
     },
     "EndEpisodeRequest": {"session_id", "episode", "steps"},
@@ -38,8 +38,8 @@ BY_THE_LIBRARY = {
     "OpenSessionResponse": {"session_id", "history_limit", "neutral_action"},
     "ActResponse": {
         *("session_id", "error"),  # the session, and an exception
-        # Set for requests with history only.
-        *("observed_at", "next_step", "appended", "dropped", "expired", "queue_seconds", "append_seconds"),
+        # Set for requests with history or an end only.
+        *("observed_at", "next_step", "appended", "dropped", "expired", "queue_seconds", "append_seconds", "ended"),
     },
     "ExplainResponse": set(),
 }

@@ -223,6 +223,75 @@ def test_episodes_that_end_while_the_link_is_cut_are_not_lost(client, link, fly)
         flight.check_session(client)
 
 
+def begin_the_next_episode(flight, address):
+    """Plays until the server has decided in the next episode, whose answers and that of the end are held."""
+    with spikeserve.Client(address) as direct:
+        before = len(flight.endings)
+        flight.end()
+        request = METHODS["GetSession"].request(session_id=flight.pilot.session_id)
+        end = time.monotonic() + WAIT
+        while True:
+            flight.fly(3)
+            session = direct.call("GetSession", request)
+            if session.episode > before and session.step >= 3:
+                break
+            assert time.monotonic() < end, f"the server is at step {session.step} of episode {session.episode}"
+    assert not flight.summaries[-1].done()
+
+
+@pytest.mark.parametrize("is_forgotten", [False, True], ids=["late", "lost"])
+@pytest.mark.parametrize(
+    ("policy", "options"),
+    [("pendulum", spikeserve.SessionOptions()), ("cartpole", LEARNING)],
+    ids=["float", "learning"],
+)
+def test_the_next_episode_does_not_wait_for_the_answer_to_the_end(
+    address, client, link, policy, options, is_forgotten, fly
+):
+    with fly(client, policy, session=options, local=False) as flight:
+        for _ in range(2):
+            flight.until("fresh")
+            flight.fly(5)
+            link.hold_answers()
+            begin_the_next_episode(flight, address)
+            if is_forgotten:
+                link.forget()
+            link.heal()
+        flight.until("fresh")
+        flight.end()
+        flight.check_session(client)
+        assert flight.pilot.stats().lost_episodes == flight.pilot.stats().reopened == 0
+
+
+def test_an_end_that_never_arrived_is_sent_again(client, link, fly):
+    with fly(client, local=False) as flight:
+        flight.until("fresh")
+        link.forget()
+        flight.end()
+        flight.until("fresh")
+        flight.end()
+        flight.check_session(client)
+
+
+def test_an_earlier_server_ends_episodes_by_a_call(client, link, monkeypatch):
+    send = spikeserve.piloting.link.StreamCall.send
+
+    def send_without_end(self, request):
+        request.ClearField("end_episode")  # what an earlier server does with it
+        send(self, request)
+
+    monkeypatch.setattr(spikeserve.piloting.link.StreamCall, "send", send_without_end)
+    with Flight(client, local=False) as flight:
+        for _ in range(3):
+            flight.until("fresh")
+            flight.fly(5)
+            flight.end()
+        flight.fly(2)
+        flight.end()
+        flight.check_session(client)
+        assert flight.pilot.stats().lost_episodes == flight.pilot.stats().reopened == 0
+
+
 def test_an_answer_that_is_stale_is_never_executed(client, link, fly):
     with fly(client, local=False, max_age=0.2) as flight:
         link.delay = 0.25
@@ -333,6 +402,13 @@ def test_nothing_that_a_robot_passes_makes_a_beat_fail(client, fly):
         assert (stats.invalid, stats.failures) == (6, 0)
         summary = flight.pilot.end_episode(1.0).result(WAIT)
         assert summary.steps == stats.beats
+
+
+def test_a_target_that_is_no_number_is_that_of_the_session(client):
+    with Flight(client, local=False) as flight:
+        flight.until("fresh")
+        assert flight.pilot.end_episode(1.0, target_return="far").result(WAIT).steps > 0
+        assert flight.pilot.stats().invalid == 1
 
 
 def test_a_pilot_that_closes_fails_what_the_server_does_not_have(client, link, fly):

@@ -129,6 +129,26 @@ def test_every_beat_travels_once():
     assert robot.log.is_current and robot.log.running.index == 1 and robot.log.running.first_decision == 8
 
 
+def test_the_next_episode_is_asked_for_while_the_end_is_under_way():
+    robot = Robot()
+    for _ in range(3):
+        robot.beat()
+    robot.end()
+    log = robot.log
+    assert log.oldest.fits(3) and not log.oldest.fits(2)
+    log.is_ending = True
+    assert not log.is_current  # the robot has not begun it
+    robot.beat()
+    assert log.is_current
+    request = log.running.request("id", log.most)
+    assert (request.step, request.decision, len(request.history)) == (0, 3, 0)
+    robot.end()
+    robot.beat()
+    assert not log.is_current  # two ends are never under way
+    log.settle()
+    assert not log.is_ending and not log.is_current
+
+
 def test_a_long_history_travels_in_parts():
     robot = Robot(kept=1000)
     robot.log.history_limit = 100

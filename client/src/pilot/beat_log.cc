@@ -102,13 +102,23 @@ std::future<absl::StatusOr<v1::EndEpisodeResponse>> BeatLog::End(EpisodeOutcome 
   return summary;
 }
 
-void BeatLog::FillRequest(v1::ActRequest* request) const {
-  const RobotEpisode& episode = oldest();
-  const bool is_running = !episode.ending.has_value();
-  const uint64_t newest = episode.past() - (is_running ? 1 : 0);
+uint64_t BeatLog::HistoryBegin() const {
+  const RobotEpisode& episode = asked();
   // The executed action of the last beat that the server has may be missing there.
-  uint64_t begin = std::max(episode.first, acknowledged_ > 0 ? acknowledged_ - 1 : 0);
-  begin = std::max(begin, std::min(kept_from(), episode.past() - 1));
+  const uint64_t begin = std::max(episode.first, acknowledged_ > 0 ? acknowledged_ - 1 : 0);
+  return std::max(begin, std::min(kept_from(), episode.past() - 1));
+}
+
+uint64_t BeatLog::HistoryPast() const {
+  return asked().past() - (asked().ending.has_value() ? 0 : 1);
+}
+
+bool BeatLog::FitsOne() const { return HistoryPast() - HistoryBegin() <= most(); }
+
+void BeatLog::FillRequest(v1::ActRequest* request) const {
+  const RobotEpisode& episode = asked();
+  const uint64_t newest = HistoryPast();
+  const uint64_t begin = HistoryBegin();
   const uint64_t end = std::min(newest, begin + most());
   request->set_step(static_cast<int64_t>(end - episode.first));
   request->set_decision(end - base_);
@@ -120,10 +130,10 @@ void BeatLog::FillRequest(v1::ActRequest* request) const {
     message->set_reward(beat.reward);
     ToProto(beat.executed, shape_, message->mutable_executed());
   }
-  for (uint64_t number = acknowledged_; number < begin; ++number) {
+  for (uint64_t number = std::max(acknowledged_, episode.first); number < begin; ++number) {
     request->add_skipped_rewards(RewardOf(number));
   }
-  if (end < newest || !is_running) return;
+  if (end < newest || episode.ending.has_value()) return;
   const BeatView beat = At(newest);
   request->mutable_observation()->Assign(beat.observation.begin(), beat.observation.end());
   request->set_reward(beat.reward);
@@ -159,6 +169,8 @@ bool BeatLog::Rewind(uint64_t decision) {
 
 Ending BeatLog::Settle() {
   Ending ending = *std::move(episodes_.front().ending);
+  acknowledged_ = std::max(acknowledged_, oldest().past());
+  is_ending_ = false;
   episodes_.pop_front();
   return ending;
 }

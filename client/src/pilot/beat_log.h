@@ -10,10 +10,12 @@
 //   running    beats are added at the robot
 //   ended      the robot has ended it; the server misses beats, or an older episode's end
 //   complete   the server has acknowledged every beat; EndEpisode may be called, again and again
-//   settled    the server has answered EndEpisode; the episode leaves the log
+//   ending     its end is under way, on the stream; requests are of the episode after it
+//   settled    the server has answered the end; the episode leaves the log
 //
-// Only the oldest episode is known to the server's session: it has no beat of a later one before
-// the end of this one has been answered.
+// The server's session is at the oldest episode, or at the one after it if the answer to the end of
+// the oldest one is under way or lost. So at most one end is under way: the server repeats the
+// answer to the last end only.
 //
 // Not thread-safe.
 #ifndef CLIENT_SRC_PILOT_BEAT_LOG_H_
@@ -72,8 +74,13 @@ class BeatLog {
   // The episode of the robot's next beat, and the one that the server's session is at.
   const RobotEpisode& running() const { return episodes_.back(); }
   const RobotEpisode& oldest() const { return episodes_.front(); }
-  // Returns whether they are the same one.
-  bool is_current() const { return episodes_.size() == 1; }
+  // Returns the one that the next request is of: the oldest one until its end is under way.
+  const RobotEpisode& asked() const { return episodes_[is_ending_ ? 1U : 0U]; }
+  // Returns whether the next request is of the running episode.
+  bool is_current() const { return episodes_.size() == (is_ending_ ? 2U : 1U); }
+  // Returns whether the next request would be, after one that ends the oldest episode.
+  bool is_one_behind() const { return !is_ending_ && episodes_.size() == 2 && FitsOne(); }
+  bool is_ending() const { return is_ending_; }
   // Returns the episode with an index in the server's session, or null.
   const RobotEpisode* Find(int64_t index) const;
   // Returns whether the server has all beats of the oldest episode, which has ended.
@@ -99,18 +106,24 @@ class BeatLog {
   // Returns the number of the beat that is the decision `decision` of the server's session.
   uint64_t NumberOf(uint64_t decision) const { return decision + base_; }
 
-  // Fills the request for the newest beat, with the beats that the server may miss. If there are
-  // more of them than fit, or the oldest episode has ended, it asks for no decision and carries
+  // Fills the request for the newest beat of asked(), with the beats that the server may miss. If
+  // there are more of them than fit, or this episode has ended, it asks for no decision and carries
   // the oldest ones.
   void FillRequest(v1::ActRequest* request) const;
-  // Fills the EndEpisode of the oldest episode. REQUIRES: is_complete().
+  // Returns whether FillRequest carries all of them.
+  bool FitsOne() const;
+  // Fills the end of the oldest episode, which has ended.
   void FillEnd(v1::EndEpisodeRequest* request) const;
+  // Notes that the end of the oldest episode is under way, behind all of its beats, or that it is
+  // not any more. REQUIRES: it has ended.
+  void BeginEnd() { is_ending_ = true; }
+  void AbandonEnd() { is_ending_ = false; }
 
   // Notes that the server expects step `next_step` of the oldest episode.
   void Acknowledge(int64_t next_step);
   // Notes that the server expects an older decision. Returns false if its beat is not kept.
   bool Rewind(uint64_t decision);
-  // Removes the oldest episode, whose EndEpisode was answered, and returns its ending.
+  // Removes the oldest episode, whose end was answered, and returns its ending.
   Ending Settle();
   // Moves to a new session, whose first episode begins with the beats of the running one that are
   // kept. Returns the ends of the episodes that the old one had not ended.
@@ -129,6 +142,9 @@ class BeatLog {
   double RewardOf(uint64_t number) const { return rewards_[number % reward_slots_]; }
   // Returns the most beats of one history.
   uint64_t most() const;
+  // Returns the number of the first beat in the next request's history, and that behind its last.
+  uint64_t HistoryBegin() const;
+  uint64_t HistoryPast() const;
   BeatView BeatOf(const RobotEpisode& episode, uint64_t number) const;
 
   const size_t kept_;
@@ -145,6 +161,7 @@ class BeatLog {
   uint64_t next_ = 0;                            // number of the next beat
   uint64_t base_ = 0;                            // number of the first beat of the server's session
   uint64_t acknowledged_ = 0;                    // number of the beat that the server expects next
+  bool is_ending_ = false;                       // the end of the oldest episode is under way
   uint64_t history_limit_ = 0;
   uint64_t dropped_ = 0;
   uint64_t lost_episodes_ = 0;

@@ -56,8 +56,10 @@ PilotAction Pilot::Cockpit::Beat(absl::Span<const float> observation, double rew
 }
 
 void Pilot::Cockpit::Queue(uint64_t number, absl::Duration now) {
-  const bool may_send = facts_.is_connected && facts_.log.is_current() &&
-                        facts_.under_way.size() < facts_.window && now >= facts_.paused_until;
+  const bool may_ask =
+      facts_.log.is_current() || (facts_.ends_on_stream && facts_.log.is_one_behind());
+  const bool may_send = facts_.is_connected && may_ask && facts_.under_way.size() < facts_.window &&
+                        now >= facts_.paused_until;
   if (may_send) {
     facts_.queued = {.episode = facts_.log.running().index, .number = number, .sent = now};
   }

@@ -27,11 +27,12 @@ struct Decision {
   absl::Duration observed_at = absl::ZeroDuration();  // of SteadyNow()
 };
 
-// A request for the newest beat of an episode.
+// A request for the newest beat of an episode, or one that ends it.
 struct SentRequest {
   int64_t episode = 0;  // index
   uint64_t number = 0;
   absl::Duration sent;  // of SteadyNow()
+  bool ends = false;    // it ends the episode
 };
 
 // The requests that have no reply, oldest first, in a ring.
@@ -87,7 +88,8 @@ struct Facts {
   bool shares_head ABSL_GUARDED_BY(mutex) = false;
 
   std::string session_id ABSL_GUARDED_BY(mutex);
-  bool is_connected ABSL_GUARDED_BY(mutex) = false;          // there are a session and a stream
+  bool is_connected ABSL_GUARDED_BY(mutex) = false;    // there are a session and a stream
+  bool ends_on_stream ABSL_GUARDED_BY(mutex) = false;  // episodes end there, not by EndEpisode
   std::optional<SentRequest> queued ABSL_GUARDED_BY(mutex);  // to be sent by the background thread
   UnderWay under_way ABSL_GUARDED_BY(mutex);
   size_t window ABSL_GUARDED_BY(mutex) = 1;  // most requests under way

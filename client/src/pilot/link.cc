@@ -105,6 +105,7 @@ Link::Work Link::Plan(absl::Duration now, absl::Duration* until) {
   *until = now + kLongestWait;
   if (facts_->log.is_too_long()) lost_ = "the server has missed too many beats";
   if (lost_.has_value()) return &Link::Lose;
+  if (!settled_.empty()) return &Link::CompleteSettled;
   if (facts_->closes_at.has_value()) {
     if (now >= *facts_->closes_at || !facts_->log.oldest().ending.has_value()) return &Link::Stop;
     *until = std::min(*until, *facts_->closes_at);
@@ -114,7 +115,9 @@ Link::Work Link::Plan(absl::Duration now, absl::Duration* until) {
   }
   if (call_done_) return &Link::TakeCall;
   if (stream_ != nullptr && !facts_->is_connected) return &Link::DropStream;
-  if (facts_->queued.has_value()) return &Link::SendRequest;
+  const bool asks = facts_->queued.has_value() && facts_->log.is_current() &&
+                    facts_->under_way.size() < facts_->window;
+  if (asks || MaySendEnd(now)) return &Link::SendRequest;
   if (local_.is_ready()) {
     if (local_.Prepare(facts_->log)) return &Link::CatchUp;
     if (!local_.is_ready()) StopLocal();
@@ -128,18 +131,34 @@ Link::Work Link::PlanCalls(absl::Duration now, absl::Duration* until) {
   if (!is_open_) return may_try && call_ == nullptr ? &Link::OpenSession : nullptr;
   if (stream_ == nullptr) {
     if (may_try) return &Link::OpenStream;
-  } else if (facts_->log.oldest().ending.has_value() && !facts_->log.is_complete() &&
-             facts_->under_way.empty()) {
-    if (now >= facts_->paused_until) return &Link::SendRequest;
-    *until = std::min(*until, facts_->paused_until);
   } else {
+    if (now < facts_->paused_until) *until = std::min(*until, facts_->paused_until);
     *until = std::min(*until, Doubt(now));
   }
   if (may_try && call_ == nullptr) {
     if (wants_export_) return &Link::ExportSession;
-    if (facts_->log.is_complete()) return &Link::EndEpisode;
+    if (!facts_->ends_on_stream && facts_->log.is_complete()) return &Link::EndEpisode;
   }
   return nullptr;
+}
+
+bool Link::MaySendEnd(absl::Duration now) {
+  const BeatLog& log = facts_->log;
+  const bool has_ended = log.oldest().ending.has_value() && !log.is_ending();
+  if (!facts_->is_connected || !has_ended || now < facts_->paused_until) return false;
+  if (call_ != nullptr && call_kind_ == Kind::kEnd) return false;
+  if (!facts_->ends_on_stream) return facts_->under_way.empty() && !log.is_complete();
+  return facts_->under_way.empty() || (log.FitsOne() && facts_->under_way.size() < facts_->window);
+}
+
+void Link::CompleteSettled() {
+  std::vector<std::pair<Ending, v1::EndEpisodeResponse>> settled;
+  {
+    absl::MutexLock lock(&facts_->mutex);
+    settled.swap(settled_);
+    wants_export_ = wants_export_ || (facts_->has_local && facts_->shares_head);
+  }
+  for (auto& [ending, summary] : settled) ending.summary.set_value(std::move(summary));
 }
 
 absl::Duration Link::Doubt(absl::Duration now) {
@@ -197,6 +216,7 @@ void Link::Stop() {
   }
   stream_.reset();
   call_.reset();
+  CompleteSettled();
   for (Ending& ending : endings) ending.summary.set_value(LostEpisode("the pilot was closed"));
   WriteLog();
   if (!is_open) return;
@@ -337,6 +357,7 @@ void Link::CallFailed(Kind kind, const absl::Status& error) {
 void Link::TakeOpened(const v1::OpenSessionResponse& opened) {
   const bool is_stored = opened.durability() == v1::ASYNC || opened.durability() == v1::SYNC;
   replicas_->Pin(*route_, !is_stored);
+  waits_for_merge_ = is_stored && facts_->shares_head;
   opening_.clear_session_id();  // the next session is another one
   facts_->session_id = opened.session_id();
   facts_->log.set_history_limit(opened.history_limit());

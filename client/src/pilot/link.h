@@ -7,14 +7,18 @@
 //   lost        the session is given up: begin again with the beats that are kept
 //   closing     the pilot was closed, and nothing is left to be told, or its time is over: stop
 //   answered    a call of OpenSession, ExportSession or EndEpisode has ended: take its result
+//   settled     the stream has answered the end of an episode: complete its future
 //   broken      the stream has ended: remove it
 //   queued      a beat waits for its request: send it
 //   behind      the engine on the robot lacks beats: let it play one
 //   no session  open one
 //   no stream   open one, after a pause that grows to 0.2 s
 //   no copy     bring the session to the engine on the robot
-//   ended       the oldest episode has ended: if the server misses beats of it, and no request is
-//               under way, send them; if it has all of them, call EndEpisode until it is answered
+//   ended       the oldest episode has ended: send the beats of it that the server may miss and
+//               its end, and the next episode may be asked for; if they are too many for one
+//               request, send a part of them when no request is under way. A server of an earlier
+//               release has no ends on streams: when it has all beats, call EndEpisode until it is
+//               answered
 //   silent      requests wait for answers: try a fresh connection, or another server
 //   idle        wait until a fact changes
 #ifndef CLIENT_SRC_PILOT_LINK_H_
@@ -25,6 +29,7 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
@@ -83,10 +88,15 @@ class Link : private ActionStream::Listener {
   void OpenStream() ABSL_LOCKS_EXCLUDED(facts_->mutex);
   void ExportSession() ABSL_LOCKS_EXCLUDED(facts_->mutex);
   void EndEpisode() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  void CompleteSettled() ABSL_LOCKS_EXCLUDED(facts_->mutex);
 
+  // Returns whether a request for the oldest episode, which has ended, may be sent now.
+  bool MaySendEnd(absl::Duration now) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
   // Replies, on threads of gRPC.
   void OnReply(const v1::ActResponse& reply) override ABSL_LOCKS_EXCLUDED(facts_->mutex);
   void OnEnd(const absl::Status& status) override ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  // Takes the reply to a request that ends the oldest episode.
+  void TakeEnd(const v1::ActResponse& reply) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
   void TakeAnswer(const v1::ActResponse& reply, const SentRequest& request, absl::Duration now)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
   void TakeError(const absl::Status& error, const SentRequest& request)
@@ -127,6 +137,10 @@ class Link : private ActionStream::Listener {
   bool wants_export_ = false;  // the engine on the robot needs the session's value
   bool had_stream_ = false;
 
+  // Episodes that the stream has settled, whose futures are not complete yet.
+  std::vector<std::pair<Ending, v1::EndEpisodeResponse>> settled_ ABSL_GUARDED_BY(facts_->mutex);
+  // EndEpisode waits for the head of a fleet that a store keeps, and the stream does not.
+  bool waits_for_merge_ ABSL_GUARDED_BY(facts_->mutex) = false;
   bool is_open_ ABSL_GUARDED_BY(facts_->mutex) = true;  // the server has the session
   bool call_done_ ABSL_GUARDED_BY(facts_->mutex) = false;
   std::optional<std::string> lost_ ABSL_GUARDED_BY(facts_->mutex);  // why the session is given up

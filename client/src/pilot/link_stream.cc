@@ -16,6 +16,7 @@ void Link::OpenStream() {
     if (had_stream_) ++facts_->counters.counts().reconnects;
     had_stream_ = true;
     facts_->is_connected = true;
+    facts_->ends_on_stream = !waits_for_merge_;
   }
   Listener* const listener = this;
   stream_ = std::make_unique<ActionStream>(&replica_->connection, *route_, listener);
@@ -41,19 +42,26 @@ void Link::SendRequest() {
   {
     absl::MutexLock lock(&facts_->mutex);
     const absl::Duration now = SteadyNow();
-    facts_->queued.reset();
-    if (!facts_->is_connected || facts_->log.is_complete()) return;
+    const bool is_end = !facts_->log.is_current();
+    if (!is_end) facts_->queued.reset();
+    if (is_end ? !MaySendEnd(now) : !facts_->is_connected) return;
+    const RobotEpisode& episode = facts_->log.asked();
     facts_->log.FillRequest(&request);
     request.set_session_id(facts_->session_id);
+    const bool ends = is_end && facts_->ends_on_stream && facts_->log.FitsOne();
+    if (ends) {
+      facts_->log.FillEnd(request.mutable_end_episode());
+      facts_->log.BeginEnd();
+    }
     if (request.has_observed_at()) {
       request.set_valid_until(request.observed_at() + absl::ToInt64Nanoseconds(options_.oldest()));
     }
     v1::BeatReport report;
     if (facts_->counters.FillReport(now, &report)) *request.mutable_report() = std::move(report);
-    const RobotEpisode& episode = facts_->log.oldest();
     facts_->under_way.Push({.episode = episode.index,
                             .number = episode.first + static_cast<uint64_t>(request.step()),
-                            .sent = now});
+                            .sent = now,
+                            .ends = ends});
   }
   stream_->Send(std::move(request));
 }
@@ -62,6 +70,9 @@ void Link::OnReply(const v1::ActResponse& reply) {
   const absl::Duration now = SteadyNow();
   absl::MutexLock lock(&facts_->mutex);
   if (!facts_->is_connected || facts_->under_way.empty()) return;
+  // An answer alone is no work for the background thread.
+  const bool may_work = reply.has_error() || !facts_->log.is_current() || facts_->log.is_ending() ||
+                        facts_->queued.has_value();
   const SentRequest request = facts_->under_way.Pop();
   replied_at_ = now;
   replica_->connection.Answered();
@@ -71,10 +82,25 @@ void Link::OnReply(const v1::ActResponse& reply) {
     TakeError(StatusOfItem(reply.error()), request);
   } else if (request.episode == facts_->log.oldest().index) {
     Succeeded();
-    facts_->log.Acknowledge(reply.next_step());
-    if (reply.has_action()) TakeAnswer(reply, request, now);
+    if (request.ends) {
+      TakeEnd(reply);
+    } else {
+      facts_->log.Acknowledge(reply.next_step());
+      if (reply.has_action()) TakeAnswer(reply, request, now);
+    }
   }
-  facts_->has_work.notify_all();
+  if (may_work) facts_->has_work.notify_all();
+}
+
+void Link::TakeEnd(const v1::ActResponse& reply) {
+  if (reply.has_ended()) {
+    settled_.emplace_back(facts_->log.Settle(), reply.ended());
+    return;
+  }
+  // A server of an earlier release has taken the beats, and ignored the end.
+  facts_->ends_on_stream = false;
+  facts_->log.AbandonEnd();
+  facts_->log.Acknowledge(reply.next_step());
 }
 
 void Link::TakeAnswer(const v1::ActResponse& reply, const SentRequest& request,
@@ -104,9 +130,16 @@ void Link::TakeAnswer(const v1::ActResponse& reply, const SentRequest& request,
 
 void Link::TakeError(const absl::Status& error, const SentRequest& request) {
   const auto expected = ExpectedDecision(error);
-  if (expected.has_value() && request.episode == facts_->log.oldest().index) {
-    // The server has lost what it had acknowledged, and gets it again.
-    if (!facts_->log.Rewind(*expected)) lost_ = std::string(error.message());
+  const bool is_oldest = request.episode == facts_->log.oldest().index;
+  const bool is_end = request.ends && is_oldest;
+  if (is_end) facts_->log.AbandonEnd();
+  if (expected.has_value()) {
+    // A request behind an end that failed, or one that was sent twice, fails without consequence.
+    if (!is_oldest) return;
+    // The server has lost what it had acknowledged, and gets it again. If it has lost nothing, it
+    // has another end of the episode.
+    const bool is_kept = facts_->log.Rewind(*expected);
+    if (!is_kept || (is_end && facts_->log.is_complete())) lost_ = std::string(error.message());
   } else if (const auto after = RetryAfter(error)) {
     facts_->paused_until = SteadyNow() + *after;
   } else if (absl::IsNotFound(error) || absl::IsFailedPrecondition(error) ||
@@ -132,6 +165,7 @@ void Link::EndStream() {
   facts_->is_connected = false;
   facts_->counters.counts().cancelled_calls += facts_->under_way.size();
   facts_->under_way.Clear();
+  facts_->log.AbandonEnd();
   facts_->queued.reset();
   facts_->window = options_.most_in_flight();
   facts_->has_work.notify_all();

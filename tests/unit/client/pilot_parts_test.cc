@@ -143,6 +143,29 @@ TEST(BeatLogTest, EveryBeatTravelsOnce) {
   EXPECT_EQ(robot.log.running().first, 8);
 }
 
+TEST(BeatLogTest, TheNextEpisodeIsAskedForWhileTheEndIsUnderWay) {
+  Robot robot(100);
+  for (int i = 0; i < 3; ++i) robot.Beat();
+  robot.log.End({.reward = 1.0});
+  EXPECT_TRUE(robot.log.FitsOne());
+  robot.Beat();
+  EXPECT_TRUE(robot.log.is_one_behind());
+  robot.log.BeginEnd();
+  EXPECT_TRUE(robot.log.is_current());
+  v1::ActRequest request;
+  robot.log.FillRequest(&request);
+  EXPECT_EQ(request.step(), 0);
+  EXPECT_EQ(request.decision(), 3);
+  EXPECT_EQ(request.history_size() + request.skipped_rewards_size(), 0);
+  robot.log.End({.reward = 1.0});
+  robot.Beat();
+  EXPECT_FALSE(robot.log.is_current());  // two ends are never under way
+  robot.log.Settle();
+  EXPECT_FALSE(robot.log.is_ending() || robot.log.is_current());
+  robot.log.Acknowledge(1);
+  EXPECT_TRUE(robot.log.is_complete());
+}
+
 TEST(BeatLogTest, ALongHistoryTravelsInParts) {
   Robot robot(1000);
   for (int i = 0; i < 250; ++i) robot.Beat();

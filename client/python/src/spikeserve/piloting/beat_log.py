@@ -6,10 +6,12 @@ counted twice, whatever the link does. An episode goes through these states, and
     running    beats are added at the robot. The server is asked for decisions if it is the oldest.
     ended      the robot has ended it. The server still misses beats, or an older episode's end.
     complete   the server has acknowledged every beat; EndEpisode may be called, again and again.
-    settled    the server has answered EndEpisode. The episode leaves the log.
+    ending     its end is under way, on the stream; requests are of the episode after it.
+    settled    the server has answered the end. The episode leaves the log.
 
-Only the oldest episode is known to the server's session: it has no beat of a later one before the
-end of this one has been answered.
+The server's session is at the oldest episode, or at the one after it if the answer to the end of
+the oldest one is under way or lost. So at most one end is under way: the server repeats the answer
+to the last end only.
 """
 
 from __future__ import annotations
@@ -91,6 +93,15 @@ class Episode:
         """Returns whether the server has all beats of an episode that has ended."""
         return self.ending is not None and self.acknowledged >= self.steps
 
+    @property
+    def _begin(self) -> int:
+        """Returns the step of the first beat in the next history."""
+        return max(self.acknowledged - 1, self.first)
+
+    def fits(self, most: int) -> bool:
+        """Returns whether the server may miss at most as many beats as one history can have."""
+        return self.steps - self._begin <= most
+
     def acknowledge(self, next_step: int, retained: int) -> None:
         """Notes that the server expects `next_step`. Keeps `retained` beats that it has.
 
@@ -124,7 +135,7 @@ class Episode:
         If there are more than `most`, or the episode has ended, returns one that asks for no
         decision and carries the oldest of them.
         """
-        begin = max(self.acknowledged - 1, self.first)
+        begin = self._begin
         newest = self.steps - (1 if self.ending is None else 0)
         end = min(newest, begin + most)
         message = METHODS["Act"].request(
@@ -146,7 +157,7 @@ class Episode:
         return message
 
     def end_request(self, session_id: str) -> Message:
-        """Returns the EndEpisode of a complete episode."""
+        """Returns the EndEpisode of an episode that has ended."""
         ending = self.ending
         assert ending is not None and self.beats
         return METHODS["EndEpisode"].request(
@@ -172,6 +183,7 @@ class BeatLog:
         self.history_limit = 1024
         self.dropped = 0  # beats whose observations were not kept
         self.lost_episodes = 0
+        self.is_ending = False  # the end of the oldest episode is under way, behind all its beats
         self.episodes: collections.deque[Episode] = collections.deque([Episode(0, 0)])
 
     @property
@@ -181,13 +193,13 @@ class BeatLog:
 
     @property
     def oldest(self) -> Episode:
-        """Returns the episode that the server's session is at."""
+        """Returns the first episode whose end the server has not answered."""
         return self.episodes[0]
 
     @property
     def is_current(self) -> bool:
-        """Returns whether the server's session is at the episode that the robot plays."""
-        return len(self.episodes) == 1 and self.running.ending is None
+        """Returns whether the next request is of the episode that the robot plays."""
+        return len(self.episodes) == 1 + self.is_ending and self.running.ending is None
 
     @property
     def most(self) -> int:
@@ -223,7 +235,8 @@ class BeatLog:
         )
 
     def settle(self) -> Ending:
-        """Removes the oldest episode, whose EndEpisode was answered."""
+        """Removes the oldest episode, whose end was answered."""
+        self.is_ending = False
         settled = self.episodes.popleft()
         assert settled.ending is not None
         if not self.episodes:
@@ -240,6 +253,7 @@ class BeatLog:
         running = Episode(0, 0)
         if self.running.ending is None:
             running.beats = self.running.beats
+        self.is_ending = False
         self.lost_episodes += len(endings)
         self.episodes = collections.deque([running])
         return endings

@@ -7,14 +7,16 @@ that no event can be lost:
     closing     the pilot was closed, and nothing is left to be told, or its time is over: stop
     no session  open one (OpenSession), and bring it to the robot's engine (ExportSession)
     no stream   open one, after a pause that grows to 0.2 s
-    ended       the oldest episode has ended: if the server misses beats of it, and no request is
-                under way, send them; if it has all of them, call EndEpisode until it is answered
+    ended       the oldest episode has ended: send the beats of it that the server may miss and its
+                end, and the next episode may be asked for; if they are too many for one request,
+                send a part of them when no request is under way. A server of an earlier release
+                has no ends on streams: when it has all beats, call EndEpisode until it is answered
     silent      requests wait for answers: try a fresh connection, or another server
     idle        wait until a fact changes
 
-Beats send their requests by themselves, while there is a stream and the server's session is at the
-episode that the robot plays. What fails changes the facts: the end of a stream is "no stream", a
-lost session "no session", a server that has lost beats misses them again.
+Beats and ends of episodes send their requests by themselves, while there is a stream. What fails
+changes the facts: the end of a stream is "no stream", a lost session "no session", a server that
+has lost beats misses them again.
 """
 
 from __future__ import annotations
@@ -68,6 +70,7 @@ class _Request:
     episode: Episode
     step: int
     sent: float  # time.monotonic()
+    ends: bool  # it ends the episode
 
 
 class Link:
@@ -93,6 +96,8 @@ class Link:
         self._pause = FIRST_PAUSE
         self._closes_at: float | None = None  # None: the pilot is open
         self._begun = False  # whether a stream was opened before
+        self._ends_on_stream = False  # episodes end there, not by EndEpisode
+        self._calls_end = False  # EndEpisode is under way
         self._take_opening()
         self._thread = threading.Thread(target=self._run, name="spikeserve-pilot", daemon=True)
 
@@ -113,8 +118,8 @@ class Link:
     def send_newest(self) -> None:
         """Sends the request of the newest beat if it may be sent now."""
         now = time.monotonic()
-        is_open = self._call is not None and self.session.is_open and self.log.is_current
-        if is_open and len(self._under_way) < self._window and now >= self._paused_until:
+        self._send_end(now)
+        if self.log.is_current and self._may_send(now) and len(self._under_way) < self._window:
             self._send(self.log.running, now)
 
     def expected_answer(self, deadline: float) -> int | None:
@@ -133,6 +138,7 @@ class Link:
         """Ends the running episode of the robot."""
         self.log.end(ending)
         self.answer = None
+        self._send_end(time.monotonic())
         self.changed.notify_all()
 
     # The background thread.
@@ -169,13 +175,11 @@ class Link:
             return (self._open_session, 0.0) if until <= 0 else (None, until)
         if self._call is None:
             return (self._open_stream, 0.0) if until <= 0 else (None, until)
-        if oldest.is_complete:
+        if oldest.is_complete and not self._ends_on_stream:
             return (self._end_oldest, 0.0) if until <= 0 else (None, until)
-        if oldest.ending is not None and not self._under_way:
-            if now >= self._paused_until:
-                self._send(oldest, now)
-            else:
-                return None, self._paused_until - now
+        self._send_end(now)
+        if oldest.ending is not None and now < self._paused_until:
+            return None, self._paused_until - now
         return None, self._doubt(now)
 
     def _doubt(self, now: float) -> float:
@@ -208,6 +212,7 @@ class Link:
         call = StreamCall(self._opener.open, self._on_reply, self._on_end)
         with self.changed:
             self._call = call
+            self._ends_on_stream = not self.session.waits_for_merge
             self.counters.count(reconnects=int(self._begun))
             self._begun = True
             self._under_way.clear()
@@ -220,8 +225,8 @@ class Link:
 
     def _end_oldest(self) -> None:
         with self.changed:
-            oldest = self.log.oldest
-            request = oldest.end_request(self.session.session_id)
+            request = self.log.oldest.end_request(self.session.session_id)
+            self._calls_end = True
         ending = Call(
             "EndEpisode",
             request,
@@ -230,10 +235,13 @@ class Link:
             session_id=self.session.session_id,
             route=self._opener.route,
         )
-        summary = self._client.run(ending)
+        try:
+            summary = self._client.run(ending)
+        finally:
+            with self.changed:
+                self._calls_end = False
         with self.changed:
-            ended = self.log.settle()
-            self.session.episode_ended()
+            ended = self._settle()
             self._succeeded()
         ended.summary.set_result(summary)
 
@@ -250,6 +258,7 @@ class Link:
 
     def _on_reply(self, call: StreamCall, reply: Message) -> None:
         now, now_ns = time.monotonic(), time.monotonic_ns()
+        ended: Ending | None = None
         with self.changed:
             if call is not self._call or not self._under_way:
                 return
@@ -261,10 +270,24 @@ class Link:
                 self._refused(error_of_item("ActStream", reply.error), request)
             elif request.episode is self.log.oldest:
                 self._succeeded()
-                request.episode.acknowledge(reply.next_step, self.log.retained)
-                if reply.HasField("action"):
-                    self._take(reply, request, now, now_ns)
+                if request.ends and reply.HasField("ended"):
+                    ended = self._settle()
+                else:
+                    self._acknowledged(reply, request, now, now_ns)
             self.changed.notify_all()
+        if ended is not None:
+            ended.summary.set_result(EpisodeSummary.from_wire(reply.ended))
+
+    def _acknowledged(self, reply: Message, request: _Request, now: float, now_ns: int) -> None:
+        if request.ends:  # a server of an earlier release has taken the beats, not the end
+            self._ends_on_stream = self.log.is_ending = False
+        request.episode.acknowledge(reply.next_step, self.log.retained)
+        if reply.HasField("action"):
+            self._take(reply, request, now, now_ns)
+
+    def _settle(self) -> Ending:
+        self.session.episode_ended()
+        return self.log.settle()
 
     def _take(self, reply: Message, request: _Request, now: float, now_ns: int) -> None:
         took = now - request.sent
@@ -288,9 +311,19 @@ class Link:
     def _refused(self, error: SpikeserveError, request: _Request) -> None:
         """Handles the error of one request."""
         expected = expected_decision(error)
-        if expected is not None and request.episode is self.log.oldest:
-            # The server has lost what it had acknowledged, and gets it again.
-            if not request.episode.rewind(expected - request.episode.first_decision):
+        oldest = self.log.oldest
+        is_oldest = request.episode is oldest
+        if request.ends and is_oldest:
+            self.log.is_ending = False
+        if expected is not None:
+            # A request behind an end that failed, or one that was sent twice, fails without
+            # consequence.
+            if not is_oldest:
+                return
+            # The server has lost what it had acknowledged, and gets it again. If it has lost
+            # nothing, it has another end of the episode.
+            is_kept = oldest.rewind(expected - oldest.first_decision)
+            if not is_kept or (request.ends and oldest.is_complete):
                 self._lose(error.message)
         elif error.retry_after is not None:
             self._paused_until = time.monotonic() + error.retry_after
@@ -317,15 +350,32 @@ class Link:
 
     # The facts, with `changed` held.
 
-    def _send(self, episode: Episode, now: float) -> None:
+    def _may_send(self, now: float) -> bool:
+        return self._call is not None and self.session.is_open and now >= self._paused_until
+
+    def _send_end(self, now: float) -> None:
+        """Sends the end of the oldest episode and the beats before it, if they may be sent."""
+        oldest = self.log.oldest
+        has_ended = oldest.ending is not None and not self.log.is_ending
+        if not has_ended or self._calls_end or not self._may_send(now):
+            return
+        fits = self._ends_on_stream and oldest.fits(self.log.most)
+        has_room = len(self._under_way) < self._window
+        if (fits and has_room) or not (self._under_way or (oldest.is_complete and not fits)):
+            self._send(oldest, now, ends=fits)
+            self.log.is_ending = fits
+
+    def _send(self, episode: Episode, now: float, ends: bool = False) -> None:
         assert self._call is not None
         request = episode.request(self.session.session_id, self.log.most)
+        if ends:
+            request.end_episode.CopyFrom(episode.end_request(""))
         if request.HasField("observed_at"):
             request.valid_until = request.observed_at + int(self.options.oldest * 1e9)
         report = self.counters.report(now)
         if report is not None:
             request.report.CopyFrom(report)
-        self._under_way.append(_Request(episode, request.step, now))
+        self._under_way.append(_Request(episode, request.step, now, ends))
         self._call.send(request)
 
     def _take_opening(self) -> None:
@@ -340,6 +390,7 @@ class Link:
     def _drop_call(self) -> None:
         self.counters.count(cancelled_calls=len(self._under_way))
         self._under_way.clear()
+        self.log.is_ending = False
         self._call = None
         self._window = self.options.most_in_flight
 

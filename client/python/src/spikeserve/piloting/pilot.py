@@ -114,9 +114,8 @@ class Pilot:
         with self._link.changed:
             self._note_executed(executed_action)
             last = None if observation is None else self._valid(observation)
-            ending = Ending(
-                self._number(reward), bool(terminated), bool(truncated), target_return, last
-            )
+            target = None if target_return is None else self._finite("target_return", target_return)
+            ending = Ending(self._number(reward), bool(terminated), bool(truncated), target, last)
             if self._is_new_episode:  # it has no beat
                 ending.summary.set_result(EpisodeSummary(0.0, 0, 0, 0.0))
                 return ending.summary
@@ -234,15 +233,19 @@ class Pilot:
             self._replaced("observation", f"expected {expected}, received {given!r}")
         return self._observation
 
-    def _number(self, given: float) -> float:
+    def _number(self, reward: float) -> float:
+        return self._finite("reward", reward) or 0.0
+
+    def _finite(self, field: str, given: float) -> float | None:
+        """Returns a finite number, or None in the place of anything else."""
         try:
-            reward = float(given)
+            number = float(given)
         except (TypeError, ValueError):
-            reward = float("nan")
-        if np.isfinite(reward):
-            return reward
-        self._replaced("reward", f"expected a finite number, received {given!r}")
-        return 0.0
+            number = float("nan")
+        if np.isfinite(number):
+            return number
+        self._replaced(field, f"expected a finite number, received {given!r}")
+        return None
 
     def _replaced(self, field: str, message: str) -> None:
         self._link.counters.count(invalid=1)

@@ -136,6 +136,8 @@ class ServerSession:
         self.history_limit = int(response.history_limit)
         is_stored = opened.opening.durability in ("ASYNC", "SYNC")
         self.retained = MOST_DECISIONS if is_stored else 0
+        # EndEpisode waits for the head of a fleet that a store keeps, and the stream does not.
+        self.waits_for_merge = is_stored and self.shares_head
         self.opener.route.is_pinned = not is_stored
         self.is_open = True
 
