@@ -6,7 +6,9 @@
 //
 //   {"servers": "HOST:PORT", "opening": HEX, "period": 0.01}, and, if wanted: "local": PATH ("":
 //   the server's policy file), "ca", "token", and fields of PilotOptions by name, times in seconds;
-//   "traceparent" is that of all beats
+//   "traceparent" is that of all beats; "watches_answers" adds to each beat of an episode "newest",
+//   the step of the newest answer that had arrived before it, and "answers", the step whose
+//   observation its action was chosen for
 //
 //   {"do": "beat", "observation": [...], "reward": 0.5, "executed": [...]}
 //   {"do": "end", "reward": 1, "terminated": true}    begins to wait for the next summary
@@ -17,6 +19,7 @@
 //
 // A number that JSON has no word for is null: NaN. A beat tells how often its thread has called
 // operator new.
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <cstdlib>
@@ -33,6 +36,7 @@
 #include "spikeserve/client.h"
 #include "spikeserve/local_engine.h"
 #include "spikeserve/pilot.h"
+#include "tests/integration/answer_watch.h"
 
 namespace {
 
@@ -132,6 +136,8 @@ Json ErrorOf(const absl::Status& status) {
 class Player {
  public:
   absl::Status Start(const Json& json) {
+    watches_answers_ = json.contains("watches_answers");
+    if (watches_answers_) WatchAnswers();
     ClientOptions options;
     options.security.ca = json.value("ca", "");
     options.security.token = json.value("token", "");
@@ -179,14 +185,27 @@ class Player {
       values = Numbers(json["executed"]);
       executed = ActionView{.continuous = values};
     }
+    const int64_t newest = watches_answers_ ? NewestAnswer() : -1;
+    began_.push_back(std::chrono::steady_clock::now());
     const uint64_t before = allocations;
     const PilotAction action = pilot_->Beat(observation, reward, executed);
     const uint64_t allocated = allocations - before;
-    return {{"action", ActionOf(action.value)},
-            {"source", std::string(ActionSourceName(action.source))},
-            {"age", absl::ToDoubleSeconds(action.age)},
-            {"beat", action.beat},
-            {"allocations", allocated}};
+    Json answer = {{"action", ActionOf(action.value)},
+                   {"source", std::string(ActionSourceName(action.source))},
+                   {"age", absl::ToDoubleSeconds(action.age)},
+                   {"beat", action.beat},
+                   {"allocations", allocated}};
+    if (watches_answers_) {
+      answer["newest"] = newest;
+      answer["answers"] = BeatBefore(action.age);
+    }
+    return answer;
+  }
+
+  // Returns the last beat that had begun at least `age` ago.
+  int64_t BeatBefore(absl::Duration age) const {
+    const auto time = std::chrono::steady_clock::now() - absl::ToChronoNanoseconds(age);
+    return std::upper_bound(began_.begin(), began_.end(), time) - began_.begin() - 1;
   }
 
   Json Summary(const Json& json) {
@@ -202,6 +221,8 @@ class Player {
   std::shared_ptr<LocalEngine> engine_;
   std::unique_ptr<Pilot> pilot_;
   std::vector<std::future<Pilot::Summary>> summaries_;
+  bool watches_answers_ = false;
+  std::vector<std::chrono::steady_clock::time_point> began_;  // of each beat
 };
 
 }  // namespace

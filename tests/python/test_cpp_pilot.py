@@ -85,6 +85,23 @@ def test_no_beat_allocates_memory(client, link, fly):
             assert set(flight.pilot.allocations[WARM:]) == {0}
 
 
+def test_the_newest_answer_that_could_arrive_is_executed(client, link, fly):
+    """At 50 Hz, with a round trip of 50 ms, and 1 % of the segments lost."""
+    link.delay, link.loss = 0.025, 0.01
+    with fly(client, period=0.02, local=False, watches_answers=True) as flight:
+        executed, newest = -1, []
+        for _ in range(300):
+            action = flight.beat()
+            if action.source == "fresh":
+                executed = max(executed, action.answers)
+            newest.append(executed >= action.newest)
+        assert action.newest > 0 and sum(newest) >= 0.95 * len(newest)
+        # With one request at a time, one beat of three would have an answer. All are older than a period.
+        assert flight.pilot.stats().late_answers >= 0.5 * len(newest)
+        flight.end()
+        flight.check_session(client)
+
+
 def test_each_request_belongs_to_the_trace_of_its_beat(fly, monkeypatch):
     trace, span = "a" * 32, "b" * 16
     with collecting() as collector:

@@ -1,0 +1,17 @@
+// Notes the newest answer of ActStream that has arrived, for tests.
+#ifndef TESTS_INTEGRATION_ANSWER_WATCH_H_
+#define TESTS_INTEGRATION_ANSWER_WATCH_H_
+
+#include <cstdint>
+
+namespace spikeserve {
+
+// Watches all channels that are made afterwards. Only once.
+void WatchAnswers();
+
+// Returns its step in the episode, or -1. Thread-safe.
+int64_t NewestAnswer();
+
+}  // namespace spikeserve
+
+#endif  // TESTS_INTEGRATION_ANSWER_WATCH_H_
