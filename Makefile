@@ -114,14 +114,15 @@ bench: build setup
 bench-beats: build setup
 	build/venv/bin/python loadtest/bench/beats_bench.py --bin=$(BIN) --docs=docs $(BEATS_FLAGS)
 
-# Measures parts that `make bench` does not: calls by thread, memory of connections, a neighbour during floods, and the engine in
-# Python. A few minutes.
+# Measures parts that `make bench` does not: calls by thread, memory of connections, a neighbour during floods, traces that nobody
+# samples, and the engine in Python. A few minutes.
 bench-parts: build setup
 	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
 	PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
 	  build/venv/bin/python loadtest/bench/call_costs.py --server=$(BIN)/spikeserve
 	build/venv/bin/python loadtest/bench/connection_memory.py --server=$(BIN)/spikeserve
 	build/venv/bin/python loadtest/bench/flood_bench.py --bin=$(BIN)
+	build/venv/bin/python loadtest/bench/trace_costs.py --server=$(BIN)/spikeserve
 	PYTHONPATH=$(BUILD)/python build/venv/bin/python loadtest/bench/binding_bench.py --bin=$(BIN)
 
 # Runs each attack of tests/attacks for 10 seconds and prints a table: memory and processor time of the server, latency of
