@@ -53,6 +53,9 @@ std::shared_ptr<Route> MakeRoute();
 
 class Attempts;
 class Replicas;
+namespace piloting {
+class Crew;
+}
 struct Line;
 struct Replica;
 
@@ -177,6 +180,7 @@ class Client {
 
   const std::unique_ptr<Replicas> replicas_;
   const ClientOptions options_;
+  const std::unique_ptr<piloting::Crew> crew_;  // the background thread of pilots
 };
 
 }  // namespace spikeserve

@@ -54,8 +54,8 @@ struct PilotOptions {
   int kept_beats = 8192;
   // How long Close waits for the ends of episodes that the server does not have.
   absl::Duration close_timeout = absl::Seconds(5);
-  // Receives a line when a rung is entered or something fails, on the background thread. Must not
-  // throw. Null: the lines are lost.
+  // Receives a line when a rung is entered or something fails, on the background thread, for which
+  // the other pilots of the client wait. Must not throw. Null: the lines are lost.
   std::function<void(absl::string_view)> log = LogPilotToStderr;
 
   // Returns INVALID_ARGUMENT that names the field, the expected and the received value.

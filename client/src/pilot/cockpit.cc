@@ -14,7 +14,7 @@ using piloting::ActionValue;
 using piloting::LostEpisode;
 using piloting::Replaced;
 
-Pilot::Cockpit::Cockpit(Replicas* replicas, std::shared_ptr<Route> route,
+Pilot::Cockpit::Cockpit(Replicas* replicas, piloting::Crew* crew, std::shared_ptr<Route> route,
                         v1::OpenSessionRequest opening, const v1::OpenSessionResponse& opened,
                         const ActionValue& neutral, PilotOptions options)
     : options_(std::move(options)),
@@ -24,7 +24,7 @@ Pilot::Cockpit::Cockpit(Replicas* replicas, std::shared_ptr<Route> route,
       facts_(static_cast<size_t>(options_.kept_beats),
              static_cast<size_t>(opened.observation_size()), shape_, neutral_, options_.hold_beats,
              options_.ramp(), SteadyNow()),
-      link_(replicas, route_.get(), std::move(opening), opened, &options_, &facts_),
+      link_(replicas, crew, route_.get(), std::move(opening), opened, &options_, &facts_),
       observation_(static_cast<size_t>(opened.observation_size())),
       fitted_(neutral),
       returned_(neutral) {}
@@ -63,7 +63,7 @@ void Pilot::Cockpit::Queue(uint64_t number, absl::Duration now) {
   if (may_send) {
     facts_.queued = {.episode = facts_.log.running().index, .number = number, .sent = now};
   }
-  facts_.has_work.notify_all();
+  facts_.NotifyWork();
 }
 
 absl::string_view Pilot::Cockpit::Traceparent() const {
@@ -181,7 +181,7 @@ std::future<Pilot::Summary> Pilot::Cockpit::EndEpisode(EpisodeOutcome outcome) {
   facts_.ladder.BeginEpisode();
   is_new_episode_ = true;
   next_answer_ = facts_.log.next();
-  facts_.has_work.notify_all();
+  facts_.NotifyWork();
   return summary;
 }
 

@@ -25,9 +25,9 @@ class Pilot::Cockpit {
  public:
   // `opening` has opened the session with the answer `opened`, on `route`. `neutral` belongs to its
   // action space.
-  Cockpit(Replicas* replicas, std::shared_ptr<Route> route, v1::OpenSessionRequest opening,
-          const v1::OpenSessionResponse& opened, const piloting::ActionValue& neutral,
-          PilotOptions options);
+  Cockpit(Replicas* replicas, piloting::Crew* crew, std::shared_ptr<Route> route,
+          v1::OpenSessionRequest opening, const v1::OpenSessionResponse& opened,
+          const piloting::ActionValue& neutral, PilotOptions options);
 
   piloting::Link& link() { return link_; }
   const PilotOptions& options() const { return options_; }

@@ -15,6 +15,7 @@
 #include "client/src/pilot/action_shape.h"
 #include "client/src/pilot/beat_log.h"
 #include "client/src/pilot/counters.h"
+#include "client/src/pilot/crew.h"
 #include "client/src/pilot/ladder.h"
 
 namespace spikeserve::piloting {
@@ -71,10 +72,13 @@ struct Facts {
         counters(now) {}
 
   mutable absl::Mutex mutex;
-  // Notified when there is something to do for the background thread, and when a decision has
-  // arrived. A CondVar of Abseil would measure its timeouts by the time of day.
-  std::condition_variable_any has_work;
+  // Notified when a decision has arrived. A CondVar of Abseil would measure its timeouts by the
+  // time of day.
   std::condition_variable_any has_decision;
+  // Wakes the background thread. Set by the link before any other thread knows of this.
+  Crew* crew = nullptr;
+  Crew::Member* worker = nullptr;
+  void NotifyWork() { crew->Wake(worker); }
 
   BeatLog log ABSL_GUARDED_BY(mutex);
   Ladder ladder ABSL_GUARDED_BY(mutex);

@@ -1,11 +1,9 @@
 #include "client/src/pilot/link.h"
 
 #include <algorithm>
-#include <chrono>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "client/src/lockable.h"
 #include "client/src/steady_time.h"
 #include "spikeserve/status.h"
 
@@ -40,16 +38,20 @@ absl::Status LostEpisode(absl::string_view reason) {
   return absl::UnavailableError(absl::StrCat("the server has not learned the end: ", reason));
 }
 
-Link::Link(Replicas* replicas, Route* route, v1::OpenSessionRequest opening,
+Link::Link(Replicas* replicas, Crew* crew, Route* route, v1::OpenSessionRequest opening,
            const v1::OpenSessionResponse& opened, const PilotOptions* options, Facts* facts)
     : replicas_(replicas),
       route_(route),
       options_(*options),
       facts_(facts),
+      own_crew_(options->local == nullptr ? nullptr : std::make_unique<Crew>()),
+      crew_(own_crew_ == nullptr ? crew : own_crew_.get()),
       opening_(std::move(opening)),
       local_(options->local),
       wants_export_(options->local != nullptr),
       pause_(kFirstPause) {
+  facts_->crew = crew_;
+  facts_->worker = this;
   absl::MutexLock lock(&facts_->mutex);
   facts_->shares_head = opening_.learning().scope() == v1::LearningConfig::FLEET;
   facts_->window = options_.most_in_flight();
@@ -68,40 +70,36 @@ absl::Status Link::Resume(const v1::ExportSessionResponse& exported) {
 }
 
 void Link::Start() {
-  thread_ = std::thread([this] { Run(); });
+  is_started_ = true;
+  crew_->Add(this);
 }
 
 void Link::Close(absl::Duration timeout) {
-  if (!thread_.joinable()) return;
+  if (!std::exchange(is_started_, false)) return;
   {
     absl::MutexLock lock(&facts_->mutex);
     facts_->closes_at = SteadyNow() + timeout;
-    facts_->has_work.notify_all();
+    facts_->NotifyWork();
   }
-  thread_.join();
+  crew_->AwaitEnd(this);
+  Stop();
 }
 
-void Link::Run() {
+std::optional<absl::Duration> Link::Work() {
   while (true) {
-    Work work = nullptr;
+    Step step = nullptr;
+    absl::Duration until;
     {
       absl::MutexLock lock(&facts_->mutex);
-      absl::Duration until;
-      while ((work = Plan(SteadyNow(), &until)) == nullptr) WaitUntil(until);
+      step = Plan(SteadyNow(), &until);
     }
-    (this->*work)();
-    if (work == &Link::Stop) return;
+    if (step == nullptr) return until;
+    if (step == &Link::Stop) return std::nullopt;
+    (this->*step)();
   }
 }
 
-void Link::WaitUntil(absl::Duration until) {
-  const absl::Duration wait = std::min(until - SteadyNow(), kLongestWait);
-  if (wait <= absl::ZeroDuration()) return;
-  Lockable lockable(&facts_->mutex);
-  facts_->has_work.wait_for(lockable, absl::ToChronoNanoseconds(wait));
-}
-
-Link::Work Link::Plan(absl::Duration now, absl::Duration* until) {
+Link::Step Link::Plan(absl::Duration now, absl::Duration* until) {
   *until = now + kLongestWait;
   if (facts_->log.is_too_long()) lost_ = "the server has missed too many beats";
   if (lost_.has_value()) return &Link::Lose;
@@ -125,7 +123,7 @@ Link::Work Link::Plan(absl::Duration now, absl::Duration* until) {
   return PlanCalls(now, until);
 }
 
-Link::Work Link::PlanCalls(absl::Duration now, absl::Duration* until) {
+Link::Step Link::PlanCalls(absl::Duration now, absl::Duration* until) {
   const bool may_try = now >= next_try_;
   if (!may_try) *until = std::min(*until, next_try_);
   if (!is_open_) return may_try && call_ == nullptr ? &Link::OpenSession : nullptr;
@@ -266,7 +264,7 @@ ServerCall& Link::NewCall(Kind kind, absl::Duration timeout) {
   call_ = std::make_unique<ServerCall>(replicas_, route_, timeout, [this] {
     absl::MutexLock lock(&facts_->mutex);
     call_done_ = true;
-    facts_->has_work.notify_all();
+    facts_->NotifyWork();
   });
   return *call_;
 }
@@ -383,7 +381,7 @@ void Link::Succeeded() {
 
 void Link::Log(std::string line) {
   lines_.push_back(std::move(line));
-  facts_->has_work.notify_all();
+  facts_->NotifyWork();
 }
 
 void Link::LogFailure(const absl::Status& error) {

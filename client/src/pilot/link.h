@@ -1,11 +1,13 @@
 // Brings the beats of a robot to the server, and the answers back.
 //
-// One background thread does everything that may take time, and never blocks for long itself. It
+// A background thread does everything that may take time, and never blocks for long itself. It
 // looks at the facts (is there a session, a stream, an episode that has ended?) and does the first
-// thing that is missing, again and again, so that no event can be lost:
+// thing that is missing, again and again, so that no event can be lost. The links of one client
+// share this thread; a link with an engine on the robot, which computes, has one of its own.
 //
 //   lost        the session is given up: begin again with the beats that are kept
-//   closing     the pilot was closed, and nothing is left to be told, or its time is over: stop
+//   closing     the pilot was closed, and nothing is left to be sent, or its time is over: stop, on
+//               the thread that closes
 //   answered    a call of OpenSession, ExportSession or EndEpisode has ended: take its result
 //   settled     the stream has answered the end of an episode: complete its future
 //   broken      the stream has ended: remove it
@@ -28,7 +30,6 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <thread>
 #include <utility>
 #include <vector>
 
@@ -37,6 +38,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "client/src/pilot/action_stream.h"
+#include "client/src/pilot/crew.h"
 #include "client/src/pilot/facts.h"
 #include "client/src/pilot/local_copy.h"
 #include "client/src/pilot/server_call.h"
@@ -48,35 +50,34 @@ namespace spikeserve::piloting {
 // Returns the error of an episode whose end the server has not learned.
 absl::Status LostEpisode(absl::string_view reason);
 
-class Link : private ActionStream::Listener {
+class Link : private ActionStream::Listener, private Crew::Member {
  public:
-  // `opening` has opened the session, with the answer `opened`, on `route`. The arguments must
-  // outlive the link.
-  Link(Replicas* replicas, Route* route, v1::OpenSessionRequest opening,
+  // `opening` has opened the session, with the answer `opened`, on `route`. `crew` is that of the
+  // client. The arguments must outlive the link.
+  Link(Replicas* replicas, Crew* crew, Route* route, v1::OpenSessionRequest opening,
        const v1::OpenSessionResponse& opened, const PilotOptions* options, Facts* facts);
   ~Link() override;
 
   // Lets the engine on the robot go on with an exported session. Only before Start. Errors: see
   // LocalPolicy::Resume.
   absl::Status Resume(const v1::ExportSessionResponse& exported) ABSL_LOCKS_EXCLUDED(facts_->mutex);
-  // Starts the background thread.
+  // Lets the background thread work.
   void Start();
-  // Stops it, after the server has the ends of all episodes or `timeout` has passed, and closes the
-  // session. Does nothing the second time.
+  // Ends its work after the server has the ends of all episodes or `timeout` has passed, and closes
+  // the session. Does nothing the second time.
   void Close(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(facts_->mutex);
 
  private:
-  using Work = void (Link::*)();
+  using Step = void (Link::*)();
   enum class Kind { kOpen, kExport, kEnd };
 
-  void Run() ABSL_LOCKS_EXCLUDED(facts_->mutex);
+  std::optional<absl::Duration> Work() override ABSL_LOCKS_EXCLUDED(facts_->mutex);
   // Returns what to do now, or null and until when to wait.
-  Work Plan(absl::Duration now, absl::Duration* until) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
-  Work PlanCalls(absl::Duration now, absl::Duration* until)
+  Step Plan(absl::Duration now, absl::Duration* until) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  Step PlanCalls(absl::Duration now, absl::Duration* until)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
-  void WaitUntil(absl::Duration until) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
 
-  // Work, on the background thread and without the lock.
+  // Steps, on the background thread and without the lock.
   void Lose() ABSL_LOCKS_EXCLUDED(facts_->mutex);
   void Stop() ABSL_LOCKS_EXCLUDED(facts_->mutex);
   void WriteLog() ABSL_LOCKS_EXCLUDED(facts_->mutex);
@@ -125,8 +126,11 @@ class Link : private ActionStream::Listener {
   Route* const route_;
   const PilotOptions& options_;
   Facts* const facts_;
+  std::unique_ptr<Crew> own_crew_;  // null: that of the client is used
+  Crew* const crew_;
+  bool is_started_ = false;
 
-  // Of the background thread.
+  // Of the background thread, and after it of Close.
   v1::OpenSessionRequest opening_;  // has an id while it is under way
   LocalCopy local_;
   std::unique_ptr<ActionStream> stream_;
@@ -150,7 +154,6 @@ class Link : private ActionStream::Listener {
   absl::Duration pause_ ABSL_GUARDED_BY(facts_->mutex);  // before the next try
   std::vector<std::string> lines_ ABSL_GUARDED_BY(facts_->mutex);
   std::array<bool, kReplaced> logged_ ABSL_GUARDED_BY(facts_->mutex) = {};
-  std::thread thread_;
 };
 
 }  // namespace spikeserve::piloting

@@ -89,7 +89,7 @@ void Link::OnReply(const v1::ActResponse& reply) {
       if (reply.has_action()) TakeAnswer(reply, request, now);
     }
   }
-  if (may_work) facts_->has_work.notify_all();
+  if (may_work) facts_->NotifyWork();
 }
 
 void Link::TakeEnd(const v1::ActResponse& reply) {
@@ -168,7 +168,7 @@ void Link::EndStream() {
   facts_->log.AbandonEnd();
   facts_->queued.reset();
   facts_->window = options_.most_in_flight();
-  facts_->has_work.notify_all();
+  facts_->NotifyWork();
   facts_->has_decision.notify_all();  // nobody waits for answers that are lost
 }
 

@@ -55,8 +55,9 @@ absl::StatusOr<std::unique_ptr<Pilot>> Pilot::Create(Client* client, v1::OpenSes
   const auto neutral = NeutralOf(options, *opened);
   if (!neutral.ok()) return close_after(neutral.status());
   LocalPolicy* const local = options.local.get();
-  auto cockpit = std::make_unique<Cockpit>(client->replicas_.get(), route, std::move(request),
-                                           *opened, *neutral, std::move(options));
+  auto cockpit =
+      std::make_unique<Cockpit>(client->replicas_.get(), client->crew_.get(), route,
+                                std::move(request), *opened, *neutral, std::move(options));
   if (local != nullptr) {
     const absl::Status status = ResumeLocal(client, id, route, local, &cockpit->link());
     if (!status.ok()) return close_after(status);

@@ -1,0 +1,86 @@
+#include "client/src/pilot/crew.h"
+
+#include <algorithm>
+#include <chrono>
+
+#include "client/src/lockable.h"
+#include "client/src/steady_time.h"
+
+namespace spikeserve::piloting {
+namespace {
+
+constexpr absl::Duration kLongestWait = absl::Seconds(1);
+
+}  // namespace
+
+Crew::~Crew() {
+  std::thread thread;
+  {
+    absl::MutexLock lock(&mutex_);
+    is_stopping_ = true;
+    changed_.notify_all();
+    thread = std::move(thread_);
+  }
+  if (thread.joinable()) thread.join();
+}
+
+void Crew::Add(Member* member) {
+  absl::MutexLock lock(&mutex_);
+  member->has_ended_ = false;
+  members_.push_back(member);
+  if (!thread_.joinable()) thread_ = std::thread([this] { Run(); });
+  changed_.notify_all();
+}
+
+void Crew::Wake(Member* member) {
+  absl::MutexLock lock(&mutex_);
+  member->is_woken_ = true;
+  if (is_waiting_) changed_.notify_all();
+}
+
+void Crew::AwaitEnd(const Member* member) {
+  absl::MutexLock lock(&mutex_);
+  mutex_.Await(absl::Condition(&member->has_ended_));
+}
+
+void Crew::Run() {
+  std::vector<Member*> due;
+  while (TakeDue(&due)) {
+    for (Member* const member : due) Note(member, member->Work());
+  }
+}
+
+bool Crew::TakeDue(std::vector<Member*>* due) {
+  due->clear();
+  absl::MutexLock lock(&mutex_);
+  while (!is_stopping_) {
+    const absl::Duration now = SteadyNow();
+    absl::Duration next = now + kLongestWait;
+    for (Member* const member : members_) {
+      if (!member->is_woken_ && now < member->due_) {
+        next = std::min(next, member->due_);
+        continue;
+      }
+      member->is_woken_ = false;
+      due->push_back(member);
+    }
+    if (!due->empty()) return true;
+    Lockable lockable(&mutex_);
+    is_waiting_ = true;
+    changed_.wait_for(lockable, absl::ToChronoNanoseconds(next - now));
+    is_waiting_ = false;
+  }
+  return false;
+}
+
+void Crew::Note(Member* member, std::optional<absl::Duration> due) {
+  absl::MutexLock lock(&mutex_);
+  if (due.has_value()) {
+    member->due_ = *due;
+    return;
+  }
+  std::erase(members_, member);
+  member->has_ended_ = true;
+}
+
+}  // namespace spikeserve::piloting

@@ -1,0 +1,69 @@
+// The background thread of the pilots of one client: calls each member when it has work.
+//
+//   crew.Add(&link);      // the thread calls link.Work()
+//   crew.Wake(&link);     // soon, after something has changed
+//   crew.AwaitEnd(&link); // until Work() has returned nothing
+//
+// Thread-safe.
+#ifndef CLIENT_SRC_PILOT_CREW_H_
+#define CLIENT_SRC_PILOT_CREW_H_
+
+#include <condition_variable>
+#include <optional>
+#include <thread>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+
+namespace spikeserve::piloting {
+
+class Crew {
+ public:
+  class Member {
+   public:
+    virtual ~Member() = default;
+    // Does all work that there is, without blocking for long. Returns when it is to be called again
+    // if nobody wakes it before, by SteadyNow(), or nothing if it ends.
+    virtual std::optional<absl::Duration> Work() = 0;
+
+   private:
+    friend class Crew;
+
+    // Guarded by the mutex of the crew.
+    absl::Duration due_ = -absl::InfiniteDuration();
+    bool is_woken_ = false;
+    bool has_ended_ = true;
+  };
+
+  // The thread begins with the first member.
+  Crew() = default;
+  // REQUIRES: every member has ended.
+  ~Crew();
+
+  void Add(Member* member) ABSL_LOCKS_EXCLUDED(mutex_);
+  // Allocates no memory. Does nothing if the member has ended.
+  void Wake(Member* member) ABSL_LOCKS_EXCLUDED(mutex_);
+  // Waits until the member has ended, or returns at once if it was never added.
+  void AwaitEnd(const Member* member) ABSL_LOCKS_EXCLUDED(mutex_);
+
+ private:
+  void Run() ABSL_LOCKS_EXCLUDED(mutex_);
+  // Moves the members that have work to `due`, or waits for some. Returns false at the end.
+  bool TakeDue(std::vector<Member*>* due) ABSL_LOCKS_EXCLUDED(mutex_);
+  // Notes what Work() has returned.
+  void Note(Member* member, std::optional<absl::Duration> due) ABSL_LOCKS_EXCLUDED(mutex_);
+
+  absl::Mutex mutex_;
+  // An absl::CondVar would measure its timeouts by the time of day.
+  std::condition_variable_any changed_;
+  std::vector<Member*> members_ ABSL_GUARDED_BY(mutex_);
+  bool is_waiting_ ABSL_GUARDED_BY(mutex_) = false;
+  bool is_stopping_ ABSL_GUARDED_BY(mutex_) = false;
+  std::thread thread_ ABSL_GUARDED_BY(mutex_);
+};
+
+}  // namespace spikeserve::piloting
+
+#endif  // CLIENT_SRC_PILOT_CREW_H_
