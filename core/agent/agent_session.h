@@ -81,16 +81,13 @@ class AgentSession {
   // REQUIRES: the last call was Act.
   void OverrideLastAction(const Action& action) { session_.history.ReplaceLastAction(action); }
 
-  // Ends the running episode. The next step is step 0 of the next episode.
-  //
-  // If the last end is repeated before the next decision, it is a retry: the stored summary is
-  // returned, and nothing is counted or learned twice. Errors do not change the session:
-  // FAILED_PRECONDITION for any other end without a decision since the last one; INVALID_ARGUMENT
-  // for a number that is not finite or an observation of the wrong length; UNAVAILABLE if the
-  // contribution of the episode before is not in the log of the fleet's head yet.
+  // Ends the running episode. The next step is step 0 of the next episode. A repeated end before
+  // the next decision is a retry: it returns the stored summary, and learns nothing. Errors do not
+  // change the session: FAILED_PRECONDITION for any other end without a decision since the last
+  // one; INVALID_ARGUMENT for a number that is not finite or an observation of the wrong length;
+  // UNAVAILABLE if the fleet's head has not taken the contribution of the episode before yet.
   absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
-  // Returns the summary of the last end if `end` repeats it, whatever was decided since, otherwise
-  // FAILED_PRECONDITION.
+  // As a repeated EndEpisode, whatever was decided since. FAILED_PRECONDITION for another end.
   absl::StatusOr<EpisodeSummary> RepeatEnd(const EpisodeEnd& end);
   // Returns the contribution whose outcome the last returned summary may lack; null: it lacks none.
   const std::shared_ptr<FleetContribution>& contribution() const { return head_.contribution(); }

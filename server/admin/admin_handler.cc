@@ -9,7 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "server/admin/session_info.h"
 #include "server/admin/traffic.h"
-#include "server/agent/convert.h"
+#include "server/messages/convert.h"
 
 namespace spikeserve {
 namespace {

@@ -9,10 +9,10 @@
 #include "core/contract/dcheck.h"
 #include "core/open_sessions/session_locks.h"
 #include "server/agent/beat_requests.h"
-#include "server/agent/convert.h"
 #include "server/agent/episode_end.h"
 #include "server/agent/request_order.h"
 #include "server/agent/session_gate.h"
+#include "server/messages/convert.h"
 
 namespace spikeserve {
 namespace {

@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
-#include "server/agent/convert.h"
+#include "server/messages/convert.h"
 
 namespace spikeserve {
 namespace {

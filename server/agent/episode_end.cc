@@ -8,7 +8,7 @@
 #include "core/action/reported_action.h"
 #include "core/base/status.h"
 #include "core/session/session_value.h"
-#include "server/agent/convert.h"
+#include "server/messages/convert.h"
 
 namespace spikeserve {
 namespace {

@@ -15,12 +15,12 @@
 #include "core/journal/session_export.h"
 #include "core/session/session_id.h"
 #include "core/session/session_value.h"
-#include "server/agent/convert.h"
 #include "server/agent/episode_end.h"
-#include "server/agent/explain_convert.h"
 #include "server/agent/request_order.h"
 #include "server/agent/session_recovery.h"
 #include "server/base/retry_delay.h"
+#include "server/messages/convert.h"
+#include "server/messages/explain_convert.h"
 
 namespace spikeserve {
 namespace {

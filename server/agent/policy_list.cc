@@ -2,7 +2,7 @@
 
 #include <utility>
 
-#include "server/agent/convert.h"
+#include "server/messages/convert.h"
 
 namespace spikeserve {
 

@@ -3,7 +3,7 @@
 #include <utility>
 
 #include "server/access/admission.h"
-#include "server/agent/convert.h"
+#include "server/messages/convert.h"
 #include "server/services/request_parser.h"
 
 namespace spikeserve {

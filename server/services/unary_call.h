@@ -15,8 +15,8 @@
 
 #include "absl/status/status.h"
 #include "server/access/admission.h"
-#include "server/agent/convert.h"
 #include "server/agent/session_gate.h"
+#include "server/messages/convert.h"
 #include "server/services/call_messages.h"
 #include "server/services/finite_response.h"
 #include "server/services/request_parser.h"

@@ -8,8 +8,8 @@
 #include "absl/time/time.h"
 #include "core/session/session_id.h"
 #include "proto/json.h"
-#include "server/agent/explain_convert.h"
 #include "server/base/method.h"
+#include "server/messages/explain_convert.h"
 #include "server/web/status_json.h"
 #include "spikeserve/v1/policy_service.pb.h"
 

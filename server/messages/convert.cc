@@ -1,4 +1,4 @@
-#include "server/agent/convert.h"
+#include "server/messages/convert.h"
 
 #include <optional>
 #include <string>

@@ -1,6 +1,6 @@
 // Explains decisions and converts the explanations to messages.
-#ifndef SERVER_AGENT_EXPLAIN_CONVERT_H_
-#define SERVER_AGENT_EXPLAIN_CONVERT_H_
+#ifndef SERVER_MESSAGES_EXPLAIN_CONVERT_H_
+#define SERVER_MESSAGES_EXPLAIN_CONVERT_H_
 
 #include "absl/status/status.h"
 #include "core/agent/explanation.h"
@@ -27,4 +27,4 @@ absl::Status ExplainSession(SessionEntry& entry, v1::ExplainResponse* response);
 
 }  // namespace spikeserve
 
-#endif  // SERVER_AGENT_EXPLAIN_CONVERT_H_
+#endif  // SERVER_MESSAGES_EXPLAIN_CONVERT_H_

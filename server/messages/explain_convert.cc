@@ -1,10 +1,10 @@
-#include "server/agent/explain_convert.h"
+#include "server/messages/explain_convert.h"
 
 #include <string>
 
 #include "absl/synchronization/mutex.h"
 #include "core/contract/dcheck.h"
-#include "server/agent/convert.h"
+#include "server/messages/convert.h"
 
 namespace spikeserve {
 namespace {

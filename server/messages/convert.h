@@ -1,8 +1,8 @@
 // Converts between protobuf messages and the values of core. Contains no session logic.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_AGENT_CONVERT_H_
-#define SERVER_AGENT_CONVERT_H_
+#ifndef SERVER_MESSAGES_CONVERT_H_
+#define SERVER_MESSAGES_CONVERT_H_
 
 #include <vector>
 
@@ -54,4 +54,4 @@ void ErrorToProto(const v1::ActRequest& request, const absl::Status& status,
 
 }  // namespace spikeserve
 
-#endif  // SERVER_AGENT_CONVERT_H_
+#endif  // SERVER_MESSAGES_CONVERT_H_
