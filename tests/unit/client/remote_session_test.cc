@@ -132,11 +132,12 @@ TEST_F(RemoteSessionTest, EveryFieldOfTheContractCanBeSet) {
   executed.set_discrete(1);
   RemoteSession session = Open();
   ASSERT_TRUE(session.Act(observation_, 0.0).ok());
-  // The session counts its decisions and steps. The beats are those of a robot's pilot, which makes
-  // its own requests. A program that traces adds its `traceparent` to what MakeRequest() returns.
+  // The session counts its decisions and steps. The beats, and the ends of episodes behind them,
+  // are those of a robot's pilot, which makes its own requests. A program that traces adds its
+  // `traceparent` to what MakeRequest() returns.
   ExpectEveryFieldSet(session.MakeRequest(observation_, 1.0, executed),
                       {"decision", "history", "skipped_rewards", "observed_at", "valid_until",
-                       "report", "traceparent"});
+                       "report", "traceparent", "end_episode"});
   ASSERT_TRUE(session
                   .EndEpisode({.reward = 1.0,
                                .terminated = true,
