@@ -82,7 +82,7 @@ void AddAgentFlags(FlagGroup agents, LoadOptions* options) {
       .Add("observation_bound", "X", &options->observation_bound,
            "Random observations are within plus and minus this")
       .Add("observations", "FILE", &options->observations,
-           "Sends these rewards and observations, a line for each step, instead of random ones")
+           "Rewards and observations, a line for each step; default: random")
       .Add("seed", "N", &options->seed, "Seed of the random observations");
 }
 

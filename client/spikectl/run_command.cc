@@ -106,11 +106,11 @@ void AddRunCommand(Command program, const ServerFlags& server) {
   AddAgentFlags(playing, &flags->agent);
   AddTargetReturn(playing, &flags->agent);
   playing.Add("episodes", "N", &flags->episodes, "Episodes to play")
-      .Add("rate", "HZ", &flags->play.rate, "Decisions a second; 0: as many as it can")
-      .AddSwitch("reopen", &flags->reopen,
-                 "Play an episode again in a new session if the server lost it");
+      .Add("rate", "HZ", &flags->play.rate, "Decisions a second; 0: as many as it can");
   AddSessionFlags(command, &flags->session);
   FlagGroup far = command.Flags("Advanced: far away");
+  far.AddSwitch("reopen", &flags->reopen,
+                "Play an episode again in a new session if the server lost it");
   AddDistanceFlags(far, &flags->play.distance);
   command.SetAction([flags, &server] { return Run(*flags, server); });
 }
