@@ -65,7 +65,7 @@ struct SessionEntry {
   std::shared_ptr<SessionQuota> quota;
   std::shared_ptr<SessionJournal> journal;  // null: the session is not stored
   absl::Mutex mutex;
-  std::shared_ptr<EpisodeRecorder> recorder ABSL_PT_GUARDED_BY(mutex);  // null: not recorded
+  std::shared_ptr<EpisodeRecorder> recorder ABSL_GUARDED_BY(mutex);  // null: not recorded
   AgentSession agent ABSL_GUARDED_BY(mutex);
   // Steps that the shadow has not processed yet.
   std::vector<ShadowStep> shadow_steps ABSL_GUARDED_BY(mutex);
