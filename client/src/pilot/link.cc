@@ -141,12 +141,12 @@ Link::Step Link::PlanCalls(absl::Duration now, absl::Duration* until) {
 }
 
 bool Link::MaySendEnd(absl::Duration now) {
-  const BeatLog& log = facts_->log;
-  const bool has_ended = log.oldest().ending.has_value() && !log.is_ending();
+  const bool has_ended = facts_->log.oldest().ending.has_value() && !facts_->log.is_ending();
   if (!facts_->is_connected || !has_ended || now < facts_->paused_until) return false;
   if (call_ != nullptr && call_kind_ == Kind::kEnd) return false;
-  if (!facts_->ends_on_stream) return facts_->under_way.empty() && !log.is_complete();
-  return facts_->under_way.empty() || (log.FitsOne() && facts_->under_way.size() < facts_->window);
+  if (!facts_->ends_on_stream) return facts_->under_way.empty() && !facts_->log.is_complete();
+  return facts_->under_way.empty() ||
+         (facts_->log.FitsOne() && facts_->under_way.size() < facts_->window);
 }
 
 void Link::CompleteSettled() {
