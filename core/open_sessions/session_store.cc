@@ -105,10 +105,10 @@ absl::Status SessionStore::Add(std::shared_ptr<const ServedPolicy> served, Sessi
   const auto entry = std::make_shared<SessionEntry>(std::move(served), std::move(session), clock_);
   entry->shadow = std::move(extras.shadow);
   entry->quota = extras.quota;
-  entry->recorder = std::move(extras.recorder);
   entry->journal = std::move(extras.journal);
   // Held until the journal has the session: a request that finds it now waits.
   absl::MutexLock lock(&entry->mutex);
+  entry->recorder = std::move(extras.recorder);
   if (entry->recorder != nullptr) entry->agent.AddListener(entry->recorder);
   if (!Insert(id, entry)) {
     size_.fetch_sub(1);
