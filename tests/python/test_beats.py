@@ -1,30 +1,19 @@
 """Robots on real links: what happened without the server is in the session afterwards, exactly once."""
 
-import contextlib
 import json
 import random
 import re
 
 import grpc
 import pytest
+from beating import KINDS, Robot, answers_on_stream, as_fields, observation
 from security import POLICY, TOKENS, code_of, http_body, service_with, until
-from serving import DEADLINE_SECONDS, Service, message_class, running_server
+from serving import Service, running_server
 from stored_sessions import Restartable
 
 STEPS = 60
 SECOND = 10**9  # nanoseconds
 START = 10**15  # of the robot's clock
-SESSION = "0" * 31 + "a"
-KINDS = {
-    "float": {"policy": "pendulum"},
-    "sampled": {"policy": "cartpole", "action_selection": "SAMPLE", "temperature": 0.7, "seed": 3},
-    "int8": {"policy": "pendulum-frugal"},
-    "learning": {
-        "policy": "cartpole",
-        "action_selection": "SAMPLE",
-        "learning": {"modulator": "target", "learning_rate": 0.05},
-    },
-}
 
 
 @pytest.fixture(scope="module")
@@ -37,63 +26,6 @@ def addresses():
 def service(addresses):
     with grpc.insecure_channel(addresses.grpc) as channel:
         yield Service(channel, POLICY)
-
-
-def observation(size, step):
-    return [0.05 * ((step * (k + 3)) % 7 - 3) for k in range(size)]
-
-
-def as_fields(action):
-    """Returns an action as keyword arguments, for the messages of any connection."""
-    if isinstance(action, dict):
-        return action
-    if action.WhichOneof("kind") == "discrete":
-        return {"discrete": action.discrete}
-    return {"continuous": {"values": list(action.continuous.values)}}
-
-
-class Robot:
-    """Plays one session, and remembers its beats."""
-
-    def __init__(self, service, **opening):
-        opening = {"session_id": SESSION} | opening
-        with contextlib.suppress(grpc.RpcError):
-            service.CloseSession(session_id=opening["session_id"])
-        self.service = service
-        self.opened = service.OpenSession(**opening)
-        self.id = self.opened.session_id
-        self.beats = []
-
-    def beat(self, step, executed=None):
-        fields = {
-            "step": step,
-            "observation": observation(self.opened.observation_size, step),
-            "reward": 0.1 * (step % 7),
-        }
-        return fields if executed is None else fields | {"executed": executed}
-
-    def request(self, history=0, **fields):
-        """Returns the request for the next step, with the last `history` beats."""
-        step = len(self.beats)
-        return {
-            "session_id": self.id,
-            "decision": step,
-            "history": self.beats[step - history :],
-            **self.beat(step),
-            **fields,
-        }
-
-    def act(self, history=0, executed=None, **fields):
-        """Asks for the next step and executes the answer, or `executed`."""
-        answer = self.service.Act(**self.request(history, **fields))
-        self.execute(answer.action if executed is None else executed)
-        return answer
-
-    def execute(self, action):
-        self.beats.append(self.beat(len(self.beats), as_fields(action)))
-
-    def value(self):
-        return self.service.ExportSession(session_id=self.id).value
 
 
 def undisturbed(service, steps=STEPS, **opening):
@@ -175,115 +107,6 @@ def test_the_history_alone_is_appended(service):
     assert ended.episode_return == pytest.approx(sum(0.1 * (t % 7) for t in range(1, STEPS)) + 1)
 
 
-def end_of(robot, episode=0, **fields):
-    """Returns the request that ends the robot's episode, with its last beat."""
-    steps = len(robot.beats)
-    end = {"episode": episode, "steps": steps, "reward": 1.0, "terminated": True} | fields
-    return {
-        "session_id": robot.id,
-        "step": steps,
-        "decision": steps,
-        "history": robot.beats[-1:],
-        "end_episode": end,
-    }
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_episode_ends_behind_its_history_as_by_a_call(service, kind):
-    called = Robot(service, **KINDS[kind])
-    for _ in range(20):
-        called.act()
-    end = end_of(called)["end_episode"]
-    summary = service.EndEpisode(session_id=called.id, **end)
-    value = called.value()
-    robot = Robot(service, **KINDS[kind])
-    for beat in called.beats:
-        robot.execute(beat["executed"])
-    answer = service.Act(**(end_of(robot) | {"history": robot.beats}))
-    assert answer.ended == summary
-    assert (answer.appended, answer.next_step) == (20, 0)
-    assert not answer.HasField("action")
-    assert robot.value() == value
-
-
-def test_an_end_that_is_repeated_ends_no_later_episode(service):
-    """Behind a history, its summary is returned although the next episode has begun."""
-    robot = Robot(service, **KINDS["learning"])
-    for _ in range(9):
-        robot.act()
-    end = end_of(robot)
-    call = {"session_id": robot.id, **end["end_episode"]}
-    ended = service.Act(**end).ended
-    assert ended.steps == 9
-    assert service.Act(**end).ended == service.EndEpisode(**call) == ended
-    for step in range(3):
-        service.Act(session_id=robot.id, decision=9 + step, **robot.beat(step))
-    value = robot.value()
-    answer = service.Act(**end)
-    assert answer.ended == ended
-    assert (answer.appended, answer.next_step) == (0, 3)
-    assert code_of(service.EndEpisode, **call) == grpc.StatusCode.FAILED_PRECONDITION
-    other = {"end_episode": end["end_episode"] | {"reward": 2.0}}
-    assert code_of(service.Act, **(end | other)) == grpc.StatusCode.FAILED_PRECONDITION
-    assert robot.value() == value
-    assert service.EndEpisode(session_id=robot.id, reward=0.5, episode=1, steps=3).steps == 3
-    assert code_of(service.Act, **end) == grpc.StatusCode.FAILED_PRECONDITION
-
-
-def test_the_next_episode_follows_its_end_on_a_stream(addresses, service):
-    with grpc.insecure_channel(addresses.grpc) as channel:
-        request = message_class(channel, "spikeserve.v1.ActRequest")
-        response = message_class(channel, "spikeserve.v1.ActResponse")
-        stream = channel.stream_stream(
-            f"/{POLICY}/ActStream",
-            request_serializer=request.SerializeToString,
-            response_deserializer=response.FromString,
-        )
-        robot = Robot(service, policy="pendulum")
-        for _ in range(100):  # appended in parts
-            robot.execute(robot.opened.neutral_action)
-        asked = [end_of(robot) | {"history": robot.beats}]
-        asked += [{"session_id": robot.id, "decision": 100 + step, **robot.beat(step)} for step in range(3)]
-        answers = list(stream(iter(request(**fields) for fields in asked), timeout=DEADLINE_SECONDS))
-    assert answers[0].ended.steps == answers[0].appended == 100
-    assert [(answer.step, answer.HasField("action")) for answer in answers[1:]] == [(0, True), (1, True), (2, True)]
-
-
-@pytest.mark.parametrize(
-    "change, message",
-    [
-        ({"end": {"observation": [0.0] * 3}}, "observation: expected none, because the request has end_episode"),
-        ({"end": {"end_episode": {"steps": 5}}}, "end_episode: expected a request with decision and "),
-        ({"steps": 4}, "end_episode.steps: expected 5 as step, received 4"),
-        ({"observation": [1.0]}, "end_episode: observation: expected 3 numbers, received 1"),
-        ({"target_return": float("nan")}, "end_episode: target_return: expected a finite number"),
-        ({"reward": float("inf")}, "reward: expected a finite number"),
-    ],
-)
-def test_an_end_that_is_wrong_appends_nothing(service, change, message):
-    robot = Robot(service, policy="pendulum")
-    robot.act()
-    before = robot.value()
-    for _ in range(4):
-        robot.execute(robot.opened.neutral_action)
-    of_end = {} if "end" in change else change
-    request = end_of(robot, **of_end) | {"history": robot.beats} | ({} if of_end else change["end"])
-    with pytest.raises(grpc.RpcError, match=message) as error:
-        service.Act(**request)
-    assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
-    assert robot.value() == before
-
-
-def test_an_end_needs_all_beats(service):
-    robot = Robot(service, policy="pendulum")
-    robot.act()
-    for _ in range(4):
-        robot.execute(robot.opened.neutral_action)
-    assert code_of(service.Act, **end_of(robot)) == grpc.StatusCode.FAILED_PRECONDITION
-    assert service.GetSession(session_id=robot.id).step == 1
-    assert service.Act(**(end_of(robot) | {"history": robot.beats})).ended.steps == 5
-
-
 def test_an_expired_request_is_appended_and_not_decided(service):
     values, beats = undisturbed(service, **KINDS["float"])
     robot = Robot(service, **KINDS["float"])
@@ -307,13 +130,6 @@ def test_an_expired_request_is_appended_and_not_decided(service):
 def test_a_long_history_keeps_the_order(addresses, service):
     """600 beats, which are appended in parts, the requests behind them on one stream, and another session."""
     with grpc.insecure_channel(addresses.grpc) as channel:
-        request = message_class(channel, "spikeserve.v1.ActRequest")
-        response = message_class(channel, "spikeserve.v1.ActResponse")
-        stream = channel.stream_stream(
-            f"/{POLICY}/ActStream",
-            request_serializer=request.SerializeToString,
-            response_deserializer=response.FromString,
-        )
         robot = Robot(service, policy="pendulum")
         neutral = robot.opened.neutral_action
         for _ in range(600):
@@ -326,9 +142,8 @@ def test_a_long_history_keeps_the_order(addresses, service):
         robot.execute(neutral)
         # Without beats before its own.
         requests.append(robot.request(0, executed_action=as_fields(neutral)))
-        asked = [request(**fields) for fields in requests]
-        asked.insert(1, request(session_id=other, observation=observation(4, 0)))
-        answers = list(stream(iter(asked), timeout=DEADLINE_SECONDS))
+        requests.insert(1, {"session_id": other, "observation": observation(4, 0)})
+        answers = answers_on_stream(channel, requests)
     ours = [answer for answer in answers if answer.session_id == robot.id]
     assert [answer.step for answer in ours] == [600, 601, 602, 603, 604]
     assert [answer.appended for answer in ours] == [600, 0, 0, 0, 0]
@@ -430,21 +245,6 @@ def test_a_killed_server_has_lost_nothing(tmp_path, durability):
             robot.act(1)
             assert robot.value() == values[end]
         cut.kill()
-
-
-def test_a_restarted_server_knows_that_an_episode_has_ended(tmp_path):
-    with Restartable(f"file:{tmp_path}") as server:
-        robot = Robot(server, policy="pendulum", durability="SYNC")
-        for _ in range(5):
-            robot.act()
-        end = end_of(robot)
-        assert server.Act(**end).ended.episode_return > 0
-        server.Act(session_id=robot.id, decision=5, **robot.beat(0))
-        value = robot.value()
-        server.restart()
-        assert server.Act(**end).ended.steps == 5
-        assert robot.value() == value
-        server.kill()
 
 
 def test_a_session_is_exported_within_its_tenant_and_recorded(tmp_path):

@@ -80,8 +80,13 @@ TEST(FixedPointKernelsTest, SquareRootsAreRoundedDown) {
 
 TEST(FixedPointKernelsTest, QuotientsOfAllDivisorsAreExact) {
   OnEverySimdTarget([] {
-    for (const int divisor :
-         {1, 2, 3, 77, 600, 65535, 7680001, (1 << 29) - 1, 1 << 29, 2147483647}) {
+    std::vector<int> divisors = {1,       2,         3, 77, 600, 65535, 7680001, (1 << 29) - 1,
+                                 1 << 29, 2147483647};
+    // Large ones, whose reciprocals float32 rounds up and down. Half of them have exact halves.
+    for (int i = 0; i < 64; ++i) {
+      divisors.push_back(Draw(1 << 28, (1 << 29) - 1, 7, i) & (i % 2 == 0 ? -1 : -512));
+    }
+    for (const int divisor : divisors) {
       constexpr int kSize = 75;
       std::vector<int32_t> sums(PadToLanes(kSize), -1);  // what is behind the head does not matter
       for (int k = 0; k < kSize; ++k) {
