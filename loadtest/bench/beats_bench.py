@@ -36,12 +36,12 @@ def start_robots(site, case, player, seconds, folder, rival):
         address = site.start_openpi(rival, BENCH / "openpi_server.py")
         command = [str(rival), str(BENCH / "openpi_robot.py"), address, str(case.rate), str(seconds)]
     else:
-        flags = {"server": site.start_servers(case.store), "player": player, "robots": case.robots}
+        flags = {"server": site.start_servers(case.store, case.prefix), "player": player, "robots": case.robots}
         flags |= {"connections": case.connections, "rate": case.rate, "seconds": seconds}
         command = [str(folder / "robots"), *(f"--{name}={value}" for name, value in flags.items())]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     space = site.server if case.round_trip is None else site.robot
-    command = [*space.prefix, *command]
+    command = [*space.prefix, *case.prefix, *command]
     robots = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     assert robots.stdout.readline() == "playing\n", f"{case.name}, {player}: the robots do not play"
     return robots

@@ -26,6 +26,7 @@ class Case:
     longer: float = 0.0  # seconds that the run takes more
     seconds: float | None = None  # None: as the command line says
     on_request: bool = False  # only run if --rows names it
+    prefix: tuple = ()  # of the commands of robots and servers
     players: tuple = PLAYERS
 
 
@@ -72,11 +73,19 @@ EVENTS = [
     Case("two servers, killed in turn", disturb=fail_over, store="redis", players=("calls", "pilot", "engine")),
 ]
 HOST = "one host"
+# As for a controller in real time: no other program delays them, and no processor has to wake another one.
+REAL_TIME = ("taskset", "--cpu-list", "0", "chrt", "--fifo", "50")
 FLEETS = [
     Case(f"1 robot, 1000 Hz, {HOST}", None, rate=1000, players=("pilot",)),
     Case(f"64 robots, 100 Hz, {HOST}", None, robots=64, connections=64, rate=100, players=("pilot",)),
     Case("64 robots, 100 Hz, 50 ms, 1% lost", loss=0.01, robots=64, connections=64, rate=100, players=("pilot",)),
     Case(f"512 robots, 50 Hz, 16 connections, {HOST}", None, robots=512, connections=16, players=("pilot",)),
-    Case(f"1 robot, 1000 Hz, {HOST}, ten minutes", 0.0, rate=1000, seconds=600, on_request=True, players=("pilot",)),
+    *(
+        Case(name, None, rate=1000, seconds=600, on_request=True, prefix=prefix, players=("pilot",))
+        for name, prefix in (
+            (f"1 robot, 1000 Hz, {HOST}, ten minutes", ()),
+            (f"1 robot, 1000 Hz, {HOST}, one core, real-time priority, ten minutes", REAL_TIME),
+        )
+    ),
 ]
 CASES = [*LINKS, *EVENTS, *FLEETS]

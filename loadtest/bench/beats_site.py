@@ -82,8 +82,8 @@ class Site:
         self.link = EmulatedLink(stack, emulator, self.robot, self.server)
         self.servers = []
 
-    def start_servers(self, store):
-        """Starts one server with a "file" store or none (""), or two that share a "redis"."""
+    def start_servers(self, store, prefix):
+        """Starts one server with a "file" store or none (""), or two that share a "redis". `prefix` precedes their commands."""
         flags = ["--insecure_network"]
         if store == "file":
             flags += [f"--session_store=file:{self._stack.enter_context(tempfile.TemporaryDirectory())}"]
@@ -91,7 +91,7 @@ class Site:
             self._start_redis()
             flags += [f"--session_store=redis://127.0.0.1:{REDIS_PORT}"]
         for _ in range(2 if store == "redis" else 1):
-            self._start(RestartableServer(*flags, host=SERVER, prefix=self.server.prefix))
+            self._start(RestartableServer(*flags, host=SERVER, prefix=(*self.server.prefix, *prefix)))
         return ",".join(server.address for server in self.servers)
 
     def start_openpi(self, python, script):
