@@ -1,6 +1,7 @@
 #include "loadtest/load_options.h"
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -41,12 +42,12 @@ absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(
 
 absl::Status LoadOptions::Validate() const {
   constexpr int kMany = 1'000'000;
-  if (auto status = CheckRange("sessions", sessions, 1, kMany); !status.ok()) return status;
-  if (auto status = CheckRange("streams", streams, 1, 1024); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckRange("sessions", sessions, 1, kMany));
+  RETURN_IF_ERROR(CheckRange("streams", streams, 1, 1024));
   if (auto status = CheckRange("episode_steps", episode_steps, 1, kMany); !status.ok()) {
     return status;
   }
-  if (auto status = CheckRange("batch_size", batch_size, 0, kMany); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckRange("batch_size", batch_size, 0, kMany));
   if (!(observation_bound >= 0.0 && observation_bound <= 1e6)) {
     return absl::InvalidArgumentError(
         absl::StrCat("--observation_bound: expected 0 to 1e6, received ", observation_bound));

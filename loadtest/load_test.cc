@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/base/status_macros.h"
 #include "loadtest/caller.h"
 #include "loadtest/recorded_episode.h"
 #include "spikeserve/client.h"
@@ -16,10 +17,9 @@ namespace {
 // Returns `name`, or the first policy of the server if `name` is empty.
 absl::StatusOr<std::string> ChoosePolicy(Client& client, const std::string& name) {
   if (!name.empty()) return name;
-  const auto served = client.ListPolicies();
-  if (!served.ok()) return served.status();
-  if (served->policies().empty()) return absl::NotFoundError("--policy: the server has no policy");
-  return served->policies(0).name();
+  ASSIGN_OR_RETURN(const auto served, client.ListPolicies());
+  if (served.policies().empty()) return absl::NotFoundError("--policy: the server has no policy");
+  return served.policies(0).name();
 }
 
 // Opens the sessions of one caller: agents `index`, `index` + options.streams, `index` + 2
@@ -40,15 +40,15 @@ absl::StatusOr<std::vector<SimulatedAgent>> OpenAgents(const LoadOptions& option
       request.set_action_selection(v1::SAMPLE);
       request.mutable_learning()->set_scope(*options.learning_scope);
     }
-    auto session = RemoteSession::Open(client, std::move(request), /*reopens=*/true, route);
-    if (!session.ok()) return session.status();
-    const auto observation_size = static_cast<int>(session->opening().observation_size());
+    ASSIGN_OR_RETURN(auto session,
+                     RemoteSession::Open(client, std::move(request), /*reopens=*/true, route));
+    const auto observation_size = static_cast<int>(session.opening().observation_size());
     const int first_episode_steps = 1 + i % options.episode_steps;
     if (recorded.empty()) {
-      agents.emplace_back(*std::move(session), observation_size, first_episode_steps,
+      agents.emplace_back(std::move(session), observation_size, first_episode_steps,
                           options.episode_steps, seed, options.observation_bound);
     } else {
-      agents.emplace_back(*std::move(session), &recorded, first_episode_steps,
+      agents.emplace_back(std::move(session), &recorded, first_episode_steps,
                           options.episode_steps);
     }
   }
@@ -83,32 +83,28 @@ LoadReport RunCallers(const LoadOptions& options, std::vector<Caller>& callers) 
 }  // namespace
 
 absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options) {
-  if (absl::Status status = options.Validate(); !status.ok()) return status;
+  RETURN_IF_ERROR(options.Validate());
   ClientOptions client_options;
   if (!options.retry) client_options.retry.max_attempts = 1;  // every failure is counted
   client_options.call_timeout = options.call_timeout;
   client_options.security = options.security;
   RecordedEpisode recorded;
   if (!options.observations.empty()) {
-    auto episode = ReadRecordedEpisode(options.observations);
-    if (!episode.ok()) return episode.status();
-    recorded = *std::move(episode);
+    ASSIGN_OR_RETURN(recorded, ReadRecordedEpisode(options.observations));
   }
   std::vector<std::unique_ptr<Client>> clients;
   std::vector<Caller> callers;
   for (int i = 0; i < std::min(options.streams, options.sessions); ++i) {
-    auto client = Client::Connect(options.server, client_options);
-    if (!client.ok()) return client.status();
-    clients.push_back(*std::move(client));
-    const auto policy = ChoosePolicy(*clients.back(), options.policy);
-    if (!policy.ok()) return policy.status();
+    ASSIGN_OR_RETURN(auto client, Client::Connect(options.server, client_options));
+    clients.push_back(std::move(client));
+    ASSIGN_OR_RETURN(const auto policy, ChoosePolicy(*clients.back(), options.policy));
     // The sessions of a stream or a batch go to one server; those of single calls are spread.
     const auto route = options.mode == LoadMode::kUnary ? nullptr : MakeRoute();
-    auto agents = OpenAgents(options, recorded, *policy, i, clients.back().get(), route);
-    if (!agents.ok()) return agents.status();
+    ASSIGN_OR_RETURN(auto agents,
+                     OpenAgents(options, recorded, policy, i, clients.back().get(), route));
     callers.emplace_back(
         MakeExchange(options.mode, options.batch_size, clients.back().get(), route),
-        *std::move(agents), clients.back()->options().retry, options.pause_after_error,
+        std::move(agents), clients.back()->options().retry, options.pause_after_error,
         4 * options.call_timeout);
   }
   LoadReport report = RunCallers(options, callers);

@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "core/base/status_macros.h"
 #include "spikeserve/status.h"
 
 namespace spikeserve {
@@ -32,7 +33,7 @@ SimulatedAgent::SimulatedAgent(RemoteSession session, const RecordedEpisode* rec
 }
 
 absl::Status SimulatedAgent::Accept(const v1::ActResponse& response) {
-  if (absl::Status status = session_.Accept(response); !status.ok()) return status;
+  RETURN_IF_ERROR(session_.Accept(response));
   if (--steps_left_ == 0) {
     episode_over_ = true;
     return EndEpisode();
@@ -42,8 +43,7 @@ absl::Status SimulatedAgent::Accept(const v1::ActResponse& response) {
 }
 
 absl::Status SimulatedAgent::EndEpisode() {
-  const auto end = session_.EndEpisode({.reward = kReward, .truncated = true});
-  if (!end.ok()) return end.status();
+  RETURN_IF_ERROR(session_.EndEpisode({.reward = kReward, .truncated = true}).status());
   StartEpisode();
   return absl::OkStatus();
 }
@@ -57,12 +57,12 @@ void SimulatedAgent::StartEpisode() {
 
 absl::Status SimulatedAgent::Resume(const absl::Status& error) {
   if (ExpectedDecision(error).has_value()) {
-    if (absl::Status status = session_.CatchUp(error); !status.ok()) return status;
+    RETURN_IF_ERROR(session_.CatchUp(error));
   }
   if (!IsSessionLost(error)) return episode_over_ ? EndEpisode() : absl::OkStatus();
   // The end of an episode has opened a new session by itself.
   if (session_.reopened() == sessions_lost_) {
-    if (absl::Status status = session_.OpenAgain(); !status.ok()) return status;
+    RETURN_IF_ERROR(session_.OpenAgain());
   }
   sessions_lost_ = session_.reopened();
   StartEpisode();

@@ -10,6 +10,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "client/tools/security_flags.h"
+#include "core/base/status_macros.h"
 #include "core/cli/program.h"
 #include "loadtest/load_test.h"
 
@@ -101,20 +102,17 @@ absl::Status Run(const LoadFlags& flags) {
   // Abseil's deadlock detection slows every lock. The tests run with it, programs without it.
   absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
   LoadOptions options = flags.options;
-  auto security = ReadSecurityOptions(flags.security);
-  if (!security.ok()) return security.status();
-  options.security = *std::move(security);
-  const auto report = RunLoadTest(options);
-  if (!report.ok()) return report.status();
+  ASSIGN_OR_RETURN(options.security, ReadSecurityOptions(flags.security));
+  ASSIGN_OR_RETURN(const auto report, RunLoadTest(options));
   if (flags.json) {
-    std::cout << report->ToJson().dump(2) << std::endl;
+    std::cout << report.ToJson().dump(2) << std::endl;
   } else {
-    std::cout << report->ToText() << std::flush;
+    std::cout << report.ToText() << std::flush;
   }
-  if (report->errors == 0) return absl::OkStatus();
-  return absl::Status(report->first_error.code(),
-                      absl::StrCat(report->errors, " requests failed, the first one with: ",
-                                   report->first_error.message()));
+  if (report.errors == 0) return absl::OkStatus();
+  return absl::Status(report.first_error.code(),
+                      absl::StrCat(report.errors, " requests failed, the first one with: ",
+                                   report.first_error.message()));
 }
 
 }  // namespace

@@ -15,6 +15,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
+#include "core/base/status_macros.h"
 #include "core/cli/program.h"
 #include "server/base/log.h"
 #include "server/options.h"
@@ -205,15 +206,14 @@ absl::Status Serve(const ServerOptions& options) {
   signal(SIGXFSZ, SIG_IGN);
 
   SetLogFormat(options.log_format);
-  const auto server = Server::Start(options);
-  if (!server.ok()) return server.status();
+  ASSIGN_OR_RETURN(const auto server, Server::Start(options));
   stop_signals.Started();
-  std::cout << "spikeserve: serving gRPC on " << (*server)->grpc_address() << std::endl;
+  std::cout << "spikeserve: serving gRPC on " << server->grpc_address() << std::endl;
   if (!options.http_listen.empty()) {
-    std::cout << "spikeserve: serving HTTP on " << (*server)->http_address() << std::endl;
+    std::cout << "spikeserve: serving HTTP on " << server->http_address() << std::endl;
   }
   stop_signals.Wait();
-  (*server)->Stop();
+  server->Stop();
   return absl::OkStatus();
 }
 

@@ -3,6 +3,7 @@
 #include <climits>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "server/base/address.h"
 #include "server/web/origins.h"
 
@@ -14,9 +15,8 @@ constexpr int64_t kMostLoops = 256;
 // Refuses to serve a network by accident.
 absl::Status CheckReach(absl::string_view flag, const std::string& listen,
                         const ServerOptions& options) {
-  const auto address = ParseAddressOrUnix(flag, listen);
-  if (!address.ok()) return address.status();
-  if (address->is_loopback() || options.insecure_network) return absl::OkStatus();
+  ASSIGN_OR_RETURN(const auto address, ParseAddressOrUnix(flag, listen));
+  if (address.is_loopback() || options.insecure_network) return absl::OkStatus();
   const auto refuse = [&](absl::string_view expected) {
     return absl::InvalidArgumentError(
         absl::StrCat(flag, ": expected ", expected, " for ", listen,
@@ -42,11 +42,11 @@ absl::Status ServerOptions::Validate() const {
   if (policies.empty()) {
     return absl::InvalidArgumentError("--policies: expected a directory, received none");
   }
-  if (auto status = tls.Validate(); !status.ok()) return status;
+  RETURN_IF_ERROR(tls.Validate());
   if (auto status = CheckReach("--listen", listen, *this); !status.ok()) {
     return status;
   }
-  if (auto status = transport_limits.Validate(); !status.ok()) return status;
+  RETURN_IF_ERROR(transport_limits.Validate());
   if (loops < 0 || loops > kMostLoops) {
     return absl::InvalidArgumentError(
         absl::StrCat("--loops: expected 0 to ", kMostLoops, ", received ", loops));
@@ -83,7 +83,7 @@ absl::Status ServerOptions::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("--max_sessions: expected at least 1, received ", max_sessions));
   }
-  if (auto status = CheckStore(*this); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckStore(*this));
   if (max_message_bytes < 1 || max_message_bytes > INT_MAX) {
     return absl::InvalidArgumentError(absl::StrCat("--max_message_bytes: expected 1 to ", INT_MAX,
                                                    ", received ", max_message_bytes));

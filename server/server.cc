@@ -13,6 +13,7 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "server/admin/head_metrics.h"
 #include "server/base/log.h"
 #include "server/certificate_metrics.h"
@@ -109,9 +110,7 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> LoadPolicies(const ServerOptions
                                                              ReloadReport* report) {
   std::shared_ptr<const PolicySignatures> signatures;
   if (!options.trusted_keys.empty()) {
-    auto read = PolicySignatures::Read(options.trusted_keys, options.signing_key);
-    if (!read.ok()) return read.status();
-    signatures = *std::move(read);
+    ASSIGN_OR_RETURN(signatures, PolicySignatures::Read(options.trusted_keys, options.signing_key));
   }
   return PolicyRegistry::Load(
       {.directory = options.policies,
@@ -133,50 +132,45 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> LoadPolicies(const ServerOptions
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& options) {
-  if (auto status = options.Validate(); !status.ok()) return status;
-  auto authenticator =
-      Authenticator::Create(options.tokens, std::max<int64_t>(options.max_sessions / 2, 1));
-  if (!authenticator.ok()) return authenticator.status();
+  RETURN_IF_ERROR(options.Validate());
+  ASSIGN_OR_RETURN(
+      auto authenticator,
+      Authenticator::Create(options.tokens, std::max<int64_t>(options.max_sessions / 2, 1)));
   auto metrics = std::make_unique<Metrics>();
   metrics->SetSessionsLimit(options.max_sessions);
-  auto tracer = StartTracing(options, &metrics->registry());
-  if (!tracer.ok()) return tracer.status();
-  auto store = OpenStore(options.store, &metrics->registry());
-  if (!store.ok()) return store.status();
+  ASSIGN_OR_RETURN(auto tracer, StartTracing(options, &metrics->registry()));
+  ASSIGN_OR_RETURN(auto store, OpenStore(options.store, &metrics->registry()));
   ReloadReport report;
-  auto registry = LoadPolicies(options, *store, metrics.get(), tracer->get(), &report);
-  if (!registry.ok()) return registry.status();
-  if (auto status = CheckServesPolicies(options, **registry, report); !status.ok()) return status;
+  ASSIGN_OR_RETURN(auto registry,
+                   LoadPolicies(options, store, metrics.get(), tracer.get(), &report));
+  RETURN_IF_ERROR(CheckServesPolicies(options, *registry, report));
   for (const absl::Status& status : report.refused) {
     LogWarning("policy refused", {{"error", status.message()}});
   }
   for (const std::string& setting : report.waiting) {
     LogWarning("setting pending", {{"setting", setting}});
   }
-  if ((*registry)->catalog()->policies().empty()) {
+  if (registry->catalog()->policies().empty()) {
     LogWarning("no policy is served", {{"policies", options.policies}});
   }
 
-  auto audit_log = AuditLog::Open(options.audit_log);
-  if (!audit_log.ok()) return audit_log.status();
+  ASSIGN_OR_RETURN(auto audit_log, AuditLog::Open(options.audit_log));
   std::unique_ptr<Recordings> recordings;
   if (!options.record_dir.empty()) {
-    auto created = Recordings::Create(options.record_dir, metrics.get());
-    if (!created.ok()) return created.status();
-    recordings = *std::move(created);
+    ASSIGN_OR_RETURN(recordings, Recordings::Create(options.record_dir, metrics.get()));
   }
-  metrics->AddSource([served = registry->get()] { return CollectTraffic(*served->catalog()); });
-  metrics->AddSource([served = registry->get()] { return CollectHeads(*served->catalog()); });
+  metrics->AddSource([served = registry.get()] { return CollectTraffic(*served->catalog()); });
+  metrics->AddSource([served = registry.get()] { return CollectHeads(*served->catalog()); });
   auto server = std::unique_ptr<Server>(
-      new Server(options, *std::move(authenticator), *std::move(registry), *std::move(audit_log),
-                 std::move(metrics), *std::move(tracer), std::move(recordings), *std::move(store)));
+      new Server(options, std::move(authenticator), std::move(registry), std::move(audit_log),
+                 std::move(metrics), std::move(tracer), std::move(recordings), std::move(store)));
   if (server->journals_ != nullptr) server->journals_->Keep(&server->store_);
   if (server->shared_ != nullptr) {
     server->FollowReplicas();
     if (server->registry_->has_joined()) server->heads_->WaitToJoin(kJoinTimeout);
   }
-  if (auto status = server->StartTransport(); !status.ok()) return status;
-  if (auto status = server->StartHttp(); !status.ok()) return status;
+  RETURN_IF_ERROR(server->StartTransport());
+  RETURN_IF_ERROR(server->StartHttp());
   if (server->certificates_.is_used()) server->certificates_.Start();
   if (options.poll_policies > absl::ZeroDuration()) {
     server->poller_ = std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies,
@@ -273,24 +267,22 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
               .unusual_deviations = options.unusual_deviations}) {}
 
 absl::Status Server::StartTransport() {
-  auto address = ParseAddressOrUnix("--listen", options_.listen);
-  if (!address.ok()) return address.status();
+  ASSIGN_OR_RETURN(auto address, ParseAddressOrUnix("--listen", options_.listen));
   if (options_.tls.enabled()) {
-    auto tls = TlsContext::Create(options_.tls, Protocol::kHttp2);
-    if (!tls.ok()) return tls.status();
-    tls_ = *std::move(tls);
+    ASSIGN_OR_RETURN(tls_, TlsContext::Create(options_.tls, Protocol::kHttp2));
     certificates_.Add(tls_.get());
   }
   metrics_->AddSource([this] { return CollectCertificates(certificates_); });
   metrics_->AddSource([this] { return CollectRobots(store_); });
-  auto transport = Transport::Create(
-      {.listen = *std::move(address),
-       .limits = options_.transport_limits,
-       .loops = options_.loops == 0 ? AvailableCores() : static_cast<int>(options_.loops),
-       .tls = tls_.get(),
-       .clock = &clock_});
-  if (!transport.ok()) return transport.status();
-  transport_ = *std::move(transport);
+  ASSIGN_OR_RETURN(
+      auto transport,
+      Transport::Create(
+          {.listen = std::move(address),
+           .limits = options_.transport_limits,
+           .loops = options_.loops == 0 ? AvailableCores() : static_cast<int>(options_.loops),
+           .tls = tls_.get(),
+           .clock = &clock_}));
+  transport_ = std::move(transport);
   metrics_->AddSource([this] { return CollectConnections(*transport_); });
   grpc_address_ = transport_->address();
   PublishHealth();
@@ -369,15 +361,12 @@ void Server::ReloadTokens() {
 
 absl::Status Server::StartHttp() {
   if (options_.http_listen.empty()) return absl::OkStatus();
-  const auto address = ParseAddress("--http_listen", options_.http_listen);
-  if (!address.ok()) return address.status();
+  ASSIGN_OR_RETURN(const auto address, ParseAddress("--http_listen", options_.http_listen));
   // A browser sends a page of another site, whose name resolves to this machine, with that name.
   // With tokens such a page learns nothing, because it has none.
-  const bool local_names_only = address->is_loopback() && options_.tokens.empty();
+  const bool local_names_only = address.is_loopback() && options_.tokens.empty();
   if (options_.tls.enabled()) {
-    auto tls = TlsContext::Create(options_.tls, Protocol::kHttp1);
-    if (!tls.ok()) return tls.status();
-    http_tls_ = *std::move(tls);
+    ASSIGN_OR_RETURN(http_tls_, TlsContext::Create(options_.tls, Protocol::kHttp1));
     certificates_.Add(http_tls_.get());
   }
   http_calls_ = std::make_unique<HttpCalls>(transport_.get(), options_.transport_limits);
@@ -387,26 +376,27 @@ absl::Status Server::StartHttp() {
                                                          options_.max_message_bytes);
   const InferencePages& inference = *inference_pages_;
   const GrpcWebPages& grpc_web = *grpc_web_pages_;
-  auto http = HttpServer::Start(
-      {.listen = *address,
-       .tls = http_tls_.get(),
-       .local_names_only = local_names_only,
-       .origins = *Origins::Parse("--http_origins", options_.http_origins),
-       .clock = &clock_,
-       .accept_body =
-           [&inference, &grpc_web](const HttpRequest& request) {
-             return GrpcWebPages::Has(request) ? grpc_web.AcceptBody(request)
-                                               : inference.AcceptBody(request);
-           },
-       .bodies = &transport_->budgets().all,
-       .max_body_bytes = options_.transport_limits.max_bytes_in_flight},
-      [this, &inference, &grpc_web](const HttpRequest& request, const HttpServer::Done& done) {
-        if (GrpcWebPages::Has(request)) return grpc_web.Answer(request, done);
-        if (InferencePages::Has(request.path)) return inference.Answer(request, done);
-        pages_.Answer(request, done);
-      });
-  if (!http.ok()) return http.status();
-  http_ = *std::move(http);
+  ASSIGN_OR_RETURN(
+      auto http,
+      HttpServer::Start(
+          {.listen = address,
+           .tls = http_tls_.get(),
+           .local_names_only = local_names_only,
+           .origins = *Origins::Parse("--http_origins", options_.http_origins),
+           .clock = &clock_,
+           .accept_body =
+               [&inference, &grpc_web](const HttpRequest& request) {
+                 return GrpcWebPages::Has(request) ? grpc_web.AcceptBody(request)
+                                                   : inference.AcceptBody(request);
+               },
+           .bodies = &transport_->budgets().all,
+           .max_body_bytes = options_.transport_limits.max_bytes_in_flight},
+          [this, &inference, &grpc_web](const HttpRequest& request, const HttpServer::Done& done) {
+            if (GrpcWebPages::Has(request)) return grpc_web.Answer(request, done);
+            if (InferencePages::Has(request.path)) return inference.Answer(request, done);
+            pages_.Answer(request, done);
+          }));
+  http_ = std::move(http);
   history_ticker_ =
       std::make_unique<Periodic>(ServerHistory::kInterval, [this] { history_.Tick(); });
   if (shared_ != nullptr) {

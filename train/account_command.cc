@@ -3,6 +3,7 @@
 #include <string>
 
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "train/commands.h"
 #include "train/decided_episodes.h"
 #include "train/evaluation/energy_account.h"
@@ -19,19 +20,15 @@ struct AccountFlags {
 
 // Replaces the dense policy of the account by that of --dense.
 absl::Status PlayDense(const AccountFlags& flags, EnergyAccount* account) {
-  const auto dense = ReadRequiredPolicy(flags.dense);
-  if (!dense.ok()) return dense.status();
-  const absl::StatusOr<Evaluation> evaluation = Decide(flags.episodes, *dense);
-  if (!evaluation.ok()) return evaluation.status();
-  return SetDense(**dense, *evaluation, account);
+  ASSIGN_OR_RETURN(const auto dense, ReadRequiredPolicy(flags.dense));
+  ASSIGN_OR_RETURN(const Evaluation evaluation, Decide(flags.episodes, dense));
+  return SetDense(*dense, evaluation, account);
 }
 
 absl::Status Account(const AccountFlags& flags) {
-  const auto policy = ReadRequiredPolicy(flags.policy);
-  if (!policy.ok()) return policy.status();
-  const absl::StatusOr<Evaluation> evaluation = Decide(flags.episodes, *policy);
-  if (!evaluation.ok()) return evaluation.status();
-  absl::StatusOr<EnergyAccount> account = AccountOf(**policy, *evaluation);
+  ASSIGN_OR_RETURN(const auto policy, ReadRequiredPolicy(flags.policy));
+  ASSIGN_OR_RETURN(const Evaluation evaluation, Decide(flags.episodes, policy));
+  absl::StatusOr<EnergyAccount> account = AccountOf(*policy, evaluation);
   if (!account.ok()) return Annotate(account.status(), "--policy");
   if (!flags.dense.empty()) {
     absl::Status status = PlayDense(flags, &*account);

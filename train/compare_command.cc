@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
+#include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "train/baselines/comparison.h"
@@ -49,27 +50,22 @@ absl::Status CheckFits(const Policy& policy, const Dataset& dataset) {
 }
 
 absl::Status ComparePolicy(const CompareFlags& flags) {
-  if (auto status = CheckFlags(flags); !status.ok()) return status;
-  absl::StatusOr<Policy> read = ReadPolicyFile(flags.policy);
-  if (!read.ok()) return read.status();
-  const auto policy = std::make_shared<const Policy>(*std::move(read));
-  const absl::StatusOr<EpisodeSource> source =
-      EpisodeSource::Open(flags.data, int64_t{flags.data_memory} << 20);
-  if (!source.ok()) return source.status();
-  if (auto status = CheckFits(*policy, source->dataset()); !status.ok()) return status;
-  const absl::StatusOr<BaselineData> data = ReadBaselineData(*source, flags.validation);
-  if (!data.ok()) return data.status();
-  BaselineComparison comparison = CompareWithBaselines(policy, *data, flags.seed);
+  RETURN_IF_ERROR(CheckFlags(flags));
+  ASSIGN_OR_RETURN(Policy read, ReadPolicyFile(flags.policy));
+  const auto policy = std::make_shared<const Policy>(std::move(read));
+  ASSIGN_OR_RETURN(const EpisodeSource source,
+                   EpisodeSource::Open(flags.data, int64_t{flags.data_memory} << 20));
+  RETURN_IF_ERROR(CheckFits(*policy, source.dataset()));
+  ASSIGN_OR_RETURN(const BaselineData data, ReadBaselineData(source, flags.validation));
+  BaselineComparison comparison = CompareWithBaselines(policy, data, flags.seed);
   if (MakeEnvironment(policy->environment).ok()) {
-    const absl::StatusOr<Evaluation> played = Evaluate(policy, flags.evaluation);
-    if (!played.ok()) return played.status();
-    absl::Status status = PlayBaselines(policy->environment, flags.evaluation.first_seed,
-                                        played->returns, &comparison);
-    if (!status.ok()) return status;
+    ASSIGN_OR_RETURN(const Evaluation played, Evaluate(policy, flags.evaluation));
+    RETURN_IF_ERROR(PlayBaselines(policy->environment, flags.evaluation.first_seed, played.returns,
+                                  &comparison));
   }
   if (!flags.out.empty()) {
     const std::string text = ToJson(comparison, /*with_weights=*/true).dump() + "\n";
-    if (auto status = WriteFileAtomically(flags.out, {text}); !status.ok()) return status;
+    RETURN_IF_ERROR(WriteFileAtomically(flags.out, {text}));
   }
   std::fputs(
       (flags.json ? ToJson(comparison, /*with_weights=*/false).dump(2) + "\n" : ToText(comparison))

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/dataset/recordings.h"
 #include "train/commands.h"
 #include "train/data/minari_writer.h"
@@ -45,15 +46,12 @@ absl::Status WriteNewDataset(const DatasetFlags& flags) {
   if (auto status = RequireOut(flags.out, "a .cbor file or a directory to write"); !status.ok()) {
     return status;
   }
-  absl::StatusOr<Dataset> dataset = MakeDataset(flags);
-  if (!dataset.ok()) return dataset.status();
-  dataset->recipe["commit"] = BuildCommit();
+  ASSIGN_OR_RETURN(Dataset dataset, MakeDataset(flags));
+  dataset.recipe["commit"] = BuildCommit();
   const bool cbor = std::filesystem::path(flags.out).extension() == ".cbor";
-  const absl::Status written =
-      cbor ? WriteDataset(*dataset, flags.out) : WriteMinariDataset(*dataset, flags.out);
-  if (!written.ok()) return written;
-  nlohmann::ordered_json summary = {{"environment", dataset->environment}};
-  summary.update(dataset->recipe);
+  RETURN_IF_ERROR(cbor ? WriteDataset(dataset, flags.out) : WriteMinariDataset(dataset, flags.out));
+  nlohmann::ordered_json summary = {{"environment", dataset.environment}};
+  summary.update(dataset.recipe);
   std::printf("%s\n", summary.dump(flags.json ? 2 : -1).c_str());
   return absl::OkStatus();
 }

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/dataset/recordings.h"
 #include "core/model/policy_file.h"
 #include "train/evaluation/neurobench.h"
@@ -40,9 +41,8 @@ absl::StatusOr<std::shared_ptr<const Policy>> ReadRequiredPolicy(const std::stri
   if (path.empty()) {
     return absl::InvalidArgumentError("--policy: expected a policy file, received none");
   }
-  absl::StatusOr<Policy> policy = ReadPolicyFile(path);
-  if (!policy.ok()) return policy.status();
-  return std::make_shared<const Policy>(*std::move(policy));
+  ASSIGN_OR_RETURN(Policy policy, ReadPolicyFile(path));
+  return std::make_shared<const Policy>(std::move(policy));
 }
 
 }  // namespace spikeserve

@@ -8,6 +8,7 @@
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/model/policy_file.h"
 #include "train/commands.h"
 #include "train/evaluation/ablation.h"
@@ -66,42 +67,36 @@ absl::Status Compare(const EvalFlags& flags, const Policy& policy) {
     return absl::InvalidArgumentError(absl::StrCat(
         "--target_returns: expected none with --against, received ", flags.target_returns.front()));
   }
-  absl::StatusOr<Policy> other = ReadPolicyFile(flags.against);
-  if (!other.ok()) return other.status();
-  other->environment = policy.environment;
-  const absl::StatusOr<PairedEvaluation> pair =
-      EvaluatePair(std::make_shared<const Policy>(*other), std::make_shared<const Policy>(policy),
-                   flags.options);
-  if (!pair.ok()) return pair.status();
+  ASSIGN_OR_RETURN(Policy other, ReadPolicyFile(flags.against));
+  other.environment = policy.environment;
+  ASSIGN_OR_RETURN(const PairedEvaluation pair,
+                   EvaluatePair(std::make_shared<const Policy>(other),
+                                std::make_shared<const Policy>(policy), flags.options));
   Print(flags,
-        {{"against", ToJson(pair->first, other->config)},
-         {"policy", ToJson(pair->second, policy.config)},
-         {"paired_returns", ToJson(*pair)}},
-        absl::StrCat(flags.against, ": ", ToText(pair->first, other->config), flags.policy, ": ",
-                     ToText(pair->second, policy.config),
-                     ToText(*pair, "of --against", "of --policy")));
+        {{"against", ToJson(pair.first, other.config)},
+         {"policy", ToJson(pair.second, policy.config)},
+         {"paired_returns", ToJson(pair)}},
+        absl::StrCat(flags.against, ": ", ToText(pair.first, other.config), flags.policy, ": ",
+                     ToText(pair.second, policy.config),
+                     ToText(pair, "of --against", "of --policy")));
   return absl::OkStatus();
 }
 
 absl::Status EvaluatePolicy(const EvalFlags& flags) {
-  absl::StatusOr<Policy> policy = ReadPolicy(flags);
-  if (!policy.ok()) return policy.status();
-  if (!flags.against.empty()) return Compare(flags, *policy);
-  const absl::StatusOr<std::vector<double>> targets = ParseTargetReturns(flags);
-  if (!targets.ok()) return targets.status();
-  if (targets->size() > 1) {
-    const absl::StatusOr<ReturnResponse> response =
-        MeasureReturnResponse(*policy, *targets, flags.options);
-    if (!response.ok()) return response.status();
-    Print(flags, ToJson(*response), ToText(*response));
+  ASSIGN_OR_RETURN(Policy policy, ReadPolicy(flags));
+  if (!flags.against.empty()) return Compare(flags, policy);
+  ASSIGN_OR_RETURN(const std::vector<double> targets, ParseTargetReturns(flags));
+  if (targets.size() > 1) {
+    ASSIGN_OR_RETURN(const ReturnResponse response,
+                     MeasureReturnResponse(policy, targets, flags.options));
+    Print(flags, ToJson(response), ToText(response));
     return absl::OkStatus();
   }
-  if (!targets->empty()) policy->target_return = static_cast<float>(targets->front());
-  const ModelConfig config = policy->config;
-  const absl::StatusOr<Evaluation> evaluation =
-      Evaluate(std::make_shared<const Policy>(*std::move(policy)), flags.options);
-  if (!evaluation.ok()) return evaluation.status();
-  Print(flags, ToJson(*evaluation, config), ToText(*evaluation, config));
+  if (!targets.empty()) policy.target_return = static_cast<float>(targets.front());
+  const ModelConfig config = policy.config;
+  ASSIGN_OR_RETURN(const Evaluation evaluation,
+                   Evaluate(std::make_shared<const Policy>(std::move(policy)), flags.options));
+  Print(flags, ToJson(evaluation, config), ToText(evaluation, config));
   return absl::OkStatus();
 }
 

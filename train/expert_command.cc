@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/strings/str_format.h"
+#include "core/base/status_macros.h"
 #include "nlohmann/json.hpp"
 #include "train/commands.h"
 #include "train/expert/expert_evaluation.h"
@@ -22,13 +23,11 @@ struct ExpertFlags {
 
 absl::Status PlayExpert(const ExpertFlags& flags) {
   const ExpertOptions& options = flags.options;
-  const absl::StatusOr<std::unique_ptr<Expert>> expert = MakeExpert(options);
-  if (!expert.ok()) return expert.status();
-  const absl::StatusOr<std::vector<double>> returns =
-      EvaluateExpert(**expert, options.environment, flags.episodes, flags.seed);
-  if (!returns.ok()) return returns.status();
-  const auto [mean, deviation] = StatisticsOf(*returns);
-  const auto [least, most] = std::minmax_element(returns->begin(), returns->end());
+  ASSIGN_OR_RETURN(const std::unique_ptr<Expert> expert, MakeExpert(options));
+  ASSIGN_OR_RETURN(const std::vector<double> returns,
+                   EvaluateExpert(*expert, options.environment, flags.episodes, flags.seed));
+  const auto [mean, deviation] = StatisticsOf(returns);
+  const auto [least, most] = std::minmax_element(returns.begin(), returns.end());
   if (flags.json) {
     const nlohmann::ordered_json json = {{"environment", options.environment},
                                          {"mean_return", mean},

@@ -3,6 +3,7 @@
 #include <string>
 
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "train/commands.h"
 #include "train/decided_episodes.h"
 #include "train/evaluation/neurobench.h"
@@ -17,11 +18,9 @@ struct NeuroBenchFlags {
 };
 
 absl::Status Measure(const NeuroBenchFlags& flags) {
-  const auto policy = ReadRequiredPolicy(flags.policy);
-  if (!policy.ok()) return policy.status();
-  const absl::StatusOr<Evaluation> evaluation = Decide(flags.episodes, *policy);
-  if (!evaluation.ok()) return evaluation.status();
-  const absl::StatusOr<NeuroBench> metrics = MeasureNeuroBench(**policy, *evaluation);
+  ASSIGN_OR_RETURN(const auto policy, ReadRequiredPolicy(flags.policy));
+  ASSIGN_OR_RETURN(const Evaluation evaluation, Decide(flags.episodes, policy));
+  const absl::StatusOr<NeuroBench> metrics = MeasureNeuroBench(*policy, evaluation);
   if (!metrics.ok()) return Annotate(metrics.status(), "--policy");
   std::fputs((flags.json ? ToJson(*metrics).dump(2) + "\n" : ToText(*metrics)).c_str(), stdout);
   return absl::OkStatus();

@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "core/quantize/prune_hidden.h"
@@ -77,13 +78,12 @@ absl::StatusOr<std::vector<Episode>> CalibrationSet(const Policy& policy,
                                                    policy.environment, ", received none"));
   }
   constexpr int64_t kMemory = int64_t{4} << 30;
-  const absl::StatusOr<EpisodeSource> source = EpisodeSource::Open(data, kMemory);
-  if (!source.ok()) return source.status();
-  if (!source->resident()) {
+  ASSIGN_OR_RETURN(const EpisodeSource source, EpisodeSource::Open(data, kMemory));
+  if (!source.resident()) {
     return absl::InvalidArgumentError("--data: expected at most 4 GiB of episodes, received more");
   }
   // The policy is asked for its own target, not for the returns that the recorded actor reached.
-  std::vector<Episode> episodes = source->dataset().episodes;
+  std::vector<Episode> episodes = source.dataset().episodes;
   for (Episode& episode : episodes) {
     if (!episode.target_return.has_value()) episode.target_return = policy.target_return;
   }
@@ -91,15 +91,14 @@ absl::StatusOr<std::vector<Episode>> CalibrationSet(const Policy& policy,
 }
 
 absl::StatusOr<Policy> RoundToInteger(const Policy& policy, const QuantizeFlags& flags) {
-  const absl::StatusOr<std::vector<Episode>> episodes = CalibrationSet(policy, flags.data);
-  if (!episodes.ok()) return episodes.status();
-  const absl::StatusOr<float> largest = LargestInput(policy, *episodes);
+  ASSIGN_OR_RETURN(const std::vector<Episode> episodes, CalibrationSet(policy, flags.data));
+  const absl::StatusOr<float> largest = LargestInput(policy, episodes);
   if (!largest.ok()) return Annotate(largest.status(), "--data");
   IntegerOptions options = flags.integer;
   options.largest_input = 2.0f * *largest;  // leaves room for inputs that the set lacks
   absl::StatusOr<Policy> integer = QuantizeToInteger(policy, options);
   if (!integer.ok() || !flags.prune) return integer;
-  return PruneHidden(*integer, FiringHiddenNeurons(*integer, *episodes));
+  return PruneHidden(*integer, FiringHiddenNeurons(*integer, episodes));
 }
 
 // Converts the policy to the arithmetic of --to.
@@ -115,10 +114,10 @@ absl::StatusOr<std::optional<PairedEvaluation>> PlayBoth(const Policy& parent,
                                                          const Policy& integer,
                                                          const EvaluationOptions& options) {
   if (!MakeEnvironment(parent.environment).ok()) return std::optional<PairedEvaluation>();
-  absl::StatusOr<PairedEvaluation> pair = EvaluatePair(
-      std::make_shared<const Policy>(parent), std::make_shared<const Policy>(integer), options);
-  if (!pair.ok()) return pair.status();
-  return std::optional<PairedEvaluation>(*std::move(pair));
+  ASSIGN_OR_RETURN(PairedEvaluation pair,
+                   EvaluatePair(std::make_shared<const Policy>(parent),
+                                std::make_shared<const Policy>(integer), options));
+  return std::optional<PairedEvaluation>(std::move(pair));
 }
 
 // The record of how the integer policy came to be.
@@ -137,23 +136,18 @@ std::string QuantizationRecord(const std::string& command_line,
 }
 
 absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& command_line) {
-  if (absl::Status status = CheckFlags(flags); !status.ok()) return status;
-  const absl::StatusOr<Policy> parent = ReadPolicyFile(flags.policy);
-  if (!parent.ok()) return parent.status();
-  const absl::StatusOr<nlohmann::ordered_json> sources = IdentifySources(flags.policy, flags.data);
-  if (!sources.ok()) return sources.status();
-  absl::StatusOr<Policy> integer = Round(*parent, flags);
-  if (!integer.ok()) return integer.status();
-  const absl::StatusOr<std::optional<PairedEvaluation>> pair =
-      PlayBoth(*parent, *integer, flags.options);
-  if (!pair.ok()) return pair.status();
-  if (absl::Status status = MakeDirectoryOf(flags.out); !status.ok()) return status;
-  integer->training = QuantizationRecord(command_line, *sources, *pair, *parent, integer->config);
-  if (absl::Status status = WritePolicyFile(*integer, flags.out); !status.ok()) return status;
-  if (!pair->has_value()) return absl::OkStatus();
-  std::fputs(
-      (flags.json ? ToJson(**pair).dump(2) + "\n" : ToText(**pair, "before", "after")).c_str(),
-      stdout);
+  RETURN_IF_ERROR(CheckFlags(flags));
+  ASSIGN_OR_RETURN(const Policy parent, ReadPolicyFile(flags.policy));
+  ASSIGN_OR_RETURN(const nlohmann::ordered_json sources, IdentifySources(flags.policy, flags.data));
+  ASSIGN_OR_RETURN(Policy integer, Round(parent, flags));
+  ASSIGN_OR_RETURN(const std::optional<PairedEvaluation> pair,
+                   PlayBoth(parent, integer, flags.options));
+  RETURN_IF_ERROR(MakeDirectoryOf(flags.out));
+  integer.training = QuantizationRecord(command_line, sources, pair, parent, integer.config);
+  RETURN_IF_ERROR(WritePolicyFile(integer, flags.out));
+  if (!pair.has_value()) return absl::OkStatus();
+  std::fputs((flags.json ? ToJson(*pair).dump(2) + "\n" : ToText(*pair, "before", "after")).c_str(),
+             stdout);
   return absl::OkStatus();
 }
 

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/model/policy_file.h"
 #include "train/evaluation/training_record.h"
 
@@ -39,25 +40,22 @@ void AddRecordFlags(FlagGroup& group, RecordFlags* flags) {
 absl::StatusOr<RecordOptions> ReadRecordOptions(const RecordFlags& flags) {
   RecordOptions options = flags.options;
   if (flags.student.empty()) return options;
-  absl::StatusOr<Policy> policy = ReadPolicyFile(flags.student);
-  if (!policy.ok()) return policy.status();
-  options.student = std::make_shared<const Policy>(*std::move(policy));
+  ASSIGN_OR_RETURN(Policy policy, ReadPolicyFile(flags.student));
+  options.student = std::make_shared<const Policy>(std::move(policy));
   return options;
 }
 
 absl::StatusOr<Dataset> RecordFromFlags(const RecordFlags& flags, const std::string& out) {
-  absl::StatusOr<RecordOptions> options = ReadRecordOptions(flags);
-  if (!options.ok()) return options.status();
-  if (options->expert.tables_directory.empty()) {
+  ASSIGN_OR_RETURN(RecordOptions options, ReadRecordOptions(flags));
+  if (options.expert.tables_directory.empty()) {
     const std::filesystem::path path = out;
-    options->expert.tables_directory = path.has_parent_path() ? path.parent_path().string() : ".";
+    options.expert.tables_directory = path.has_parent_path() ? path.parent_path().string() : ".";
   }
-  if (absl::Status status = options->Validate(); !status.ok()) return NameFlag(status);
-  absl::StatusOr<Dataset> dataset = RecordDataset(*options);
+  if (absl::Status status = options.Validate(); !status.ok()) return NameFlag(status);
+  absl::StatusOr<Dataset> dataset = RecordDataset(options);
   if (!dataset.ok() || flags.student.empty()) return dataset;
-  const absl::StatusOr<std::string> student = FileSha256(flags.student);
-  if (!student.ok()) return student.status();
-  dataset->recipe["student_sha256"] = *student;
+  ASSIGN_OR_RETURN(const std::string student, FileSha256(flags.student));
+  dataset->recipe["student_sha256"] = student;
   return dataset;
 }
 

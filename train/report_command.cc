@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
+#include "core/base/status_macros.h"
 #include "train/commands.h"
 #include "train/record_flags.h"
 #include "train/report/report_page.h"
@@ -29,16 +30,14 @@ absl::StatusOr<ReportOptions> MakeOptions(const ReportFlags& flags) {
   if (auto status = RequireOut(flags.out, "the directory to write into"); !status.ok()) {
     return status;
   }
-  const absl::StatusOr<TrainOptions> training = MakeTrainOptions(flags.trainer);
-  if (!training.ok()) return training.status();
-  absl::StatusOr<RecordOptions> data = ReadRecordOptions(flags.record);
-  if (!data.ok()) return data.status();
+  ASSIGN_OR_RETURN(const TrainOptions training, MakeTrainOptions(flags.trainer));
+  ASSIGN_OR_RETURN(RecordOptions data, ReadRecordOptions(flags.record));
   ReportOptions options;
   options.directory = flags.out;
-  options.training = *training;
-  options.data = *std::move(data);
+  options.training = training;
+  options.data = std::move(data);
   options.data.expert.tables_directory = flags.out;
-  if (auto status = SetShape(flags.shape, &options.config); !status.ok()) return status;
+  RETURN_IF_ERROR(SetShape(flags.shape, &options.config));
   options.environments = flags.environments;
   options.seeds = flags.seeds;
   if (options.seeds < 1 || options.environments.empty()) {
@@ -64,23 +63,20 @@ absl::StatusOr<ReportOptions> MakeOptions(const ReportFlags& flags) {
 }
 
 absl::Status MakeReport(const ReportFlags& flags, const std::string& command_line) {
-  const absl::StatusOr<ReportOptions> options = MakeOptions(flags);
-  if (!options.ok()) return options.status();
+  ASSIGN_OR_RETURN(const ReportOptions options, MakeOptions(flags));
   const auto log = [](const std::string& name) {
     std::fprintf(stderr, "spiketrain: training %s\n", name.c_str());
   };
-  const auto modes = RunAll(*options, ModeRuns(*options), log);
-  if (!modes.ok()) return modes.status();
-  const auto sweeps = RunAll(*options, SweepRuns(*options), log);
-  if (!sweeps.ok()) return sweeps.status();
-  const Report report = WriteReport(*options, command_line, *modes, *sweeps);
-  absl::Status status = WriteFileAtomically(options->directory + "/report.md", {report.markdown});
+  ASSIGN_OR_RETURN(const auto modes, RunAll(options, ModeRuns(options), log));
+  ASSIGN_OR_RETURN(const auto sweeps, RunAll(options, SweepRuns(options), log));
+  const Report report = WriteReport(options, command_line, modes, sweeps);
+  absl::Status status = WriteFileAtomically(options.directory + "/report.md", {report.markdown});
   status.Update(
-      WriteFileAtomically(options->directory + "/figures.json", {report.figures.dump(), "\n"}));
+      WriteFileAtomically(options.directory + "/figures.json", {report.figures.dump(), "\n"}));
   if (!status.ok()) return status;
   std::printf("%s/report.md\n%s/figures.json\nDraw the figures with: %s\n",
-              options->directory.c_str(), options->directory.c_str(),
-              PlotCommand(options->directory).c_str());
+              options.directory.c_str(), options.directory.c_str(),
+              PlotCommand(options.directory).c_str());
   return absl::OkStatus();
 }
 

@@ -12,6 +12,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "core/base/file.h"
+#include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 
 namespace spikeserve {
@@ -100,9 +101,8 @@ absl::Status Finish(const TrainFlags& flags, std::vector<SeedRun> runs) {
   const SeedSummary summary = Summarise(runs);
   TrainedPolicy& best = runs[summary.best].trained;
   const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
-  const absl::StatusOr<std::string> bytes = ReadFile(best.summary.path);
-  if (!bytes.ok()) return bytes.status();
-  if (auto status = WriteFileAtomically(path, {*bytes}); !status.ok()) return status;
+  ASSIGN_OR_RETURN(const std::string bytes, ReadFile(best.summary.path));
+  RETURN_IF_ERROR(WriteFileAtomically(path, {bytes}));
   const nlohmann::ordered_json all = ToJson(runs, summary);
   best.summary.path = path;
   if (flags.json) {
@@ -118,24 +118,21 @@ absl::Status Finish(const TrainFlags& flags, std::vector<SeedRun> runs) {
 }  // namespace
 
 absl::Status TrainSeeds(const TrainFlags& flags, const std::string& command_line) {
-  const absl::StatusOr<std::vector<uint64_t>> seeds = ParseSeeds(flags);
-  if (!seeds.ok()) return seeds.status();
+  ASSIGN_OR_RETURN(const std::vector<uint64_t> seeds, ParseSeeds(flags));
   std::optional<EpisodeSource> source;
   std::vector<SeedRun> runs;
-  for (const uint64_t seed : *seeds) {
+  for (const uint64_t seed : seeds) {
     TrainFlags own = flags;
     own.trainer.options.seed = seed;
     own.out = absl::StrCat(flags.out, "/seed-", seed);
     // Without --data, every seed records its own.
     if (!source.has_value() || flags.data.empty()) {
-      absl::StatusOr<EpisodeSource> made = MakeSource(own);
-      if (!made.ok()) return made.status();
-      source.emplace(*std::move(made));
-      if (auto status = CheckPlayable(source->dataset().environment); !status.ok()) return status;
+      ASSIGN_OR_RETURN(EpisodeSource made, MakeSource(own));
+      source.emplace(std::move(made));
+      RETURN_IF_ERROR(CheckPlayable(source->dataset().environment));
     }
-    absl::StatusOr<TrainedPolicy> trained = TrainPolicy(own, *source, command_line);
-    if (!trained.ok()) return trained.status();
-    runs.push_back({.seed = seed, .trained = *std::move(trained)});
+    ASSIGN_OR_RETURN(TrainedPolicy trained, TrainPolicy(own, *source, command_line));
+    runs.push_back({.seed = seed, .trained = std::move(trained)});
   }
   return Finish(flags, std::move(runs));
 }

@@ -3,6 +3,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "train/commands.h"
 #include "train/record_flags.h"
 #include "train/seed_runs.h"
@@ -34,13 +35,11 @@ absl::Status Train(const TrainFlags& flags, const std::string& command_line) {
   }
   if (!flags.seeds.empty()) return TrainSeeds(flags, command_line);
   // Before it records data.
-  if (auto status = CheckOut(flags); !status.ok()) return status;
-  const absl::StatusOr<EpisodeSource> source = MakeSource(flags);
-  if (!source.ok()) return source.status();
-  const absl::StatusOr<TrainedPolicy> trained = TrainPolicy(flags, *source, command_line);
-  if (!trained.ok()) return trained.status();
-  std::fputs((flags.json ? ToJson(trained->summary, trained->policy).dump(2) + "\n"
-                         : ToText(trained->summary, trained->policy))
+  RETURN_IF_ERROR(CheckOut(flags));
+  ASSIGN_OR_RETURN(const EpisodeSource source, MakeSource(flags));
+  ASSIGN_OR_RETURN(const TrainedPolicy trained, TrainPolicy(flags, source, command_line));
+  std::fputs((flags.json ? ToJson(trained.summary, trained.policy).dump(2) + "\n"
+                         : ToText(trained.summary, trained.policy))
                  .c_str(),
              stdout);
   return absl::OkStatus();

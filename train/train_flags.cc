@@ -7,6 +7,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
+#include "core/base/status_macros.h"
 #include "train/record_flags.h"
 
 namespace spikeserve {
@@ -101,9 +102,7 @@ void AddTrainerFlags(Command command, TrainerFlags* flags) {
 
 absl::StatusOr<TrainOptions> MakeTrainOptions(const TrainerFlags& flags) {
   TrainOptions options = flags.options;
-  const absl::StatusOr<DelayRange> delay = ParseDelay(flags.delay);
-  if (!delay.ok()) return delay.status();
-  options.delay = *delay;
+  ASSIGN_OR_RETURN(options.delay, ParseDelay(flags.delay));
   options.rate_targets = {.hidden = flags.target_rate / 100.0,
                           .readout = flags.readout_rate / 100.0};
   if (absl::Status status = options.Validate(); !status.ok()) return NameFlag(status);

@@ -13,6 +13,7 @@
 #include "absl/strings/str_split.h"
 #include "core/base/file.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "core/quantize/quantize.h"
@@ -74,7 +75,7 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
   double shown_loss = -1.0;
   double validation = -1.0;
   while (!trainer->done()) {
-    if (auto status = trainer->ReadEpisodes(); !status.ok()) return status;
+    RETURN_IF_ERROR(trainer->ReadEpisodes());
     const absl::StatusOr<Trainer::StepReport> step = trainer->Step();
     const int iteration = trainer->iteration();
     if (!step.ok()) {
@@ -88,10 +89,10 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
     const bool last = trainer->done();
     if (trainer->has_validation() && (last || iteration % flags.validate_every == 0)) {
       validation = trainer->ValidationLoss();
-      if (auto status = curve.Add(iteration, shown_loss, validation); !status.ok()) return status;
+      RETURN_IF_ERROR(curve.Add(iteration, shown_loss, validation));
     }
     if (last || iteration % flags.checkpoint_every == 0) {
-      if (auto status = trainer->SaveCheckpoint(checkpoint); !status.ok()) return status;
+      RETURN_IF_ERROR(trainer->SaveCheckpoint(checkpoint));
     }
     const std::string held_out =
         validation < 0.0 ? "" : absl::StrFormat(", validation %.4f", validation);
@@ -100,7 +101,7 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
   }
   // A run that was resumed after its last iteration has not validated yet.
   if (validation < 0.0 && trainer->has_validation()) {
-    if (auto status = trainer->ReadEpisodes(); !status.ok()) return status;
+    RETURN_IF_ERROR(trainer->ReadEpisodes());
     validation = trainer->ValidationLoss();
   }
   return validation;
@@ -110,9 +111,9 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
 absl::StatusOr<std::optional<Evaluation>> EvaluateIfPossible(const Policy& policy,
                                                              const EvaluationOptions& options) {
   if (!MakeEnvironment(policy.environment).ok()) return std::optional<Evaluation>();
-  absl::StatusOr<Evaluation> evaluation = Evaluate(std::make_shared<const Policy>(policy), options);
-  if (!evaluation.ok()) return evaluation.status();
-  return std::optional<Evaluation>(*std::move(evaluation));
+  ASSIGN_OR_RETURN(Evaluation evaluation,
+                   Evaluate(std::make_shared<const Policy>(policy), options));
+  return std::optional<Evaluation>(std::move(evaluation));
 }
 
 // Returns the record of a policy's training. `sources` is the result of IdentifySources(),
@@ -141,19 +142,16 @@ absl::StatusOr<bool> ChangesOf(const TrainFlags& flags, const EpisodeSource& sou
   }
   if (flag.has_value()) return *flag;
   if (patches.used() || source.dataset().observation_size > kMostBaselineInputs) return false;
-  const absl::StatusOr<BaselineData> data =
-      ReadBaselineData(source, flags.trainer.options.validation);
-  if (!data.ok()) return data.status();
-  return NeedsChanges(source.dataset().action_space, data->training);
+  ASSIGN_OR_RETURN(const BaselineData data,
+                   ReadBaselineData(source, flags.trainer.options.validation));
+  return NeedsChanges(source.dataset().action_space, data.training);
 }
 
 absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const EpisodeSource& source,
                                  const PatchShape& patches) {
   ModelConfig config;
-  if (auto status = SetShape(flags.shape, &config); !status.ok()) return status;
-  const absl::StatusOr<bool> changes = ChangesOf(flags, source, patches);
-  if (!changes.ok()) return changes.status();
-  config.observation_changes = *changes;
+  RETURN_IF_ERROR(SetShape(flags.shape, &config));
+  ASSIGN_OR_RETURN(config.observation_changes, ChangesOf(flags, source, patches));
   Policy policy = InitialPolicy(config, source, flags.trainer.options.seed, patches);
   if (flags.return_offset.has_value()) {
     policy.return_offset = static_cast<float>(*flags.return_offset);
@@ -166,27 +164,26 @@ absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const EpisodeSource& s
     policy.return_scale = static_cast<float>(*scale);
   }
   if (flags.lookback.has_value()) {
-    if (auto status = LookBack(*flags.lookback, &policy); !status.ok()) return status;
+    RETURN_IF_ERROR(LookBack(*flags.lookback, &policy));
   }
   return policy;
 }
 
 absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const std::string& environment) {
-  absl::StatusOr<Policy> policy = ReadPolicyFile(flags.init);
-  if (!policy.ok()) return policy.status();
-  if (policy->config.arithmetic != Arithmetic::kFloat32) {
+  ASSIGN_OR_RETURN(Policy policy, ReadPolicyFile(flags.init));
+  if (policy.config.arithmetic != Arithmetic::kFloat32) {
     return absl::InvalidArgumentError(
         absl::StrCat("--init: expected a policy in float32, received one in ",
-                     std::string(ToString(policy->config.arithmetic))));
+                     std::string(ToString(policy.config.arithmetic))));
   }
-  if (auto status = CheckShape(flags.shape, policy->config); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckShape(flags.shape, policy.config));
   if (flags.lookback.has_value()) {
     return absl::InvalidArgumentError(absl::StrCat(
         "--lookback: expected no such flag beside --init, received ", *flags.lookback));
   }
-  if (policy->environment != environment) {
+  if (policy.environment != environment) {
     return absl::InvalidArgumentError(absl::StrCat("--init: expected a policy for ", environment,
-                                                   ", received one for \"", policy->environment,
+                                                   ", received one for \"", policy.environment,
                                                    "\""));
   }
   return policy;
@@ -241,7 +238,7 @@ absl::StatusOr<PatchShape> PatchesOf(const TrainFlags& flags, int observation_si
   for (size_t i = 0; i < 3 && flags.image_shape.size() == 3; ++i) {
     if (!absl::SimpleAtoi(flags.image_shape[i], fields[i])) *fields[i] = 0;
   }
-  if (auto status = shape.Validate(observation_size); !status.ok()) return status;
+  RETURN_IF_ERROR(shape.Validate(observation_size));
   return shape;
 }
 
@@ -254,14 +251,12 @@ absl::StatusOr<std::optional<BaselineComparison>> CompareIfPossible(
     return std::optional<BaselineComparison>();
   }
   const TrainOptions& options = flags.trainer.options;
-  const absl::StatusOr<BaselineData> data = ReadBaselineData(source, options.validation);
-  if (!data.ok()) return data.status();
+  ASSIGN_OR_RETURN(const BaselineData data, ReadBaselineData(source, options.validation));
   BaselineComparison comparison =
-      CompareWithBaselines(std::make_shared<const Policy>(policy), *data, options.seed);
+      CompareWithBaselines(std::make_shared<const Policy>(policy), data, options.seed);
   if (evaluation.has_value()) {
-    absl::Status status = PlayBaselines(policy.environment, evaluation->options.first_seed,
-                                        evaluation->returns, &comparison);
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(PlayBaselines(policy.environment, evaluation->options.first_seed,
+                                  evaluation->returns, &comparison));
   }
   const std::string text = ToJson(comparison, /*with_weights=*/true).dump() + "\n";
   if (auto status = WriteFileAtomically(flags.out + "/baselines.json", {text}); !status.ok()) {
@@ -275,26 +270,25 @@ absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string&
                                      const nlohmann::ordered_json& sources,
                                      const TrainOptions& options, const EpisodeSource& source,
                                      const Policy& initial, double validation, Policy policy) {
-  const absl::StatusOr<std::optional<Evaluation>> evaluation =
-      EvaluateIfPossible(policy, {.episodes = flags.episodes, .delay = options.delay});
-  if (!evaluation.ok()) return evaluation.status();
+  ASSIGN_OR_RETURN(
+      const std::optional<Evaluation> evaluation,
+      EvaluateIfPossible(policy, {.episodes = flags.episodes, .delay = options.delay}));
   policy.training = TrainingRecord(command_line, sources, options, source.dataset(), validation,
-                                   *evaluation, policy.config, initial.training);
+                                   evaluation, policy.config, initial.training);
   absl::StatusOr<std::optional<BaselineComparison>> comparison =
       std::optional<BaselineComparison>();
   // With a delay a baseline would imitate other labels and play another task.
-  if (options.delay.most == 0) comparison = CompareIfPossible(flags, source, policy, *evaluation);
+  if (options.delay.most == 0) comparison = CompareIfPossible(flags, source, policy, evaluation);
   if (!comparison.ok()) return comparison.status();
   const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
-  if (auto status = WritePolicyFile(policy, path); !status.ok()) return status;
-  const absl::StatusOr<double> spikes_on_data =
-      evaluation->has_value() ? 0.0 : SpikesOnData(policy, source);
-  if (!spikes_on_data.ok()) return spikes_on_data.status();
+  RETURN_IF_ERROR(WritePolicyFile(policy, path));
+  ASSIGN_OR_RETURN(const double spikes_on_data,
+                   evaluation.has_value() ? 0.0 : SpikesOnData(policy, source));
   TrainSummary summary = {.path = path,
                           .target_source = TargetSourceOf(flags, initial),
                           .validation_loss = validation,
-                          .evaluation = *evaluation,
-                          .spikes_on_data = *spikes_on_data,
+                          .evaluation = evaluation,
+                          .spikes_on_data = spikes_on_data,
                           .comparison = *std::move(comparison)};
   return TrainedPolicy{.policy = std::move(policy), .summary = std::move(summary)};
 }
@@ -329,13 +323,12 @@ absl::Status CheckOut(const TrainFlags& flags) {
 // Reads the files of --data, or without that flag records data with the default recipe.
 absl::StatusOr<EpisodeSource> MakeSource(const TrainFlags& flags) {
   if (flags.data.empty()) {
-    if (auto status = MakeDirectory(flags.out); !status.ok()) return status;
+    RETURN_IF_ERROR(MakeDirectory(flags.out));
     RecordFlags record = flags.record;
     record.options.seed = flags.trainer.options.seed;
     record.options.expert.environment = flags.env.value_or(record.options.expert.environment);
-    absl::StatusOr<Dataset> recorded = RecordFromFlags(record, flags.out);
-    if (!recorded.ok()) return recorded.status();
-    return EpisodeSource(*std::move(recorded));
+    ASSIGN_OR_RETURN(Dataset recorded, RecordFromFlags(record, flags.out));
+    return EpisodeSource(std::move(recorded));
   }
   absl::StatusOr<EpisodeSource> source =
       EpisodeSource::Open(flags.data, int64_t{flags.data_memory} << 20);
@@ -351,27 +344,21 @@ absl::StatusOr<EpisodeSource> MakeSource(const TrainFlags& flags) {
 
 absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const EpisodeSource& source,
                                           const std::string& command_line) {
-  absl::StatusOr<TrainOptions> options = MakeTrainOptions(flags.trainer);
-  if (!options.ok()) return options.status();
-  const absl::StatusOr<PatchShape> patches = PatchesOf(flags, source.dataset().observation_size);
-  if (!patches.ok()) return patches.status();
-  options->patches = *patches;
-  if (auto status = CheckDelay(options->delay, source); !status.ok()) return status;
-  if (auto status = CheckOut(flags); !status.ok()) return status;
-  if (auto status = MakeDirectory(flags.out); !status.ok()) return status;
-  const absl::StatusOr<Policy> initial = MakeInitialPolicy(flags, source, options->patches);
-  if (!initial.ok()) return initial.status();
-  const absl::StatusOr<nlohmann::ordered_json> sources = IdentifySources(flags.init, flags.data);
-  if (!sources.ok()) return sources.status();
+  ASSIGN_OR_RETURN(TrainOptions options, MakeTrainOptions(flags.trainer));
+  ASSIGN_OR_RETURN(options.patches, PatchesOf(flags, source.dataset().observation_size));
+  RETURN_IF_ERROR(CheckDelay(options.delay, source));
+  RETURN_IF_ERROR(CheckOut(flags));
+  RETURN_IF_ERROR(MakeDirectory(flags.out));
+  ASSIGN_OR_RETURN(const Policy initial, MakeInitialPolicy(flags, source, options.patches));
+  ASSIGN_OR_RETURN(const nlohmann::ordered_json sources, IdentifySources(flags.init, flags.data));
 
-  Trainer trainer(*initial, source, *options);
+  Trainer trainer(initial, source, options);
   const std::string checkpoint = absl::StrCat(flags.out, "/checkpoint.pt");
   if (flags.resume && std::filesystem::exists(checkpoint)) {
-    if (auto status = trainer.LoadCheckpoint(checkpoint); !status.ok()) return status;
+    RETURN_IF_ERROR(trainer.LoadCheckpoint(checkpoint));
   }
-  const absl::StatusOr<double> validation = TrainToEnd(flags, checkpoint, &trainer);
-  if (!validation.ok()) return validation.status();
-  return Finish(flags, command_line, *sources, *options, source, *initial, *validation,
+  ASSIGN_OR_RETURN(const double validation, TrainToEnd(flags, checkpoint, &trainer));
+  return Finish(flags, command_line, sources, options, source, initial, validation,
                 trainer.CurrentPolicy());
 }
 

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/types/span.h"
+#include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "train/data/policy_player.h"
 
@@ -61,13 +62,12 @@ absl::StatusOr<double> SpikesOnData(const Policy& policy, const EpisodeSource& s
     steps += source.entries()[i].steps;
     first.push_back(i);
   }
-  const absl::StatusOr<std::vector<Episode>> episodes = source.Read(first);
-  if (!episodes.ok()) return episodes.status();
+  ASSIGN_OR_RETURN(const std::vector<Episode> episodes, source.Read(first));
   const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
   const auto size = static_cast<size_t>(policy.observation_size());
   double spikes = 0.0;
   int steps = 0;
-  for (const Episode& episode : *episodes) {
+  for (const Episode& episode : episodes) {
     PolicyPlayer player(*engine, episode.seed, static_cast<double>(policy.target_return));
     for (int step = 0; step < episode.steps() && steps < kSteps; ++step, ++steps) {
       const size_t begin = static_cast<size_t>(step) * size;

@@ -15,6 +15,7 @@
 #include "core/agent/served_policy.h"
 #include "core/base/clock.h"
 #include "core/base/file.h"
+#include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/journal/journal_entry.h"
 #include "core/journal/session_export.h"
@@ -74,9 +75,7 @@ class LocalEngine::Player {
 absl::Status LocalEngine::Player::Load(const v1::ExportSessionResponse& exported) {
   std::string content = exported.policy_file();
   if (!path_.empty()) {
-    absl::StatusOr<std::string> read = ReadFile(PathFor(path_, exported));
-    if (!read.ok()) return read.status();
-    content = *std::move(read);
+    ASSIGN_OR_RETURN(content, ReadFile(PathFor(path_, exported)));
   }
   if (content.empty()) {
     return absl::FailedPreconditionError(
@@ -88,9 +87,8 @@ absl::Status LocalEngine::Player::Load(const v1::ExportSessionResponse& exported
         absl::StrCat("local: expected the policy file with SHA-256 ", exported.policy_sha256(),
                      " that the server plays, received one with ", digest));
   }
-  absl::StatusOr<Policy> policy = ParsePolicyFile(content);
-  if (!policy.ok()) return policy.status();
-  const auto shared = std::make_shared<const Policy>(*std::move(policy));
+  ASSIGN_OR_RETURN(Policy policy, ParsePolicyFile(content));
+  const auto shared = std::make_shared<const Policy>(std::move(policy));
   auto served = std::make_shared<ServedPolicy>();
   served->name = exported.policy();
   served->version = exported.version();
@@ -107,7 +105,7 @@ absl::Status LocalEngine::Player::Resume(const v1::ExportSessionResponse& export
   if (!session.ok()) return session.status();
   absl::MutexLock lock(&mutex_);
   if (served_ == nullptr || served_->sha256 != exported.policy_sha256()) {
-    if (absl::Status status = Load(exported); !status.ok()) return status;
+    RETURN_IF_ERROR(Load(exported));
   }
   // A journal without entries: the session, after the checks that it belongs to the policy.
   session = RestoreSession({.snapshot = *std::move(session), .entries = {}}, served_->policy());
@@ -125,9 +123,8 @@ absl::StatusOr<ActionView> LocalEngine::Player::Act(int64_t step,
   if (!agent_.has_value()) return absl::FailedPreconditionError("local: there is no session");
   std::optional<ReportedAction> reported;
   if (executed.has_value()) reported = Reported(*executed, served_->policy().action_space);
-  const auto answer = agent_->Act(step, observation, reward, reported);
-  if (!answer.ok()) return answer.status();
-  action_ = (*answer)->action;
+  ASSIGN_OR_RETURN(const auto answer, agent_->Act(step, observation, reward, reported));
+  action_ = answer->action;
   return ActionView{.discrete = action_.discrete, .continuous = action_.continuous};
 }
 
@@ -136,15 +133,14 @@ absl::Status LocalEngine::Player::EndEpisode(const EpisodeOutcome& outcome,
   absl::MutexLock lock(&mutex_);
   if (!agent_.has_value()) return absl::FailedPreconditionError("local: there is no session");
   const ActionSpace& space = served_->policy().action_space;
-  absl::StatusOr<Action> last = ParseExecutedAction(Reported(executed, space), space);
-  if (!last.ok()) return last.status();
+  ASSIGN_OR_RETURN(Action last, ParseExecutedAction(Reported(executed, space), space));
   return agent_
       ->EndEpisode({.reward = outcome.reward,
                     .terminated = outcome.terminated,
                     .target_return = outcome.target_return,
                     .truncated = outcome.truncated,
                     .observation = outcome.observation,
-                    .executed_action = *std::move(last)})
+                    .executed_action = std::move(last)})
       .status();
 }
 

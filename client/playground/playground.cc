@@ -7,6 +7,7 @@
 #include "client/playground/decision_json.h"
 #include "core/agent/explanation.h"
 #include "core/agent/session_request.h"
+#include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
 #include "core/session/session_value.h"
@@ -40,16 +41,13 @@ absl::Status CheckFits(const Policy& policy, const Environment& environment) {
 
 absl::StatusOr<std::unique_ptr<Playground>> Playground::Open(absl::string_view policy_file,
                                                              uint64_t seed) {
-  absl::StatusOr<Policy> policy = ParsePolicyFile(policy_file);
-  if (!policy.ok()) return policy.status();
-  auto environment = MakeEnvironment(policy->environment);
-  if (!environment.ok()) return environment.status();
-  if (absl::Status fits = CheckFits(*policy, **environment); !fits.ok()) return fits;
-  const auto served = Serve(*std::move(policy));
-  absl::StatusOr<SessionOptions> options = ResolveSession({}, *served);
-  if (!options.ok()) return options.status();
+  ASSIGN_OR_RETURN(Policy policy, ParsePolicyFile(policy_file));
+  ASSIGN_OR_RETURN(auto environment, MakeEnvironment(policy.environment));
+  RETURN_IF_ERROR(CheckFits(policy, *environment));
+  const auto served = Serve(std::move(policy));
+  ASSIGN_OR_RETURN(SessionOptions options, ResolveSession({}, *served));
   return std::unique_ptr<Playground>(new Playground(
-      served, *std::move(environment), NewSession("playground", *std::move(options)), seed));
+      served, std::move(environment), NewSession("playground", std::move(options)), seed));
 }
 
 Playground::Playground(std::shared_ptr<const ServedPolicy> served,
@@ -63,29 +61,29 @@ Playground::Playground(std::shared_ptr<const ServedPolicy> served,
 
 absl::StatusOr<nlohmann::json> Playground::Step() {
   if (state_.done()) {
-    if (absl::Status begun = BeginEpisode(); !begun.ok()) return begun;
+    RETURN_IF_ERROR(BeginEpisode());
   }
-  const auto answer = agent_.Act(agent_.session().step, state_.observation, state_.reward);
-  if (!answer.ok()) return answer.status();
+  ASSIGN_OR_RETURN(const auto answer,
+                   agent_.Act(agent_.session().step, state_.observation, state_.reward));
   nlohmann::json decision = DecisionToJson(*served_, agent_.session());
-  state_ = environment_->Step((*answer)->action);
+  state_ = environment_->Step(answer->action);
   episode_return_ += state_.reward;
   AddEpisode(&decision);
   return decision;
 }
 
 absl::StatusOr<nlohmann::json> Playground::Explain() const {
-  const auto explanation = spikeserve::Explain(served_->engine->CompletePolicy(), agent_.session());
-  if (!explanation.ok()) return explanation.status();
+  ASSIGN_OR_RETURN(const auto explanation,
+                   spikeserve::Explain(served_->engine->CompletePolicy(), agent_.session()));
   nlohmann::json decision = DecisionToJson(*served_, agent_.session());
-  AddTrace(explanation->trace, &decision);
+  AddTrace(explanation.trace, &decision);
   AddEpisode(&decision);
   return decision;
 }
 
 absl::Status Playground::BeginEpisode() {
-  const auto ended = agent_.EndEpisode({.reward = state_.reward, .terminated = state_.terminated});
-  if (!ended.ok()) return ended.status();
+  RETURN_IF_ERROR(
+      agent_.EndEpisode({.reward = state_.reward, .terminated = state_.terminated}).status());
   state_ = {.observation = environment_->Reset(++seed_)};
   episode_return_ = 0.0;
   return absl::OkStatus();

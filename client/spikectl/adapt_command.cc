@@ -13,6 +13,7 @@
 #include "client/spikectl/commands.h"
 #include "client/spikectl/policy_choice.h"
 #include "client/spikectl/session_flags.h"
+#include "core/base/status_macros.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {
@@ -63,9 +64,8 @@ absl::StatusOr<AdaptationOptions> MakeOptions(const AdaptFlags& flags) {
 }
 
 absl::StatusOr<v1::PolicyInfo> ChooseServedPolicy(Client& client, const AgentFlags& flags) {
-  const auto served = client.ListPolicies();
-  if (!served.ok()) return served.status();
-  return ChoosePolicy(*served, flags.env, flags.policy.policy, flags.policy.version);
+  ASSIGN_OR_RETURN(const auto served, client.ListPolicies());
+  return ChoosePolicy(served, flags.env, flags.policy.policy, flags.policy.version);
 }
 
 void PrintText(const std::string& change, const AdaptationOptions& options,
@@ -98,42 +98,39 @@ void PrintJson(const AdaptationOptions& options, const Adaptation& result) {
 }
 
 absl::Status RunAdaptation(const AdaptFlags& flags, const ServerFlags& server) {
-  auto options = MakeOptions(flags);
-  if (!options.ok()) return options.status();
-  const auto environment = MakeTask(*options);
+  ASSIGN_OR_RETURN(auto options, MakeOptions(flags));
+  const auto environment = MakeTask(options);
   if (!environment.ok()) {
     return absl::Status(environment.status().code(),
                         absl::StrCat("--", environment.status().message()));
   }
   const bool discrete = (*environment)->action_space().is_discrete();
-  options->temperature =
+  options.temperature =
       flags.temperature.value_or(discrete ? kDiscreteTemperature : kContinuousTemperature);
-  if (!(options->temperature > 0.0 && std::isfinite(options->temperature))) {
+  if (!(options.temperature > 0.0 && std::isfinite(options.temperature))) {
     return absl::InvalidArgumentError(absl::StrCat(
-        "--temperature: expected a finite number above 0, received ", options->temperature));
+        "--temperature: expected a finite number above 0, received ", options.temperature));
   }
   const ActionSelection sampled = {.sample = true,
-                                   .temperature = static_cast<float>(options->temperature)};
+                                   .temperature = static_cast<float>(options.temperature)};
   if (absl::Status status =
           CheckLearning(flags.scope, flags.learning, (*environment)->action_space(), sampled);
       !status.ok()) {
     return status;
   }
-  const auto client = Connect(server);
-  if (!client.ok()) return client.status();
-  auto policy = ChooseServedPolicy(**client, flags.agent);
-  if (!policy.ok()) return policy.status();
-  if (absl::Status status = CheckSpacesMatch(*policy, **environment); !status.ok()) return status;
-  options->policy = *std::move(policy);
+  ASSIGN_OR_RETURN(const auto client, Connect(server));
+  ASSIGN_OR_RETURN(auto policy, ChooseServedPolicy(*client, flags.agent));
+  RETURN_IF_ERROR(CheckSpacesMatch(policy, **environment));
+  options.policy = std::move(policy);
   const bool as_text = !server.json;
   bool in_line = false;
-  const auto result = Adapt(**client, *options, [&](int e, double episode_return) {
+  const auto result = Adapt(*client, options, [&](int e, double episode_return) {
     if (as_text) std::cerr << absl::StrFormat("\repisode %d: %.1f   ", e, episode_return);
     in_line = as_text;
   });
   if (in_line) std::cerr << "\n";
   if (!result.ok()) return result.status();
-  as_text ? PrintText(flags.perturb, *options, *result) : PrintJson(*options, *result);
+  as_text ? PrintText(flags.perturb, options, *result) : PrintJson(options, *result);
   return absl::OkStatus();
 }
 

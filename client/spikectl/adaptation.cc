@@ -9,6 +9,7 @@
 #include "absl/strings/str_format.h"
 #include "absl/synchronization/mutex.h"
 #include "client/spikectl/agent.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -33,16 +34,14 @@ absl::StatusOr<RemoteSession> OpenLearner(Client& client, const AdaptationOption
 // Returns the mean return of a frozen, greedy session over the starts for evaluation.
 absl::StatusOr<double> Evaluate(Client& client, const AdaptationOptions& options,
                                 Environment& environment, const v1::OpenSessionRequest& request) {
-  auto session = Open(client, options, request);
-  if (!session.ok()) return session.status();
+  ASSIGN_OR_RETURN(auto session, Open(client, options, request));
   double sum = 0.0;
   for (int i = 0; i < options.evaluation_episodes; ++i) {
     const uint64_t seed = options.seed + options.evaluation_seed + static_cast<uint64_t>(i);
-    const auto episode = PlayEpisode(environment, *session, seed);
-    if (!episode.ok()) return episode.status();
-    sum += episode->episode_return;
+    ASSIGN_OR_RETURN(const auto episode, PlayEpisode(environment, session, seed));
+    sum += episode.episode_return;
   }
-  if (auto status = session->Close(); !status.ok()) return status;
+  RETURN_IF_ERROR(session.Close());
   return sum / options.evaluation_episodes;
 }
 
@@ -83,13 +82,11 @@ class Curve {
 
 absl::Status LearnAlone(const AdaptationOptions& options, int session, RemoteSession& learner,
                         Curve* curve) {
-  const auto environment = MakeTask(options);
-  if (!environment.ok()) return environment.status();
+  ASSIGN_OR_RETURN(const auto environment, MakeTask(options));
   for (int e = 0; e < options.episodes; ++e) {
     const uint64_t start = static_cast<uint64_t>(e) * options.sessions + session;
-    const auto episode = PlayEpisode(**environment, learner, options.seed + start);
-    if (!episode.ok()) return episode.status();
-    curve->Add(e, episode->episode_return);
+    ASSIGN_OR_RETURN(const auto episode, PlayEpisode(*environment, learner, options.seed + start));
+    curve->Add(e, episode.episode_return);
   }
   return absl::OkStatus();
 }
@@ -99,9 +96,8 @@ absl::Status Learn(Client& client, const AdaptationOptions& options, Curve* curv
                    v1::GetSessionResponse* learned) {
   std::vector<RemoteSession> learners;
   for (int i = 0; i < options.sessions; ++i) {
-    auto learner = OpenLearner(client, options, i);
-    if (!learner.ok()) return learner.status();
-    learners.push_back(*std::move(learner));
+    ASSIGN_OR_RETURN(auto learner, OpenLearner(client, options, i));
+    learners.push_back(std::move(learner));
   }
   std::vector<absl::Status> statuses(learners.size());
   std::vector<std::thread> threads;
@@ -113,11 +109,10 @@ absl::Status Learn(Client& client, const AdaptationOptions& options, Curve* curv
   for (const absl::Status& status : statuses) {
     if (!status.ok()) return status;
   }
-  auto session = learners[0].State(/*include_head_delta=*/true);
-  if (!session.ok()) return session.status();
-  *learned = *std::move(session);
+  ASSIGN_OR_RETURN(auto session, learners[0].State(/*include_head_delta=*/true));
+  *learned = std::move(session);
   for (RemoteSession& learner : learners) {
-    if (auto status = learner.Close(); !status.ok()) return status;
+    RETURN_IF_ERROR(learner.Close());
   }
   return absl::OkStatus();
 }
@@ -131,28 +126,23 @@ absl::StatusOr<std::unique_ptr<Environment>> MakeTask(const AdaptationOptions& o
 
 absl::StatusOr<Adaptation> Adapt(Client& client, const AdaptationOptions& options,
                                  const std::function<void(int, double)>& on_episode) {
-  const auto unperturbed = MakeEnvironment(options.environment);
-  if (!unperturbed.ok()) return unperturbed.status();
-  const auto perturbed = MakeTask(options);
-  if (!perturbed.ok()) return perturbed.status();
+  ASSIGN_OR_RETURN(const auto unperturbed, MakeEnvironment(options.environment));
+  ASSIGN_OR_RETURN(const auto perturbed, MakeTask(options));
 
   Adaptation result;
-  const auto unperturbed_return = Evaluate(client, options, **unperturbed, {});
-  if (!unperturbed_return.ok()) return unperturbed_return.status();
-  const auto frozen_return = Evaluate(client, options, **perturbed, {});
-  if (!frozen_return.ok()) return frozen_return.status();
+  ASSIGN_OR_RETURN(const auto unperturbed_return, Evaluate(client, options, *unperturbed, {}));
+  ASSIGN_OR_RETURN(const auto frozen_return, Evaluate(client, options, *perturbed, {}));
 
   Curve curve(options, on_episode);
   v1::GetSessionResponse learned;
-  if (auto status = Learn(client, options, &curve, &learned); !status.ok()) return status;
+  RETURN_IF_ERROR(Learn(client, options, &curve, &learned));
   v1::OpenSessionRequest with_head;
   *with_head.mutable_head_delta() = learned.head_delta();
-  const auto adapted_return = Evaluate(client, options, **perturbed, with_head);
-  if (!adapted_return.ok()) return adapted_return.status();
+  ASSIGN_OR_RETURN(const auto adapted_return, Evaluate(client, options, *perturbed, with_head));
 
-  return Adaptation{.unperturbed_return = *unperturbed_return,
-                    .frozen_return = *frozen_return,
-                    .adapted_return = *adapted_return,
+  return Adaptation{.unperturbed_return = unperturbed_return,
+                    .frozen_return = frozen_return,
+                    .adapted_return = adapted_return,
                     .curve = curve.Means(),
                     .head_drift = learned.head_drift(),
                     .rollbacks = learned.rollbacks()};

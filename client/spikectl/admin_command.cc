@@ -14,6 +14,7 @@
 #include "client/spikectl/head_actions.h"
 #include "client/spikectl/rollout_actions.h"
 #include "client/spikectl/traffic_report.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -38,47 +39,43 @@ void PrintTraffic(const AdminFlags& flags, const std::string& text, ordered_json
 absl::Status Load(const AdminFlags& flags) {
   auto request = VersionRequest<v1::LoadPolicyRequest>(flags);
   request.set_make_default(flags.make_default);
-  const auto response = CallAdmin(flags, &AdminStub::LoadPolicy, request);
-  if (!response.ok()) return response.status();
+  ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::LoadPolicy, request));
   ordered_json json = NamedJson(flags);
-  json["is_default"] = response->policy().is_default();
-  AddTraffic(response->traffic(), &json);
-  Print(
-      flags,
-      absl::StrCat("loaded ", Named(flags), response->policy().is_default() ? ", the default" : "",
-                   ToText(response->traffic())),
-      json);
+  json["is_default"] = response.policy().is_default();
+  AddTraffic(response.traffic(), &json);
+  Print(flags,
+        absl::StrCat("loaded ", Named(flags), response.policy().is_default() ? ", the default" : "",
+                     ToText(response.traffic())),
+        json);
   return absl::OkStatus();
 }
 
 absl::Status Unload(const AdminFlags& flags) {
-  const auto response =
-      CallAdmin(flags, &AdminStub::UnloadPolicy, VersionRequest<v1::UnloadPolicyRequest>(flags));
-  if (!response.ok()) return response.status();
+  ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::UnloadPolicy,
+                                                  VersionRequest<v1::UnloadPolicyRequest>(flags)));
   PrintTraffic(flags, absl::StrCat("unloaded ", Named(flags)), NamedJson(flags),
-               response->traffic());
+               response.traffic());
   return absl::OkStatus();
 }
 
 absl::Status Default(const AdminFlags& flags) {
-  const auto response = CallAdmin(flags, &AdminStub::SetDefaultVersion,
-                                  VersionRequest<v1::SetDefaultVersionRequest>(flags));
-  if (!response.ok()) return response.status();
+  ASSIGN_OR_RETURN(const auto response,
+                   CallAdmin(flags, &AdminStub::SetDefaultVersion,
+                             VersionRequest<v1::SetDefaultVersionRequest>(flags)));
   const std::string& policy = flags.policy;
-  PrintTraffic(flags, absl::StrCat("the default of ", policy, " is version ", response->version()),
-               {{"policy", policy}, {"version", response->version()}}, response->traffic());
+  PrintTraffic(flags, absl::StrCat("the default of ", policy, " is version ", response.version()),
+               {{"policy", policy}, {"version", response.version()}}, response.traffic());
   return absl::OkStatus();
 }
 
 absl::Status Label(const AdminFlags& flags) {
   auto request = VersionRequest<v1::SetLabelRequest>(flags);
   request.set_label(flags.label);
-  const auto response = CallAdmin(flags, &AdminStub::SetLabel, request);
-  if (!response.ok()) return response.status();
+  ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::SetLabel, request));
   ordered_json json = NamedJson(flags);
   json["label"] = request.label();
   PrintTraffic(flags, absl::StrCat(request.label(), " is ", Named(flags)), std::move(json),
-               response->traffic());
+               response.traffic());
   return absl::OkStatus();
 }
 
@@ -86,10 +83,9 @@ absl::Status Unlabel(const AdminFlags& flags) {
   v1::RemoveLabelRequest request;
   request.set_policy(flags.policy);
   request.set_label(flags.label);
-  const auto response = CallAdmin(flags, &AdminStub::RemoveLabel, request);
-  if (!response.ok()) return response.status();
+  ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::RemoveLabel, request));
   PrintTraffic(flags, absl::StrCat("removed ", request.label(), " of ", request.policy()),
-               {{"policy", request.policy()}, {"label", request.label()}}, response->traffic());
+               {{"policy", request.policy()}, {"label", request.label()}}, response.traffic());
   return absl::OkStatus();
 }
 
@@ -114,9 +110,8 @@ absl::StatusOr<std::vector<v1::TrafficShare>> ParseShares(const std::vector<std:
   std::vector<v1::TrafficShare> shares;
   if (texts.size() == 1 && texts[0] == "none") return shares;
   for (const std::string& text : texts) {
-    auto share = ParseShare(text);
-    if (!share.ok()) return share.status();
-    shares.push_back(*std::move(share));
+    ASSIGN_OR_RETURN(auto share, ParseShare(text));
+    shares.push_back(std::move(share));
   }
   return shares;
 }
@@ -145,12 +140,11 @@ absl::Status Traffic(const AdminFlags& flags) {
         "--shares: expected shares, none, or --shadow instead, received neither; --shares=none "
         "gives all sessions to the default version, --shadow=0 removes the shadow");
   }
-  const auto shares = ParseShares(flags.shares);
-  if (!shares.ok()) return shares.status();
+  ASSIGN_OR_RETURN(const auto shares, ParseShares(flags.shares));
   const auto fill = [&](auto request) {
     request.set_policy(flags.policy);
     if constexpr (requires { request.add_shares(); }) {
-      request.mutable_shares()->Add(shares->begin(), shares->end());
+      request.mutable_shares()->Add(shares.begin(), shares.end());
     }
     if constexpr (requires { request.set_shadow_version(0); }) {
       request.set_shadow_version(*flags.shadow);
@@ -179,21 +173,21 @@ ordered_json VersionsToJson(const List& versions) {
 }
 
 absl::Status Reload(const AdminFlags& flags) {
-  const auto response = CallAdmin(flags, &AdminStub::ReloadPolicies, v1::ReloadPoliciesRequest());
-  if (!response.ok()) return response.status();
+  ASSIGN_OR_RETURN(const auto response,
+                   CallAdmin(flags, &AdminStub::ReloadPolicies, v1::ReloadPoliciesRequest()));
   std::string text =
-      absl::StrCat("loaded ", response->loaded_size(), ", unloaded ", response->unloaded_size());
-  for (const std::string& refused : response->refused()) {
+      absl::StrCat("loaded ", response.loaded_size(), ", unloaded ", response.unloaded_size());
+  for (const std::string& refused : response.refused()) {
     absl::StrAppend(&text, "\nrefused: ", refused);
   }
-  for (const std::string& setting : response->waiting()) {
+  for (const std::string& setting : response.waiting()) {
     absl::StrAppend(&text, "\nwaiting: ", setting);
   }
   Print(flags, text,
-        {{"loaded", VersionsToJson(response->loaded())},
-         {"unloaded", VersionsToJson(response->unloaded())},
-         {"refused", response->refused()},
-         {"waiting", response->waiting()}});
+        {{"loaded", VersionsToJson(response.loaded())},
+         {"unloaded", VersionsToJson(response.unloaded())},
+         {"refused", response.refused()},
+         {"waiting", response.waiting()}});
   return absl::OkStatus();
 }
 
@@ -223,9 +217,8 @@ absl::Status Sessions(const AdminFlags& flags) {
   ordered_json sessions = ordered_json::array();
   std::string replica;
   do {
-    const auto page = CallAdmin(flags, &AdminStub::ListSessions, request);
-    if (!page.ok()) return page.status();
-    for (const v1::SessionInfo& session : page->sessions()) {
+    ASSIGN_OR_RETURN(const auto page, CallAdmin(flags, &AdminStub::ListSessions, request));
+    for (const v1::SessionInfo& session : page.sessions()) {
       sessions.push_back(ToJson(session));
       absl::StrAppendFormat(&text, "\n%-32s %-20s %7d %-12s %8d %8d %10d %8.1f %-7s %8d",
                             session.session_id(), session.policy(), session.version(),
@@ -233,8 +226,8 @@ absl::Status Sessions(const AdminFlags& flags) {
                             session.decisions(), session.idle_seconds(),
                             v1::Durability_Name(session.durability()), session.epoch());
     }
-    replica = page->replica();
-    request.set_page_token(page->next_page_token());
+    replica = page.replica();
+    request.set_page_token(page.next_page_token());
   } while (!request.page_token().empty());
   Print(flags, text, {{"sessions", sessions}, {"replica", replica}});
   return absl::OkStatus();
@@ -243,12 +236,11 @@ absl::Status Sessions(const AdminFlags& flags) {
 absl::Status Drain(const AdminFlags& flags) {
   v1::DrainRequest request;
   request.set_cancel(flags.cancel);
-  const auto response = CallAdmin(flags, &AdminStub::Drain, request);
-  if (!response.ok()) return response.status();
+  ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::Drain, request));
   Print(flags,
         absl::StrCat(request.cancel() ? "serving" : "draining",
-                     ", open sessions: ", response->open_sessions()),
-        {{"draining", !request.cancel()}, {"open_sessions", response->open_sessions()}});
+                     ", open sessions: ", response.open_sessions()),
+        {{"draining", !request.cancel()}, {"open_sessions", response.open_sessions()}});
   return absl::OkStatus();
 }
 

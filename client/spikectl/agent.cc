@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -99,34 +100,32 @@ absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSessio
     const auto response = session.Act(result.observation, result.reward, executed);
     const std::chrono::duration<double> latency = std::chrono::steady_clock::now() - start;
     if (!response.ok()) return response.status();
-    auto action = ActionFromProto(response->action(), space);
-    if (!action.ok()) return action.status();
+    ASSIGN_OR_RETURN(auto action, ActionFromProto(response->action(), space));
     record.latency.Add(latency.count());
     Count(response->stats(), &record);
     if (!options.distance.is_none()) {
-      action = arrivals.Executed(*std::move(action));
-      executed = ToProto(*action, space);
+      action = arrivals.Executed(std::move(action));
+      executed = ToProto(action, space);
     }
-    result = environment.Step(*action);
+    result = environment.Step(action);
     record.episode_return += result.reward;
   }
-  const auto end = session.EndEpisode({.reward = result.reward,
+  RETURN_IF_ERROR((session.EndEpisode({.reward = result.reward,
                                        .terminated = result.terminated,
                                        .truncated = result.truncated,
                                        .observation = result.observation,
-                                       .executed_action = executed});
-  if (!end.ok()) return end.status();
+                                       .executed_action = executed}))
+                      .status());
   return record;
 }
 
 absl::Status PlaySteps(Environment& environment, RemoteSession& session, uint64_t seed, int steps) {
   StepResult result{.observation = environment.Reset(seed)};
   for (int step = 0; step < steps && !result.done(); ++step) {
-    const auto response = session.Act(result.observation, result.reward);
-    if (!response.ok()) return response.status();
-    const auto action = ActionFromProto(response->action(), environment.action_space());
-    if (!action.ok()) return action.status();
-    result = environment.Step(*action);
+    ASSIGN_OR_RETURN(const auto response, session.Act(result.observation, result.reward));
+    ASSIGN_OR_RETURN(const auto action,
+                     ActionFromProto(response.action(), environment.action_space()));
+    result = environment.Step(action);
   }
   return absl::OkStatus();
 }

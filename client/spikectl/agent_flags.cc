@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/spikectl/policy_choice.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 
@@ -44,12 +45,11 @@ absl::StatusOr<OpenedSession> OpenAgentSession(const AgentFlags& flags,
                                                const Environment& environment, Client& client,
                                                const SessionFlags& session, bool reopens) {
   v1::OpenSessionRequest request;
-  if (absl::Status status = FillRequest(session, &request); !status.ok()) return status;
-  const auto served = client.ListPolicies();
-  if (!served.ok()) return served.status();
-  auto policy = ChoosePolicy(*served, flags.env, flags.policy.policy, flags.policy.version);
+  RETURN_IF_ERROR(FillRequest(session, &request));
+  ASSIGN_OR_RETURN(const auto served, client.ListPolicies());
+  auto policy = ChoosePolicy(served, flags.env, flags.policy.policy, flags.policy.version);
   if (!policy.ok()) return policy.status();
-  if (absl::Status status = CheckSpacesMatch(*policy, environment); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckSpacesMatch(*policy, environment));
 
   request.set_policy(policy->name());
   // A label or a key leaves the choice of the version to the server.
@@ -57,16 +57,15 @@ absl::StatusOr<OpenedSession> OpenAgentSession(const AgentFlags& flags,
   request.set_version(server_chooses ? flags.policy.version : policy->version());
   request.set_seed(flags.seed);
   if (flags.target_return.has_value()) request.set_target_return(*flags.target_return);
-  auto opened = RemoteSession::Open(&client, std::move(request), reopens);
-  if (!opened.ok()) return opened.status();
-  const int64_t version = opened->opening().version();
+  ASSIGN_OR_RETURN(auto opened, RemoteSession::Open(&client, std::move(request), reopens));
+  const int64_t version = opened.opening().version();
   if (version != policy->version()) {
-    policy = ChoosePolicy(*served, flags.env, policy->name(), version);
+    policy = ChoosePolicy(served, flags.env, policy->name(), version);
     if (!policy.ok()) return policy.status();
   }
-  std::string recording = opened->opening().recording();
+  std::string recording = opened.opening().recording();
   return OpenedSession{.policy = *std::move(policy),
-                       .session = *std::move(opened),
+                       .session = std::move(opened),
                        .recording = std::move(recording)};
 }
 

@@ -8,6 +8,7 @@
 #include "client/spikectl/agent_flags.h"
 #include "client/spikectl/commands.h"
 #include "client/spikectl/explain_report.h"
+#include "core/base/status_macros.h"
 #include "proto/json.h"
 
 namespace spikeserve {
@@ -24,9 +25,8 @@ struct ExplainFlags {
 // Plays a new session and explains its last decision.
 absl::StatusOr<v1::ExplainResponse> PlayAndExplain(const ExplainFlags& flags,
                                                    Environment& environment, Client& client) {
-  auto opened = OpenAgentSession(flags.agent, environment, client);
-  if (!opened.ok()) return opened.status();
-  RemoteSession& session = opened->session;
+  ASSIGN_OR_RETURN(auto opened, OpenAgentSession(flags.agent, environment, client));
+  RemoteSession& session = opened.session;
   const absl::Status played = PlaySteps(environment, session, flags.agent.seed, flags.steps);
   auto explained = played.ok() ? session.Explain() : absl::StatusOr<v1::ExplainResponse>(played);
   const absl::Status closed = session.Close();
@@ -39,20 +39,17 @@ absl::Status Explain(const ExplainFlags& flags, const ServerFlags& server) {
     return absl::InvalidArgumentError(
         absl::StrCat("--steps: expected at least 1, received ", flags.steps));
   }
-  const auto environment = MakeAgentEnvironment(flags.agent);
-  if (!environment.ok()) return environment.status();
-  const auto client = Connect(server);
-  if (!client.ok()) return client.status();
-  const auto explained = flags.session.empty() ? PlayAndExplain(flags, **environment, **client)
-                                               : (*client)->Explain(flags.session);
-  if (!explained.ok()) return explained.status();
+  ASSIGN_OR_RETURN(const auto environment, MakeAgentEnvironment(flags.agent));
+  ASSIGN_OR_RETURN(const auto client, Connect(server));
+  ASSIGN_OR_RETURN(const auto explained, flags.session.empty()
+                                             ? PlayAndExplain(flags, *environment, *client)
+                                             : client->Explain(flags.session));
   if (!server.json) {
-    std::cout << ExplainToText(*explained);
+    std::cout << ExplainToText(explained);
     return absl::OkStatus();
   }
-  const auto json = MessageToJson(*explained);
-  if (!json.ok()) return json.status();
-  std::cout << *json << "\n";
+  ASSIGN_OR_RETURN(const auto json, MessageToJson(explained));
+  std::cout << json << "\n";
   return absl::OkStatus();
 }
 

@@ -6,6 +6,7 @@
 #include "absl/strings/str_format.h"
 #include "client/spikectl/admin_call.h"
 #include "client/spikectl/traffic_report.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -25,29 +26,28 @@ void PrintPaused(const AdminFlags& flags, bool paused) {
 absl::Status ShowHead(const AdminFlags& flags) {
   auto request = HeadRequest<v1::GetHeadRequest>(flags);
   request.set_include_weights(flags.weights);
-  const auto head = CallAdmin(flags, &AdminStub::GetHead, request);
-  if (!head.ok()) return head.status();
-  ordered_json json = {{"policy", head->policy()},
-                       {"version", head->version()},
-                       {"base_norm", head->base_norm()},
-                       {"delta_norm", head->delta_norm()},
-                       {"drift", head->drift()},
-                       {"updates", head->updates()},
-                       {"rejected_updates", head->rejected_updates()},
-                       {"rollbacks", head->rollbacks()},
-                       {"watched_return", head->watched_return()},
-                       {"sessions", head->sessions()},
-                       {"paused", head->paused()}};
+  ASSIGN_OR_RETURN(const auto head, CallAdmin(flags, &AdminStub::GetHead, request));
+  ordered_json json = {{"policy", head.policy()},
+                       {"version", head.version()},
+                       {"base_norm", head.base_norm()},
+                       {"delta_norm", head.delta_norm()},
+                       {"drift", head.drift()},
+                       {"updates", head.updates()},
+                       {"rejected_updates", head.rejected_updates()},
+                       {"rollbacks", head.rollbacks()},
+                       {"watched_return", head.watched_return()},
+                       {"sessions", head.sessions()},
+                       {"paused", head.paused()}};
   if (request.include_weights()) {
-    json["base"] = head->base();
-    json["delta"] = head->delta();
+    json["base"] = head.base();
+    json["delta"] = head.delta();
   }
   Print(flags,
         absl::StrFormat("%s/%d: drift %.4g, %d updates, %d refused, %d rollbacks, %d fleet "
                         "sessions%s",
-                        head->policy(), head->version(), head->drift(), head->updates(),
-                        head->rejected_updates(), head->rollbacks(), head->sessions(),
-                        head->paused() ? "; learning is paused" : ""),
+                        head.policy(), head.version(), head.drift(), head.updates(),
+                        head.rejected_updates(), head.rollbacks(), head.sessions(),
+                        head.paused() ? "; learning is paused" : ""),
         json);
   return absl::OkStatus();
 }
@@ -55,26 +55,24 @@ absl::Status ShowHead(const AdminFlags& flags) {
 absl::Status PromoteHead(const AdminFlags& flags) {
   auto request = HeadRequest<v1::PromoteHeadRequest>(flags);
   request.set_make_default(flags.make_default);
-  const auto promoted = CallAdmin(flags, &AdminStub::PromoteHead, request);
-  if (!promoted.ok()) return promoted.status();
+  ASSIGN_OR_RETURN(const auto promoted, CallAdmin(flags, &AdminStub::PromoteHead, request));
   ordered_json json = {
-      {"policy", request.policy()}, {"version", promoted->version()}, {"path", promoted->path()}};
-  AddTraffic(promoted->traffic(), &json);
+      {"policy", request.policy()}, {"version", promoted.version()}, {"path", promoted.path()}};
+  AddTraffic(promoted.traffic(), &json);
   Print(flags,
-        absl::StrCat("wrote and loaded ", request.policy(), "/", promoted->version(), ": ",
-                     promoted->path(), ToText(promoted->traffic())),
+        absl::StrCat("wrote and loaded ", request.policy(), "/", promoted.version(), ": ",
+                     promoted.path(), ToText(promoted.traffic())),
         json);
   return absl::OkStatus();
 }
 
 absl::Status RollbackHead(const AdminFlags& flags) {
   const auto request = HeadRequest<v1::RollbackHeadRequest>(flags);
-  const auto rolled_back = CallAdmin(flags, &AdminStub::RollbackHead, request);
-  if (!rolled_back.ok()) return rolled_back.status();
+  ASSIGN_OR_RETURN(const auto rolled_back, CallAdmin(flags, &AdminStub::RollbackHead, request));
   Print(flags,
         absl::StrFormat("%s: the policy's own head again; its drift was %.4g", request.policy(),
-                        rolled_back->drift()),
-        {{"policy", request.policy()}, {"drift", rolled_back->drift()}});
+                        rolled_back.drift()),
+        {{"policy", request.policy()}, {"drift", rolled_back.drift()}});
   return absl::OkStatus();
 }
 

@@ -4,6 +4,7 @@
 #include "absl/strings/str_cat.h"
 #include "client/spikectl/admin_call.h"
 #include "client/spikectl/commands.h"
+#include "core/base/status_macros.h"
 #include "grpc/health/v1/health.grpc.pb.h"
 #include "nlohmann/json.hpp"
 
@@ -13,15 +14,13 @@ namespace {
 using grpc::health::v1::HealthCheckResponse;
 
 absl::Status CheckHealth(const ServerFlags& flags) {
-  const auto client = Connect(flags);
-  if (!client.ok()) return client.status();
+  ASSIGN_OR_RETURN(const auto client, Connect(flags));
   HealthCheckResponse response;
-  const absl::Status status = (*client)->CallOther(
+  RETURN_IF_ERROR(client->CallOther(
       kAdminTimeout, /*repeatable=*/true,
       [&](const std::shared_ptr<grpc::Channel>& channel, grpc::ClientContext* context) {
         return grpc::health::v1::Health::NewStub(channel)->Check(context, {}, &response);
-      });
-  if (!status.ok()) return status;
+      }));
   const std::string& state = HealthCheckResponse::ServingStatus_Name(response.status());
   if (response.status() != HealthCheckResponse::SERVING) {
     return absl::UnavailableError(absl::StrCat("health: expected SERVING, received ", state));

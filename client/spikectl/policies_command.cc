@@ -10,6 +10,7 @@
 #include "absl/strings/strip.h"
 #include "client/spikectl/admin_call.h"
 #include "client/spikectl/commands.h"
+#include "core/base/status_macros.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {
@@ -98,17 +99,15 @@ void PrintText(const v1::ListPoliciesResponse& response, const v1::ListRolloutsR
 }
 
 absl::Status ListPolicies(const ServerFlags& flags) {
-  const auto client = Connect(flags);
-  if (!client.ok()) return client.status();
-  const auto response = (*client)->ListPolicies();
-  if (!response.ok()) return response.status();
-  const v1::ListRolloutsResponse rollouts = ListRollouts(**client);
+  ASSIGN_OR_RETURN(const auto client, Connect(flags));
+  ASSIGN_OR_RETURN(const auto response, client->ListPolicies());
+  const v1::ListRolloutsResponse rollouts = ListRollouts(*client);
   if (!flags.json) {
-    PrintText(*response, rollouts);
+    PrintText(response, rollouts);
     return absl::OkStatus();
   }
   ordered_json json = {{"policies", ordered_json::array()}};
-  for (const v1::PolicyInfo& policy : response->policies()) {
+  for (const v1::PolicyInfo& policy : response.policies()) {
     json["policies"].push_back(ToJson(policy));
     const std::string rollout = RolloutOf(policy, rollouts);
     if (!rollout.empty()) json["policies"].back()["rollout_state"] = rollout;

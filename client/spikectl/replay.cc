@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/types/span.h"
+#include "core/base/status_macros.h"
 #include "spikeserve/remote_session.h"
 
 namespace spikeserve {
@@ -120,11 +121,11 @@ absl::Status ReplayEpisode(const Dataset& dataset, RemoteSession& session, Repla
   for (int step = 0; step < episode.steps(); ++step) {
     const auto observation =
         absl::MakeConstSpan(episode.observations).subspan(static_cast<size_t>(step) * size, size);
-    const auto response = step == 0 ? session.Act(observation, 0.0)
-                                    : session.Act(observation, episode.rewards[step - 1],
-                                                  Executed(dataset, step - 1));
-    if (!response.ok()) return response.status();
-    result->difference = Comparison(dataset, step).Find(*response);
+    ASSIGN_OR_RETURN(const auto response, step == 0
+                                              ? session.Act(observation, 0.0)
+                                              : session.Act(observation, episode.rewards[step - 1],
+                                                            Executed(dataset, step - 1)));
+    result->difference = Comparison(dataset, step).Find(response);
     if (result->difference.has_value()) return absl::OkStatus();
     ++result->decisions;
   }
@@ -137,13 +138,13 @@ absl::Status ReplayEpisodes(const std::vector<Dataset>& recording, RemoteSession
   for (size_t i = 0; i < recording.size(); ++i) {
     if (i > 0) {
       const Episode& before = recording[i - 1].episodes[0];
-      const auto ended =
-          session.EndEpisode({.reward = before.rewards.back(),
-                              .terminated = before.terminated,
-                              .truncated = before.truncated,
-                              .target_return = ServedOf(recording[i]).target_return,
-                              .executed_action = Executed(recording[i - 1], before.steps() - 1)});
-      if (!ended.ok()) return ended.status();
+      RETURN_IF_ERROR(
+          (session.EndEpisode({.reward = before.rewards.back(),
+                               .terminated = before.terminated,
+                               .truncated = before.truncated,
+                               .target_return = ServedOf(recording[i]).target_return,
+                               .executed_action = Executed(recording[i - 1], before.steps() - 1)}))
+              .status());
     }
     absl::Status status = ReplayEpisode(recording[i], session, result);
     if (!status.ok() || result->difference.has_value()) return status;
@@ -184,13 +185,13 @@ absl::Status CheckReplayable(const std::vector<Dataset>& recording) {
 
 absl::StatusOr<ReplayResult> Replay(const std::vector<Dataset>& recording,
                                     const std::string& policy, int64_t version, Client& client) {
-  auto session = RemoteSession::Open(&client, Opening(ServedOf(recording[0]), policy, version));
-  if (!session.ok()) return session.status();
+  ASSIGN_OR_RETURN(auto session,
+                   RemoteSession::Open(&client, Opening(ServedOf(recording[0]), policy, version)));
   ReplayResult result;
-  result.policy = session->opening().policy();
-  result.version = session->opening().version();
-  absl::Status status = ReplayEpisodes(recording, *session, &result);
-  status.Update(session->Close());
+  result.policy = session.opening().policy();
+  result.version = session.opening().version();
+  absl::Status status = ReplayEpisodes(recording, session, &result);
+  status.Update(session.Close());
   if (!status.ok()) return status;
   return result;
 }

@@ -7,6 +7,7 @@
 #include "client/spikectl/agent_flags.h"
 #include "client/spikectl/commands.h"
 #include "client/spikectl/replay.h"
+#include "core/base/status_macros.h"
 #include "core/dataset/recordings.h"
 #include "nlohmann/json.hpp"
 
@@ -42,22 +43,20 @@ absl::Status ReplayRecording(const ReplayFlags& flags, const ServerFlags& server
     return absl::Status(episodes.status().code(),
                         absl::StrCat("--recording: ", episodes.status().message()));
   }
-  if (auto status = CheckReplayable(*episodes); !status.ok()) return status;
-  const auto client = Connect(server);
-  if (!client.ok()) return client.status();
-  const auto result = Replay(*episodes, flags.policy.policy, flags.policy.version, **client);
-  if (!result.ok()) return result.status();
-  if (server.json) std::cout << ToJson(flags.recording, *result).dump(2) << "\n";
-  if (const auto& difference = result->difference) {
-    return absl::AbortedError(
-        absl::StrCat(result->policy, "/", result->version, " differs at episode ",
-                     difference->episode, ", step ", difference->step, ", after ",
-                     result->decisions, " equal decisions: ", difference->field, ": recorded ",
-                     difference->recorded.dump(), ", replayed ", difference->replayed.dump()));
+  RETURN_IF_ERROR(CheckReplayable(*episodes));
+  ASSIGN_OR_RETURN(const auto client, Connect(server));
+  ASSIGN_OR_RETURN(const auto result,
+                   Replay(*episodes, flags.policy.policy, flags.policy.version, *client));
+  if (server.json) std::cout << ToJson(flags.recording, result).dump(2) << "\n";
+  if (const auto& difference = result.difference) {
+    return absl::AbortedError(absl::StrCat(
+        result.policy, "/", result.version, " differs at episode ", difference->episode, ", step ",
+        difference->step, ", after ", result.decisions, " equal decisions: ", difference->field,
+        ": recorded ", difference->recorded.dump(), ", replayed ", difference->replayed.dump()));
   }
   if (!server.json) {
-    std::cout << result->policy << "/" << result->version << ": " << result->decisions
-              << " decisions of " << result->episodes << " episodes, all equal bit for bit\n";
+    std::cout << result.policy << "/" << result.version << ": " << result.decisions
+              << " decisions of " << result.episodes << " episodes, all equal bit for bit\n";
   }
   return absl::OkStatus();
 }

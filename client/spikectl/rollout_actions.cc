@@ -13,6 +13,7 @@
 #include "absl/strings/strip.h"
 #include "absl/time/time.h"
 #include "client/spikectl/traffic_report.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -57,9 +58,8 @@ absl::StatusOr<v1::StartRolloutRequest> StartRequest(const AdminFlags& flags) {
   request.set_hold_seconds(absl::ToDoubleSeconds(flags.hold));
   request.set_min_episodes(flags.min_episodes);
   for (const std::string& text : flags.abort_if) {
-    const auto condition = ParseCondition(text);
-    if (!condition.ok()) return condition.status();
-    *request.add_abort_if() = *condition;
+    ASSIGN_OR_RETURN(const auto condition, ParseCondition(text));
+    *request.add_abort_if() = condition;
   }
   return request;
 }
@@ -187,17 +187,16 @@ absl::Status ChangeRollout(const AdminFlags& flags) {
     request.set_policy(flags.policy);
     return PrintChanged(flags, CallAdmin(flags, &AdminStub::AbortRollout, request));
   }
-  const auto request = StartRequest(flags);
-  if (!request.ok()) return request.status();
-  return PrintChanged(flags, CallAdmin(flags, &AdminStub::StartRollout, *request));
+  ASSIGN_OR_RETURN(const auto request, StartRequest(flags));
+  return PrintChanged(flags, CallAdmin(flags, &AdminStub::StartRollout, request));
 }
 
 absl::Status ShowRollouts(const AdminFlags& flags) {
-  const auto response = CallAdmin(flags, &AdminStub::ListRollouts, v1::ListRolloutsRequest());
-  if (!response.ok()) return response.status();
+  ASSIGN_OR_RETURN(const auto response,
+                   CallAdmin(flags, &AdminStub::ListRollouts, v1::ListRolloutsRequest()));
   std::vector<std::string> lines;
   ordered_json rollouts = ordered_json::array();
-  for (const v1::Rollout& rollout : response->rollouts()) {
+  for (const v1::Rollout& rollout : response.rollouts()) {
     lines.push_back(ToText(rollout));
     rollouts.push_back(ToJson(rollout));
   }
@@ -210,11 +209,10 @@ absl::Status ShowHistory(const AdminFlags& flags) {
   v1::ListHistoryRequest request;
   request.set_policy(flags.policy);
   request.set_limit(flags.limit);
-  const auto response = CallAdmin(flags, &AdminStub::ListHistory, request);
-  if (!response.ok()) return response.status();
+  ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::ListHistory, request));
   std::vector<std::string> lines;
   ordered_json entries = ordered_json::array();
-  for (const v1::HistoryEntry& entry : response->entries()) {
+  for (const v1::HistoryEntry& entry : response.entries()) {
     lines.push_back(ToText(entry));
     entries.push_back(ToJson(entry));
   }

@@ -12,6 +12,7 @@
 #include "client/spikectl/commands.h"
 #include "client/spikectl/distance.h"
 #include "client/spikectl/run_report.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -41,10 +42,9 @@ absl::Status PlayEpisodes(const RunFlags& flags, Environment& environment, Remot
                           bool as_text, std::vector<EpisodeRecord>* episodes) {
   for (int i = 0; i < flags.episodes; ++i) {
     const uint64_t seed = flags.agent.seed + static_cast<uint64_t>(i);
-    auto episode = PlayWhole(environment, session, seed, flags.play);
-    if (!episode.ok()) return episode.status();
-    if (as_text) std::cout << RunTableLine(seed, *episode) << std::flush;
-    episodes->push_back(*std::move(episode));
+    ASSIGN_OR_RETURN(auto episode, PlayWhole(environment, session, seed, flags.play));
+    if (as_text) std::cout << RunTableLine(seed, episode) << std::flush;
+    episodes->push_back(std::move(episode));
   }
   return absl::OkStatus();
 }
@@ -64,25 +64,22 @@ absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
     return absl::InvalidArgumentError(absl::StrCat(
         "--rate: expected decisions a second of at least 0, received ", flags.play.rate));
   }
-  if (absl::Status status = flags.play.distance.Validate(); !status.ok()) return status;
-  const auto environment = MakeAgentEnvironment(flags.agent);
-  if (!environment.ok()) return environment.status();
-  const auto client = Connect(server);
-  if (!client.ok()) return client.status();
-  auto opened = OpenAgentSession(flags.agent, **environment, **client, flags.session, flags.reopen);
-  if (!opened.ok()) return opened.status();
-  if (!opened->recording.empty()) {
-    std::cerr << "spikectl: recorded as " << opened->recording << "\n";
+  RETURN_IF_ERROR(flags.play.distance.Validate());
+  ASSIGN_OR_RETURN(const auto environment, MakeAgentEnvironment(flags.agent));
+  ASSIGN_OR_RETURN(const auto client, Connect(server));
+  ASSIGN_OR_RETURN(auto opened, OpenAgentSession(flags.agent, *environment, *client, flags.session,
+                                                 flags.reopen));
+  if (!opened.recording.empty()) {
+    std::cerr << "spikectl: recorded as " << opened.recording << "\n";
   }
 
   const bool as_text = !server.json;
   if (as_text) {
-    absl::PrintF("%s with policy %s/%d (%s)\n%s", flags.agent.env, opened->policy.name(),
-                 opened->policy.version(), opened->policy.mode(), RunTableHead());
+    absl::PrintF("%s with policy %s/%d (%s)\n%s", flags.agent.env, opened.policy.name(),
+                 opened.policy.version(), opened.policy.mode(), RunTableHead());
   }
   std::vector<EpisodeRecord> episodes;
-  const absl::Status played =
-      PlayEpisodes(flags, **environment, opened->session, as_text, &episodes);
+  const absl::Status played = PlayEpisodes(flags, *environment, opened.session, as_text, &episodes);
   if (!episodes.empty()) {
     if (as_text) {
       std::cout << RunSummary(episodes);
@@ -93,7 +90,7 @@ absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
   }
   // A session that cannot be played on cannot be closed either, or ends by itself.
   if (!played.ok()) return Stopped(played, episodes.size(), flags.episodes);
-  return opened->session.Close();
+  return opened.session.Close();
 }
 
 }  // namespace

@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "core/base/status_macros.h"
+
 namespace spikeserve {
 
 void AddServerFlags(Command program, ServerFlags* flags) {
@@ -18,24 +20,20 @@ namespace {
 
 absl::StatusOr<ClientOptions> ReadClientOptions(const ServerFlags& flags) {
   ClientOptions options;
-  auto security = ReadSecurityOptions(flags.security);
-  if (!security.ok()) return security.status();
-  options.security = *std::move(security);
+  ASSIGN_OR_RETURN(options.security, ReadSecurityOptions(flags.security));
   return options;
 }
 
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Client>> Connect(const ServerFlags& flags) {
-  auto options = ReadClientOptions(flags);
-  if (!options.ok()) return options.status();
-  return Client::Connect(flags.server, *std::move(options), flags.connect_timeout);
+  ASSIGN_OR_RETURN(auto options, ReadClientOptions(flags));
+  return Client::Connect(flags.server, std::move(options), flags.connect_timeout);
 }
 
 absl::StatusOr<std::unique_ptr<AdminClient>> ConnectAdmin(const ServerFlags& flags) {
-  auto options = ReadClientOptions(flags);
-  if (!options.ok()) return options.status();
-  return AdminClient::Connect(flags.server, *std::move(options), flags.connect_timeout);
+  ASSIGN_OR_RETURN(auto options, ReadClientOptions(flags));
+  return AdminClient::Connect(flags.server, std::move(options), flags.connect_timeout);
 }
 
 }  // namespace spikeserve

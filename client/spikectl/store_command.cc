@@ -12,6 +12,7 @@
 #include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/store/redis_options.h"
 #include "core/store/store_reader.h"
 #include "nlohmann/json.hpp"
@@ -37,7 +38,7 @@ absl::StatusOr<StoreReport> Check(const StoreFlags& flags) {
   if (absl::ConsumePrefix(&folder, "file:") && !folder.empty()) {
     return CheckFileStore(std::string(folder));
   }
-  if (auto status = CheckNoRedisPassword(flags.address); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckNoRedisPassword(flags.address));
   auto address = ParseRedisAddress(flags.address);
   if (!address.has_value()) {
     return absl::InvalidArgumentError(absl::StrCat("expected file:DIR, ", kRedisAddressForms,

@@ -9,6 +9,7 @@
 #include "absl/base/attributes.h"
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/session/session_value.h"
 
@@ -239,8 +240,7 @@ absl::Status AgentSession::CheckNewDecision(const ActCall& call) const {
   }
   if (call.step == 0) return absl::OkStatus();
   if (call.executed.has_value()) {
-    const auto executed = ParseExecutedAction(*call.executed, policy.action_space);
-    if (!executed.ok()) return executed.status();
+    RETURN_IF_ERROR(ParseExecutedAction(*call.executed, policy.action_space).status());
   }
   return CheckReward(call.reward, NextReturnToGo(session_, call.reward));
 }
@@ -338,7 +338,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
     }
   }
   const double target_return = end.target_return.value_or(session_.options.target_return);
-  if (auto status = CheckTargetReturn(target_return); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckTargetReturn(target_return));
   if (contribution() != nullptr) {
     return absl::UnavailableError(
         "fleet head: has not taken the last episode of the session yet; try again");

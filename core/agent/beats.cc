@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/session/session_value.h"
 
@@ -138,12 +139,12 @@ absl::StatusOr<AppendedBeats> AppendBeats(const BeatHistory& history, AgentSessi
                                           int64_t most,
                                           absl::FunctionRef<void(const Beat&)> on_appended) {
   SPIKESERVE_DCHECK_GE(most, 1);
-  if (auto status = CheckForm(history); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckForm(history));
   AppendedBeats result;
   const Session& session = agent->session();
   if (history.step < session.step) return result;
-  if (auto status = CheckPlace(history, session); !status.ok()) return status;
-  if (auto status = CheckBeats(history, *agent); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckPlace(history, session));
+  RETURN_IF_ERROR(CheckBeats(history, *agent));
   agent->ExpectExecutedActions();
   const int64_t first = FirstStep(history);
   result.dropped = Skip(history, std::max(first, history.step - kHistoryLimit), agent);

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/head_update.h"
 #include "core/session/session_value.h"
@@ -68,16 +69,14 @@ absl::StatusOr<SessionOptions> ResolveSession(SessionRequest request, const Serv
   options.version = served.version;
   options.seed = request.seed;
   options.target_return = request.target_return.value_or(static_cast<double>(policy.target_return));
-  if (auto status = CheckTargetReturn(options.target_return); !status.ok()) return status;
-  const auto selection = ResolveSelection(request);
-  if (!selection.ok()) return selection.status();
-  options.action_selection = *selection;
+  RETURN_IF_ERROR(CheckTargetReturn(options.target_return));
+  ASSIGN_OR_RETURN(const auto selection, ResolveSelection(request));
+  options.action_selection = selection;
   if (request.learning.has_value()) {
-    const auto learning = ResolveLearning(*request.learning, policy.action_space, *selection);
-    if (!learning.ok()) return learning.status();
-    options.learning = *learning;
+    ASSIGN_OR_RETURN(options.learning,
+                     ResolveLearning(*request.learning, policy.action_space, selection));
   }
-  if (auto status = CheckHeadDelta(request, policy); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckHeadDelta(request, policy));
   options.head_delta = std::move(request.head_delta);
   return options;
 }

@@ -4,6 +4,7 @@
 #include <optional>
 #include <utility>
 
+#include "core/base/status_macros.h"
 #include "core/session/session_value.h"
 
 namespace spikeserve {
@@ -30,8 +31,8 @@ ShadowSession::ShadowSession(const ServedPolicy& candidate, const SessionOptions
 
 absl::StatusOr<const Answer*> ShadowSession::Act(const ShadowStep& step) {
   if (step.step == 0 && agent_.session().step > 0) {
-    const auto ended = agent_.EndEpisode({.reward = 0.0, .target_return = step.target_return});
-    if (!ended.ok()) return ended.status();
+    RETURN_IF_ERROR(
+        agent_.EndEpisode({.reward = 0.0, .target_return = step.target_return}).status());
   }
   if (step.step == 0) episode_ = step.episode;
   if (step.episode != episode_) {

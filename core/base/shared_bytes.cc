@@ -15,6 +15,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -90,7 +91,7 @@ absl::StatusOr<std::shared_ptr<const char>> ShareBytes(const std::string& folder
   if (mkdir(folder.c_str(), S_IRWXU) != 0 && errno != EEXIST) {
     return SystemError("create the folder", folder);
   }
-  if (absl::Status status = CheckFolder(folder); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckFolder(folder));
   // A name for the content, which is compared: two contents of one name would only not be shared.
   const size_t hash = std::hash<std::string_view>()({bytes.data(), bytes.size()});
   const std::string path =
@@ -100,7 +101,7 @@ absl::StatusOr<std::shared_ptr<const char>> ShareBytes(const std::string& folder
     if (mapped.ok() && *mapped != nullptr) return mapped;
     if (!mapped.ok() && !absl::IsNotFound(mapped.status())) return mapped.status();
     if (mapped.ok()) unlink(path.c_str());
-    if (absl::Status status = WriteOnce(path, bytes); !status.ok()) return status;
+    RETURN_IF_ERROR(WriteOnce(path, bytes));
   }
   return absl::AbortedError(absl::StrCat(path, ": expected the written content, received other"));
 }

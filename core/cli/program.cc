@@ -11,6 +11,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "core/base/status_macros.h"
 #include "core/base/version.h"
 #include "core/cli/command_tree.h"
 #include "core/cli/completion.h"
@@ -187,7 +188,7 @@ absl::StatusOr<std::string> Program::Parse(int argc, const char* const* argv) {
   if (absl::Status status = CheckVariables(app, state_->other_variables); !status.ok()) {
     return status;
   }
-  if (absl::Status status = CheckRefusals(); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckRefusals());
   return std::string();
 }
 

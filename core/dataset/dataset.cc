@@ -8,6 +8,7 @@
 #include "absl/types/span.h"
 #include "core/base/file.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/dataset/dataset_cbor.h"
 
@@ -34,7 +35,7 @@ absl::Status CheckServed(const Dataset& dataset, const ServedEpisode& served, si
                                                    served.answered_actions.size()));
   }
   for (const Action& action : served.answered_actions) {
-    if (auto status = dataset.action_space.Contains(action); !status.ok()) return status;
+    RETURN_IF_ERROR(dataset.action_space.Contains(action));
   }
   return absl::OkStatus();
 }
@@ -64,7 +65,7 @@ absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
   }
   for (const auto* actions : {&episode.actions, &episode.labels}) {
     for (const Action& action : *actions) {
-      if (auto status = dataset.action_space.Contains(action); !status.ok()) return status;
+      RETURN_IF_ERROR(dataset.action_space.Contains(action));
     }
   }
   return episode.served.has_value() ? CheckServed(dataset, *episode.served, steps)
@@ -99,9 +100,8 @@ absl::Status WriteDataset(const Dataset& dataset, const std::string& path) {
 }
 
 absl::StatusOr<Dataset> ReadDataset(const std::string& path) {
-  const absl::StatusOr<std::string> bytes = ReadFile(path);
-  if (!bytes.ok()) return bytes.status();
-  absl::StatusOr<Dataset> dataset = ParseDataset(*bytes);
+  ASSIGN_OR_RETURN(const std::string bytes, ReadFile(path));
+  absl::StatusOr<Dataset> dataset = ParseDataset(bytes);
   return dataset.ok() ? std::move(dataset) : Annotate(dataset.status(), path);
 }
 

@@ -9,6 +9,7 @@
 #include "core/base/json.h"
 #include "core/base/json_object.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 
@@ -145,7 +146,7 @@ absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
   object.Required("recipe", &dataset.recipe);
   object.Required("action_space", &dataset.action_space);
   object.Required("episodes", &episodes);
-  if (auto status = object.Finish(); !status.ok()) return status;
+  RETURN_IF_ERROR(object.Finish());
   if (format != kFormat) {
     return absl::InvalidArgumentError(
         absl::StrCat("format: expected ", kFormat, ", received ", Quoted(format)));

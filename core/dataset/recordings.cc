@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -35,14 +36,12 @@ std::string RecordingPath(absl::string_view directory, absl::string_view recordi
 
 absl::StatusOr<std::vector<Dataset>> ReadRecordings(const std::string& path,
                                                     absl::string_view environment) {
-  const auto files = ListFiles(path);
-  if (!files.ok()) return files.status();
+  ASSIGN_OR_RETURN(const auto files, ListFiles(path));
   std::vector<Dataset> datasets;
-  for (const std::string& file : *files) {
-    auto dataset = ReadDataset(file);
-    if (!dataset.ok()) return dataset.status();
-    if (environment.empty() || dataset->environment == environment) {
-      datasets.push_back(*std::move(dataset));
+  for (const std::string& file : files) {
+    ASSIGN_OR_RETURN(auto dataset, ReadDataset(file));
+    if (environment.empty() || dataset.environment == environment) {
+      datasets.push_back(std::move(dataset));
     }
   }
   if (!datasets.empty()) return datasets;

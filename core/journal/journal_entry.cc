@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
 #include "core/journal/session_bytes.h"
 #include "core/session/session_value.h"
@@ -62,7 +63,7 @@ absl::Status CheckSnapshot(const Session& session, const Policy& policy) {
   const auto head = static_cast<int64_t>(policy.weights.head.weight.values.size());
   if (session.options.head_delta.size() != 0) {
     const auto size = static_cast<size_t>(session.options.head_delta.size());
-    if (auto status = CheckSize("head_delta", head, size); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckSize("head_delta", head, size));
   }
   if (!session.learner.has_value()) return absl::OkStatus();
   return CheckSize("learner", head, static_cast<size_t>(session.learner->head_delta.size()));
@@ -152,11 +153,10 @@ std::string SerializeEntry(const JournalEntryView& entry) {
 }
 
 absl::StatusOr<JournalEntry> ParseEntry(const std::string& bytes) {
-  const auto json = codec::ParseDocument(bytes, "entry", kFormat);
-  if (!json.ok()) return json.status();
+  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "entry", kFormat));
   JournalEntry entry;
   codec::Reader reader;
-  reader.Read(*json, "entry", entry);
+  reader.Read(json, "entry", entry);
   if (!reader.status().ok()) return reader.status();
   return entry;
 }
@@ -191,10 +191,10 @@ absl::StatusOr<Journal> ParseJournal(absl::Span<const std::string> records) {
 
 absl::StatusOr<Session> RestoreSession(Journal journal, const Policy& policy) {
   Session session = std::move(journal.snapshot);
-  if (auto status = CheckSnapshot(session, policy); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckSnapshot(session, policy));
   for (JournalEntry& entry : journal.entries) {
     if (entry.decision < session.decisions) continue;
-    if (auto status = CheckEntry(entry, session, policy); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckEntry(entry, session, policy));
     if (session.learner.has_value()) session.learner->suspended = entry.suspended;
     TakeExecuted(entry, policy, &session);
     if (session.learner.has_value()) Learn(entry, policy, &session);

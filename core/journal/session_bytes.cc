@@ -6,6 +6,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
 
 namespace spikeserve {
@@ -92,7 +93,7 @@ absl::Status CheckInvariants(const Session& session) {
     return absl::InvalidArgumentError(
         "session.learner: expected one if and only if session.options.learning is set");
   }
-  if (auto status = CheckPending(session); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckPending(session));
   if (session.learner.has_value()) return CheckLearner(*session.options.learning, *session.learner);
   return absl::OkStatus();
 }
@@ -108,13 +109,12 @@ std::string SerializeSession(const Session& session) {
 }
 
 absl::StatusOr<Session> ParseSession(const std::string& bytes) {
-  const auto json = codec::ParseDocument(bytes, "session", kSessionFormat);
-  if (!json.ok()) return json.status();
+  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "session", kSessionFormat));
   Session session;
   codec::Reader reader;
-  reader.Read(*json, "session", session);
+  reader.Read(json, "session", session);
   if (!reader.status().ok()) return reader.status();
-  if (auto status = CheckInvariants(session); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckInvariants(session));
   return session;
 }
 

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/journal/session_bytes.h"
 
@@ -41,7 +42,7 @@ SessionJournal::SessionJournal(Key key, Durability durability, uint64_t decision
 
 absl::Status SessionJournal::CheckWritable() const {
   if (is_sync_) {
-    if (auto status = writer_.CheckReachable(); !status.ok()) return status;
+    RETURN_IF_ERROR(writer_.CheckReachable());
     if (auto status = writer_.CheckKeepsRecords(); !status.ok()) {
       return absl::UnavailableError(status.message());
     }

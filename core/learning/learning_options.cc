@@ -4,6 +4,7 @@
 #include <initializer_list>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -24,11 +25,11 @@ absl::Status CheckFraction(const char* field, double value) {
 
 absl::Status LearningOptions::Validate(const ActionSpace& space,
                                        const ActionSelection& selection) const {
-  if (auto status = CheckPositive("learning_rate", learning_rate); !status.ok()) return status;
-  if (auto status = CheckFraction("trace_decay", trace_decay); !status.ok()) return status;
-  if (auto status = CheckFraction("discount", discount); !status.ok()) return status;
-  if (auto status = CheckPositive("clip", clip); !status.ok()) return status;
-  if (auto status = CheckPositive("max_drift", max_drift); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckPositive("learning_rate", learning_rate));
+  RETURN_IF_ERROR(CheckFraction("trace_decay", trace_decay));
+  RETURN_IF_ERROR(CheckFraction("discount", discount));
+  RETURN_IF_ERROR(CheckPositive("clip", clip));
+  RETURN_IF_ERROR(CheckPositive("max_drift", max_drift));
   if (!(std::isfinite(guard_margin) && guard_margin >= 0.0)) {
     return absl::InvalidArgumentError(absl::StrCat(
         "learning.guard_margin: expected a finite number of at least 0, received ", guard_margin));

@@ -3,6 +3,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -36,16 +37,13 @@ absl::StatusOr<LearningOptions> ResolveLearning(const LearningRequest& request,
   LearningOptions options;
   options.scope = request.scope;
   if (!request.rule.empty()) {
-    const auto rule = ParseEnum<Rule>("learning.rule", request.rule);
-    if (!rule.ok()) return rule.status();
-    options.rule = *rule;
+    ASSIGN_OR_RETURN(options.rule, ParseEnum<Rule>("learning.rule", request.rule));
   }
   if (!request.modulator.empty()) {
-    const auto modulator = ParseEnum<Modulator>("learning.modulator", request.modulator);
-    if (!modulator.ok()) return modulator.status();
-    options.modulator = *modulator;
+    ASSIGN_OR_RETURN(options.modulator,
+                     ParseEnum<Modulator>("learning.modulator", request.modulator));
   }
-  if (auto status = CheckApplies(request, options); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckApplies(request, options));
   options.learning_rate =
       request.learning_rate.value_or(LearningOptions::DefaultLearningRate(options.modulator));
   options.trace_decay = request.trace_decay.value_or(options.trace_decay);
@@ -53,7 +51,7 @@ absl::StatusOr<LearningOptions> ResolveLearning(const LearningRequest& request,
   options.clip = request.clip.value_or(options.clip);
   options.max_drift = request.max_drift.value_or(options.max_drift);
   options.guard_margin = request.guard_margin.value_or(options.guard_margin);
-  if (auto status = options.Validate(space, selection); !status.ok()) return status;
+  RETURN_IF_ERROR(options.Validate(space, selection));
   return options;
 }
 

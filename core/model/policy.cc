@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/json.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
 
@@ -71,9 +72,8 @@ absl::Status CheckPositive(absl::string_view field, float value) {
 
 absl::Status CheckScales(absl::string_view name, const Tensor& scales) {
   for (size_t i = 0; i < scales.values.size(); ++i) {
-    absl::Status status = CheckPositive(
-        absl::StrCat("tensor ", Quoted(std::string(name)), " at index ", i), scales.values[i]);
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(CheckPositive(
+        absl::StrCat("tensor ", Quoted(std::string(name)), " at index ", i), scales.values[i]));
   }
   return absl::OkStatus();
 }
@@ -121,7 +121,7 @@ absl::Status CheckWeights(const Policy& policy) {
   for (const TensorSlot& slot :
        TensorSlots(policy.config, policy.observation_size(), policy.action_space.size(),
                    const_cast<Weights*>(&weights))) {
-    if (absl::Status status = CheckTensor(slot); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckTensor(slot));
   }
   absl::Status scales = CheckScales("observation.std", weights.observation_std);
   scales.Update(CheckScales("observation.change_std", weights.observation_change_std));

@@ -7,6 +7,7 @@
 #include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/model/policy_metadata.h"
 #include "core/model/safetensors.h"
 
@@ -44,9 +45,9 @@ absl::Status TakeTensors(Safetensors& contents, Policy* policy) {
       return absl::InvalidArgumentError(
           absl::StrCat("tensor ", Quoted(slot.name), ": expected, but missing"));
     }
-    absl::Status status = std::visit(
-        [&](auto* place) { return Take(slot.name, std::move(node.mapped()), place); }, slot.tensor);
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(
+        std::visit([&](auto* place) { return Take(slot.name, std::move(node.mapped()), place); },
+                   slot.tensor));
   }
   if (contents.tensors.empty()) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(contents.tensors.begin()->first),
@@ -58,14 +59,13 @@ absl::Status TakeTensors(Safetensors& contents, Policy* policy) {
 }  // namespace
 
 absl::StatusOr<Policy> ParsePolicyFile(absl::string_view bytes) {
-  absl::StatusOr<Safetensors> contents = ParseSafetensors(bytes);
-  if (!contents.ok()) return contents.status();
+  ASSIGN_OR_RETURN(Safetensors contents, ParseSafetensors(bytes));
   Policy policy;
-  absl::Status status = ParsePolicyMetadata(contents->metadata, &policy);
+  absl::Status status = ParsePolicyMetadata(contents.metadata, &policy);
   // Validates the sizes before they determine how much memory is allocated.
   if (status.ok()) status = policy.config.Validate();
   if (status.ok()) status = policy.action_space.Validate();
-  if (status.ok()) status = TakeTensors(*contents, &policy);
+  if (status.ok()) status = TakeTensors(contents, &policy);
   if (status.ok()) status = policy.Validate();
   if (!status.ok()) return status;
   return policy;
@@ -80,7 +80,7 @@ absl::StatusOr<Policy> ReadPolicyFile(const std::string& path) {
 }
 
 absl::StatusOr<std::string> FormatPolicyFile(const Policy& policy) {
-  if (absl::Status status = policy.Validate(); !status.ok()) return status;
+  RETURN_IF_ERROR(policy.Validate());
   Safetensors contents{.metadata = FormatPolicyMetadata(policy), .tensors = {}};
   Weights weights = policy.weights;
   for (const TensorSlot& slot : TensorSlots(policy.config, policy.observation_size(),

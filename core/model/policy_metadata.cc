@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -98,9 +99,8 @@ std::string FormatConfig(const ModelConfig& config) {
 }
 
 absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
-  const absl::StatusOr<json> object = ParseJsonObject("config", text);
-  if (!object.ok()) return object.status();
-  JsonObject reader("config", *object);
+  ASSIGN_OR_RETURN(const json object, ParseJsonObject("config", text));
+  JsonObject reader("config", object);
   const auto read = [&reader](const char* key, auto& member) {
     // Sizes are never negative; ModelConfig::Validate() checks their other bounds.
     if constexpr (std::is_same_v<decltype(member), int&>) {
@@ -122,9 +122,8 @@ std::string FormatActionSpace(const ActionSpace& space) {
 }
 
 absl::Status ParseActionSpace(const std::string& text, ActionSpace* space) {
-  const absl::StatusOr<json> object = ParseJsonObject("action_space", text);
-  if (!object.ok()) return object.status();
-  JsonObject reader("action_space", *object);
+  ASSIGN_OR_RETURN(const json object, ParseJsonObject("action_space", text));
+  JsonObject reader("action_space", object);
   json type;
   reader.Optional("type", &type);
   if (type == "Discrete") {

@@ -16,6 +16,7 @@
 #include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -197,9 +198,8 @@ absl::StatusOr<std::vector<Entry>> ParseEntries(const json& header, uint64_t dat
   std::vector<Entry> entries;
   for (const auto& [name, value] : header.items()) {
     if (name == kMetadataKey) continue;
-    absl::StatusOr<Entry> entry = ParseEntry(name, value, data_size);
-    if (!entry.ok()) return entry.status();
-    entries.push_back(*std::move(entry));
+    ASSIGN_OR_RETURN(Entry entry, ParseEntry(name, value, data_size));
+    entries.push_back(std::move(entry));
   }
   std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
     return std::tie(a.begin, a.end) < std::tie(b.begin, b.end);
@@ -244,32 +244,27 @@ std::string DtypeName(const AnyTensor& tensor) {
 }
 
 absl::StatusOr<std::string> ReadSafetensorsFile(const std::string& path) {
-  if (auto status = CheckFile(path); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckFile(path));
   auto bytes = ReadFile(path);
   if (!bytes.ok()) return absl::InvalidArgumentError(bytes.status().message());
   return bytes;
 }
 
 absl::StatusOr<Safetensors> ReadSafetensors(const std::string& path) {
-  const auto bytes = ReadSafetensorsFile(path);
-  if (!bytes.ok()) return bytes.status();
-  return ParseSafetensors(*bytes);
+  ASSIGN_OR_RETURN(const auto bytes, ReadSafetensorsFile(path));
+  return ParseSafetensors(bytes);
 }
 
 absl::StatusOr<Safetensors> ParseSafetensors(absl::string_view bytes) {
-  if (auto status = CheckSize(bytes.size()); !status.ok()) return status;
-  const absl::StatusOr<absl::string_view> text = FindHeader(bytes);
-  if (!text.ok()) return text.status();
-  const absl::StatusOr<json> header = ParseJsonObject("header", *text);
-  if (!header.ok()) return header.status();
-  auto metadata = ParseMetadata(*header);
-  if (!metadata.ok()) return metadata.status();
-  const absl::string_view data = bytes.substr(kPrefixBytes + text->size());
-  const auto entries = ParseEntries(*header, data.size());
-  if (!entries.ok()) return entries.status();
+  RETURN_IF_ERROR(CheckSize(bytes.size()));
+  ASSIGN_OR_RETURN(const absl::string_view text, FindHeader(bytes));
+  ASSIGN_OR_RETURN(const json header, ParseJsonObject("header", text));
+  ASSIGN_OR_RETURN(auto metadata, ParseMetadata(header));
+  const absl::string_view data = bytes.substr(kPrefixBytes + text.size());
+  ASSIGN_OR_RETURN(const auto entries, ParseEntries(header, data.size()));
 
-  Safetensors contents{.metadata = *std::move(metadata), .tensors = {}};
-  for (const Entry& entry : *entries) contents.tensors[entry.name] = CopyTensor(data, entry);
+  Safetensors contents{.metadata = std::move(metadata), .tensors = {}};
+  for (const Entry& entry : entries) contents.tensors[entry.name] = CopyTensor(data, entry);
   return contents;
 }
 

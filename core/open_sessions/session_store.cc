@@ -12,6 +12,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
+#include "core/base/status_macros.h"
 #include "core/session/session_id.h"
 #include "core/session/session_value.h"
 
@@ -71,9 +72,8 @@ absl::StatusOr<std::string> SessionStore::Open(std::shared_ptr<const ServedPolic
   absl::StatusOr<std::string> id = extras.id;
   if (id->empty()) id = NewSessionId();
   if (!id.ok()) return id;
-  const auto status = Add(std::move(served), NewSession(*id, std::move(options)), std::move(extras),
-                          /*is_new=*/true);
-  if (!status.ok()) return status;
+  RETURN_IF_ERROR(Add(std::move(served), NewSession(*id, std::move(options)), std::move(extras),
+                      /*is_new=*/true));
   return id;
 }
 

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/quantize/round_population.h"
 
 namespace spikeserve {
@@ -37,19 +38,18 @@ absl::Status RoundLayer(const std::string& name, float threshold, LayerWeights* 
 }  // namespace
 
 absl::StatusOr<Policy> Quantize(const Policy& policy) {
-  if (absl::Status status = policy.Validate(); !status.ok()) return status;
+  RETURN_IF_ERROR(policy.Validate());
   if (policy.config.arithmetic != Arithmetic::kFloat32) {
     return absl::InvalidArgumentError("arithmetic: expected float32, received int8");
   }
   Policy integer = policy;
   integer.config.arithmetic = Arithmetic::kInt8;
-  if (absl::Status status = integer.config.Validate(); !status.ok()) return status;
+  RETURN_IF_ERROR(integer.config.Validate());
   for (size_t i = 0; i < integer.weights.layers.size(); ++i) {
-    absl::Status status = RoundLayer(absl::StrCat("layers.", i), integer.config.threshold,
-                                     &integer.weights.layers[i]);
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(RoundLayer(absl::StrCat("layers.", i), integer.config.threshold,
+                               &integer.weights.layers[i]));
   }
-  if (absl::Status status = integer.Validate(); !status.ok()) return status;
+  RETURN_IF_ERROR(integer.Validate());
   return integer;
 }
 

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/neuron/period_table.h"
 #include "core/quantize/quantize_dense.h"
 #include "core/quantize/round_fixed_point.h"
@@ -197,26 +198,24 @@ absl::StatusOr<ModelConfig> ConfigOf(const Policy& policy, const IntegerOptions&
 }  // namespace
 
 absl::StatusOr<Policy> QuantizeToInteger(const Policy& policy, const IntegerOptions& options) {
-  if (absl::Status status = policy.Validate(); !status.ok()) return status;
+  RETURN_IF_ERROR(policy.Validate());
   if (policy.config.arithmetic != Arithmetic::kFloat32) {
     return absl::InvalidArgumentError(
         absl::StrCat("arithmetic: expected float32, received ",
                      std::string(ToString(policy.config.arithmetic))));
   }
-  const absl::StatusOr<ModelConfig> config = ConfigOf(policy, options);
-  if (!config.ok()) return config.status();
-  if (absl::Status status = config->Validate(); !status.ok()) return status;
+  ASSIGN_OR_RETURN(const ModelConfig config, ConfigOf(policy, options));
+  RETURN_IF_ERROR(config.Validate());
   Policy integer = policy;
-  integer.config = *config;
+  integer.config = config;
   integer.weights.embed_return = {};
   integer.weights.embed_state = {};
   integer.weights.embed_action = {};
   integer.weights.readout_coder = {};
-  if (!config->has_phase()) integer.weights.phase_omega = integer.weights.phase_phi = {};
-  absl::Status rounded = config->is_dense() ? RoundDensePolicy(policy, &integer)
-                                            : Rounding(policy, *config).Run(&integer);
-  if (!rounded.ok()) return rounded;
-  if (absl::Status status = integer.Validate(); !status.ok()) return status;
+  if (!config.has_phase()) integer.weights.phase_omega = integer.weights.phase_phi = {};
+  RETURN_IF_ERROR(config.is_dense() ? RoundDensePolicy(policy, &integer)
+                                    : Rounding(policy, config).Run(&integer));
+  RETURN_IF_ERROR(integer.Validate());
   return integer;
 }
 

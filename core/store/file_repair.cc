@@ -14,6 +14,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
+#include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
 #include "core/journal/journal_entry.h"
 #include "core/store/lmdb.h"
@@ -62,14 +63,13 @@ class Salvage {
 };
 
 absl::Status Salvage::Run() {
-  if (auto status = Open(); !status.ok()) return status;
-  const auto damage = ScanLmdbFile(
-      damaged_,
-      [this](absl::string_view table, absl::string_view key, absl::string_view value) {
-        CopyKey(table, key, value);
-      },
-      [this](absl::string_view table) { OnGap(table); });
-  if (!damage.ok()) return damage.status();
+  RETURN_IF_ERROR(Open());
+  ASSIGN_OR_RETURN(const auto damage,
+                   ScanLmdbFile(
+                       damaged_,
+                       [this](absl::string_view table, absl::string_view key,
+                              absl::string_view value) { CopyKey(table, key, value); },
+                       [this](absl::string_view table) { OnGap(table); }));
   for (const auto step :
        {&Salvage::MarkIncomplete, &Salvage::NameSessions, &Salvage::MarkSessionsWithoutRecords}) {
     if (failure_.ok()) failure_ = (this->*step)();
@@ -79,21 +79,17 @@ absl::Status Salvage::Run() {
     return absl::DataLossError(absl::StrCat(damaged_,
                                             ": expected sessions, received none that can "
                                             "be read: ",
-                                            Describe(*damage)));
+                                            Describe(damage)));
   }
   return failure_;
 }
 
 absl::Status Salvage::Open() {
-  auto transaction = LmdbTransaction::Begin(target_);
-  if (!transaction.ok()) return transaction.status();
-  transaction_ = *std::move(transaction);
-  const auto sessions = transaction_->OpenTable(kSessionsTable);
-  if (!sessions.ok()) return sessions.status();
-  const auto records = transaction_->OpenTable(kRecordsTable);
-  if (!records.ok()) return records.status();
-  sessions_ = *sessions;
-  records_ = *records;
+  ASSIGN_OR_RETURN(transaction_, LmdbTransaction::Begin(target_));
+  ASSIGN_OR_RETURN(const auto sessions, transaction_->OpenTable(kSessionsTable));
+  ASSIGN_OR_RETURN(const auto records, transaction_->OpenTable(kRecordsTable));
+  sessions_ = sessions;
+  records_ = records;
   return absl::OkStatus();
 }
 
@@ -116,8 +112,7 @@ void Salvage::OnGap(absl::string_view table) {
 
 absl::Status Salvage::MarkIncomplete() {
   for (const auto& [id, end] : ends_) {
-    auto found = transaction_->Get(records_, StoredRecordKey(id, end));
-    if (!found.ok()) return found.status();
+    RETURN_IF_ERROR(transaction_->Get(records_, StoredRecordKey(id, end)).status());
     // What follows was read, so what is missing lies between: the journal shows it.
     bool is_last = true;
     auto status = transaction_->Scan(records_, id, [&](absl::string_view key, absl::string_view) {
@@ -134,10 +129,9 @@ absl::Status Salvage::MarkIncomplete() {
 
 absl::StatusOr<std::vector<std::string>> Salvage::Records(const std::string& id) {
   std::vector<std::string> records;
-  auto status = transaction_->Scan(records_, id, [&](absl::string_view, absl::string_view bytes) {
+  RETURN_IF_ERROR(transaction_->Scan(records_, id, [&](absl::string_view, absl::string_view bytes) {
     records.push_back(OpenRecord(bytes));
-  });
-  if (!status.ok()) return status;
+  }));
   return records;
 }
 
@@ -151,10 +145,9 @@ absl::Status Salvage::NameSessions() {
       });
   for (const auto& [id, own] : keys) {
     if (!status.ok()) return status;
-    auto records = Records(id);
-    if (!records.ok()) return records.status();
-    CutDamagedEnd(&*records).IgnoreError();
-    const auto journal = ParseJournal(*records);
+    ASSIGN_OR_RETURN(auto records, Records(id));
+    CutDamagedEnd(&records).IgnoreError();
+    const auto journal = ParseJournal(records);
     if (journal.ok()) {
       std::string bytes;
       codec::Writer writer(&bytes);
@@ -180,9 +173,8 @@ absl::Status Salvage::MarkSessionsWithoutRecords() {
   repair_.sessions = static_cast<int64_t>(ids.size());
   for (const std::string& id : ids) {
     if (!status.ok()) return status;
-    const auto records = Records(id);
-    if (!records.ok()) return records.status();
-    if (!records->empty()) continue;
+    ASSIGN_OR_RETURN(const auto records, Records(id));
+    if (!records.empty()) continue;
     ++repair_.without;
     status = transaction_->Put(records_, StoredRecordKey(id, 0), DamagedRecord());
   }
@@ -211,21 +203,20 @@ absl::StatusOr<std::optional<FileRepair>> RepairFileStore(const std::string& dir
   if (!std::filesystem::exists(file, error) || std::filesystem::file_size(file, error) == 0) {
     return std::nullopt;
   }
-  const auto damage = ScanLmdbFile(
-      file, [](absl::string_view, absl::string_view, absl::string_view) {},
-      [](absl::string_view) {});
-  if (!damage.ok()) return damage.status();
-  if (damage->empty()) return std::nullopt;
+  ASSIGN_OR_RETURN(const auto damage,
+                   ScanLmdbFile(
+                       file, [](absl::string_view, absl::string_view, absl::string_view) {},
+                       [](absl::string_view) {}));
+  if (damage.empty()) return std::nullopt;
 
   FileRepair repair = {
-      .damage = Describe(*damage),
+      .damage = Describe(damage),
       .kept_as = absl::StrCat(file, ".damaged-", absl::ToUnixSeconds(absl::Now())),
   };
   std::filesystem::create_directory(workshop, error);
   {
-    auto target = OpenLmdb(workshop, kMostStoreBytes);
-    if (!target.ok()) return target.status();
-    if (auto status = Salvage(file, target->get(), &repair).Run(); !status.ok()) {
+    ASSIGN_OR_RETURN(auto target, OpenLmdb(workshop, kMostStoreBytes));
+    if (auto status = Salvage(file, target.get(), &repair).Run(); !status.ok()) {
       std::filesystem::remove_all(workshop, error);
       return status;
     }

@@ -9,6 +9,7 @@
 #include "absl/functional/function_ref.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/store/stored_session.h"
 
 namespace spikeserve {
@@ -33,7 +34,7 @@ absl::StatusOr<FileSize> SizeOf(MDB_env* environment, const std::string& directo
   MDB_envinfo info;
   MDB_stat stat;
   for (const int error : {mdb_env_info(environment, &info), mdb_env_stat(environment, &stat)}) {
-    if (auto status = LmdbStatus(error); !status.ok()) return status;
+    RETURN_IF_ERROR(LmdbStatus(error));
   }
   FileSize file = {.path = directory + "/data.mdb"};
   std::error_code error;
@@ -72,11 +73,11 @@ absl::StatusOr<LmdbEnvironment> Map(const std::string& directory, size_t most_by
   constexpr size_t kLeastBytes = size_t{1} << 30;
   while (true) {
     MDB_env* raw = nullptr;
-    if (auto status = LmdbStatus(mdb_env_create(&raw)); !status.ok()) return status;
+    RETURN_IF_ERROR(LmdbStatus(mdb_env_create(&raw)));
     LmdbEnvironment environment(raw);
     for (const int error : {mdb_env_set_assert(raw, OnAssertion),
                             mdb_env_set_mapsize(raw, most_bytes), mdb_env_set_maxdbs(raw, 2)}) {
-      if (auto status = LmdbStatus(error); !status.ok()) return status;
+      RETURN_IF_ERROR(LmdbStatus(error));
     }
     const int error = mdb_env_open(raw, directory.c_str(), MDB_NOTLS | flags, 0600);
     if (error == 0) return environment;
@@ -108,12 +109,11 @@ absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t mo
   // LMDB maps the file, and to read behind its end would kill the process. If the end was cut off,
   // its pages are zeros now, which LMDB reports as MDB_CORRUPTED. The file may be shorter without
   // harm, too: LMDB does not write pages that one transaction has both taken and given back.
-  const auto file = SizeOf(environment.get(), directory);
-  if (!file.ok()) return file.status();
-  if (file->size < file->expected) {
+  ASSIGN_OR_RETURN(const auto file, SizeOf(environment.get(), directory));
+  if (file.size < file.expected) {
     std::error_code error;
-    std::filesystem::resize_file(file->path, file->expected, error);
-    if (error) return absl::UnavailableError(absl::StrCat(file->path, ": ", error.message()));
+    std::filesystem::resize_file(file.path, file.expected, error);
+    if (error) return absl::UnavailableError(absl::StrCat(file.path, ": ", error.message()));
   }
   return environment;
 }
@@ -121,11 +121,10 @@ absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t mo
 absl::StatusOr<LmdbEnvironment> OpenLmdbToRead(const std::string& directory) {
   absl::StatusOr<LmdbEnvironment> environment = Map(directory, kMostStoreBytes, MDB_RDONLY);
   if (!environment.ok()) return environment;
-  const auto file = SizeOf(environment->get(), directory);
-  if (!file.ok()) return file.status();
-  if (file->size < file->expected) {
-    return absl::DataLossError(absl::StrCat("expected at least ", file->expected, " bytes in ",
-                                            file->path, ", received ", file->size,
+  ASSIGN_OR_RETURN(const auto file, SizeOf(environment->get(), directory));
+  if (file.size < file.expected) {
+    return absl::DataLossError(absl::StrCat("expected at least ", file.expected, " bytes in ",
+                                            file.path, ", received ", file.size,
                                             ": its end is missing"));
   }
   return environment;
@@ -134,14 +133,14 @@ absl::StatusOr<LmdbEnvironment> OpenLmdbToRead(const std::string& directory) {
 absl::StatusOr<LmdbTransaction> LmdbTransaction::Begin(MDB_env* environment) {
   MDB_txn* transaction = nullptr;
   const int error = mdb_txn_begin(environment, nullptr, 0, &transaction);
-  if (auto status = LmdbStatus(error); !status.ok()) return status;
+  RETURN_IF_ERROR(LmdbStatus(error));
   return LmdbTransaction(transaction, /*writes=*/true);
 }
 
 absl::StatusOr<LmdbTransaction> LmdbTransaction::BeginToRead(MDB_env* environment) {
   MDB_txn* transaction = nullptr;
   const int error = mdb_txn_begin(environment, nullptr, MDB_RDONLY, &transaction);
-  if (auto status = LmdbStatus(error); !status.ok()) return status;
+  RETURN_IF_ERROR(LmdbStatus(error));
   return LmdbTransaction(transaction, /*writes=*/false);
 }
 
@@ -149,7 +148,7 @@ absl::StatusOr<MDB_dbi> LmdbTransaction::OpenTable(const char* name) {
   MDB_dbi table = 0;
   const int error = Contain(
       [&] { return mdb_dbi_open(transaction_.get(), name, writes_ ? MDB_CREATE : 0, &table); });
-  if (auto status = LmdbStatus(error); !status.ok()) return status;
+  RETURN_IF_ERROR(LmdbStatus(error));
   return table;
 }
 
@@ -159,7 +158,7 @@ absl::StatusOr<std::optional<absl::string_view>> LmdbTransaction::Get(MDB_dbi ta
   MDB_val value;
   const int error = Contain([&] { return mdb_get(transaction_.get(), table, &key_value, &value); });
   if (error == MDB_NOTFOUND) return std::nullopt;
-  if (auto status = LmdbStatus(error); !status.ok()) return status;
+  RETURN_IF_ERROR(LmdbStatus(error));
   return ToView(value);
 }
 

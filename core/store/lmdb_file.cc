@@ -14,6 +14,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "core/base/status_macros.h"
 #include "core/store/stored_session.h"
 
 namespace spikeserve {
@@ -121,7 +122,7 @@ class Scan {
 };
 
 absl::Status Scan::Run() {
-  if (auto status = ChooseMeta(); !status.ok()) return status;
+  RETURN_IF_ERROR(ChooseMeta());
   taken_.assign(meta_.last_page + 1, false);
   const auto check_free = [this](const Node& node, absl::string_view value) {
     CheckFreePages(node, value);

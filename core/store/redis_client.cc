@@ -6,6 +6,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -52,35 +53,33 @@ absl::StatusOr<std::unique_ptr<RedisClient>> RedisClient::Connect(const RedisOpt
 }
 
 absl::Status RedisClient::ConnectBySentinel(const RedisEndpoint& sentinel) {
-  const auto connection = RedisConnection::Connect(sentinel, options_, RedisPeer::kSentinel);
-  if (!connection.ok()) return connection.status();
+  ASSIGN_OR_RETURN(const auto connection,
+                   RedisConnection::Connect(sentinel, options_, RedisPeer::kSentinel));
   const std::string& name = options_.address.primary;
-  const auto reply = (*connection)->Run({"SENTINEL", "get-master-addr-by-name", name});
-  if (!reply.ok()) return reply.status();
+  ASSIGN_OR_RETURN(const auto reply,
+                   connection->Run({"SENTINEL", "get-master-addr-by-name", name}));
   RedisEndpoint primary;
-  if (!IsArray(**reply, 2) || !absl::SimpleAtoi(TextOf(*(*reply)->element[1]), &primary.port)) {
+  if (!IsArray(*reply, 2) || !absl::SimpleAtoi(TextOf(*reply->element[1]), &primary.port)) {
     return Unavailable(absl::StrCat("Sentinel ", sentinel.ToString(), " knows no primary ", name));
   }
-  primary.host = std::string(TextOf(*(*reply)->element[0]));
+  primary.host = std::string(TextOf(*reply->element[0]));
   return ConnectTo(primary);
 }
 
 absl::Status RedisClient::ConnectTo(const RedisEndpoint& endpoint) {
   Node& node = NodeAt(endpoint);
-  if (auto status = Connect(node, &node.connection); !status.ok()) return status;
+  RETURN_IF_ERROR(Connect(node, &node.connection));
   RedisConnection& connection = *node.connection;
   // A server that is no node of a Cluster answers with an error.
   connection.Append(FormatRedisCommand({"CLUSTER", "SLOTS"}));
-  const auto slots = connection.Read();
-  if (!slots.ok()) return slots.status();
-  if ((*slots)->type == REDIS_REPLY_ARRAY) {
-    return ReadSlots(**slots, endpoint);
+  ASSIGN_OR_RETURN(const auto slots, connection.Read());
+  if (slots->type == REDIS_REPLY_ARRAY) {
+    return ReadSlots(*slots, endpoint);
   }
   // A former primary that came back is a replica, which refuses writes.
   connection.Append(FormatRedisCommand({"ROLE"}));
-  const auto role = connection.Read();
-  if (!role.ok()) return role.status();
-  if (IsArray(**role, 1) && TextOf(*(*role)->element[0]) != "master") {
+  ASSIGN_OR_RETURN(const auto role, connection.Read());
+  if (IsArray(*role, 1) && TextOf(*role->element[0]) != "master") {
     return Unavailable(absl::StrCat(endpoint.ToString(), " is no primary"));
   }
   only_ = &node;
@@ -127,8 +126,7 @@ absl::StatusOr<std::unique_ptr<RedisConnection>> RedisClient::NewConnection(
     const RedisEndpoint& endpoint) {
   auto connected = RedisConnection::Connect(endpoint, options_, RedisPeer::kRedis);
   if (!connected.ok() || options_.address.database == 0) return connected;
-  const auto reply = (*connected)->Run({"SELECT", absl::StrCat(options_.address.database)});
-  if (!reply.ok()) return reply.status();
+  RETURN_IF_ERROR((*connected)->Run({"SELECT", absl::StrCat(options_.address.database)}).status());
   return connected;
 }
 
@@ -174,7 +172,7 @@ absl::StatusOr<RedisReply> RedisClient::Read() {
   if (is_cluster() && ParseRedirection(**reply, pending.node->endpoint, &redirection)) {
     return Follow(pending.command, std::move(redirection));
   }
-  if (auto status = RedisStatus(**reply); !status.ok()) return status;
+  RETURN_IF_ERROR(RedisStatus(**reply));
   return reply;
 }
 
@@ -206,7 +204,7 @@ absl::StatusOr<RedisReply> RedisClient::Follow(const std::string& command,
                                                Redirection redirection) {
   for (int i = 0; i < kMostRedirections; ++i) {
     Node& node = NodeAt(redirection.endpoint);
-    if (auto status = Connect(node, &node.redirected); !status.ok()) return status;
+    RETURN_IF_ERROR(Connect(node, &node.redirected));
     if (!redirection.is_ask) slots_[redirection.slot] = &node;
     RedisConnection& connection = *node.redirected;
     if (redirection.is_ask) {
@@ -217,7 +215,7 @@ absl::StatusOr<RedisReply> RedisClient::Follow(const std::string& command,
     auto reply = connection.Read();
     if (!reply.ok()) return reply;
     if (ParseRedirection(**reply, node.endpoint, &redirection)) continue;
-    if (auto status = RedisStatus(**reply); !status.ok()) return status;
+    RETURN_IF_ERROR(RedisStatus(**reply));
     return reply;
   }
   return Unavailable(absl::StrCat("expected at most ", kMostRedirections,
@@ -230,8 +228,8 @@ absl::Status RedisClient::ScanKeys(absl::string_view pattern,
   if (!is_cluster()) primaries.insert(only_);
   primaries.erase(nullptr);
   for (Node* node : primaries) {
-    if (auto status = Connect(*node, &node->connection); !status.ok()) return status;
-    if (auto status = ScanNode(*node->connection, pattern, visit); !status.ok()) return status;
+    RETURN_IF_ERROR(Connect(*node, &node->connection));
+    RETURN_IF_ERROR(ScanNode(*node->connection, pattern, visit));
   }
   return absl::OkStatus();
 }
@@ -240,11 +238,11 @@ absl::Status RedisClient::ScanNode(RedisConnection& connection, absl::string_vie
                                    absl::FunctionRef<void(absl::string_view key)> visit) {
   std::string cursor = "0";
   do {
-    const auto reply = connection.Run({"SCAN", cursor, "MATCH", pattern, "COUNT", "1000"});
-    if (!reply.ok()) return reply.status();
-    if (!IsArray(**reply, 2)) return Unavailable("expected a cursor and keys");
-    cursor = std::string(TextOf(*(*reply)->element[0]));
-    const redisReply& keys = *(*reply)->element[1];
+    ASSIGN_OR_RETURN(const auto reply,
+                     connection.Run({"SCAN", cursor, "MATCH", pattern, "COUNT", "1000"}));
+    if (!IsArray(*reply, 2)) return Unavailable("expected a cursor and keys");
+    cursor = std::string(TextOf(*reply->element[0]));
+    const redisReply& keys = *reply->element[1];
     for (size_t i = 0; i < keys.elements; ++i) visit(TextOf(*keys.element[i]));
   } while (cursor != "0");
   return absl::OkStatus();
@@ -260,13 +258,12 @@ absl::Status RedisClient::WaitForReplicas() {
   }
   absl::Status outcome;
   for (RedisConnection* connection : connections) {
-    const auto reply = connection->Read();
-    if (!reply.ok()) return reply.status();
-    if (auto status = RedisStatus(**reply); !status.ok()) return status;
-    if ((*reply)->integer >= options_.replicas) continue;
+    ASSIGN_OR_RETURN(const auto reply, connection->Read());
+    RETURN_IF_ERROR(RedisStatus(*reply));
+    if (reply->integer >= options_.replicas) continue;
     outcome =
         Unavailable(absl::StrCat(connection->endpoint().ToString(), ": expected ", replicas,
-                                 " replicas that have the records, received ", (*reply)->integer));
+                                 " replicas that have the records, received ", reply->integer));
   }
   return outcome;
 }

@@ -13,6 +13,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -92,7 +93,7 @@ absl::StatusOr<std::unique_ptr<RedisConnection>> RedisConnection::Connect(
     }
     connection->tls_ = *std::move(tls);
   }
-  if (auto status = connection->Authenticate(options, peer); !status.ok()) return status;
+  RETURN_IF_ERROR(connection->Authenticate(options, peer));
   return connection;
 }
 
@@ -113,7 +114,7 @@ absl::StatusOr<RedisReply> RedisConnection::Run(absl::Span<const absl::string_vi
   Append(FormatRedisCommand(arguments));
   auto reply = Read();
   if (!reply.ok()) return reply;
-  if (auto status = RedisStatus(**reply); !status.ok()) return status;
+  RETURN_IF_ERROR(RedisStatus(**reply));
   return reply;
 }
 
@@ -129,10 +130,10 @@ absl::StatusOr<RedisReply> RedisConnection::ReadNext() {
   reply_bytes_ = 0;
   auto reply = Parse();
   if (!reply.ok() || *reply != nullptr) return reply;
-  if (auto status = SendAll(); !status.ok()) return status;
+  RETURN_IF_ERROR(SendAll());
   const absl::Time end = absl::Now() + kTimeoutsOfReply * timeout_;
   while (reply.ok() && *reply == nullptr) {
-    if (auto status = Receive(); !status.ok()) return status;
+    RETURN_IF_ERROR(Receive());
     if (reply_bytes_ > kMostReplyBytes) return Failed("a reply is too large");
     reply = Parse();
     if (reply.ok() && *reply == nullptr && absl::Now() > end) {

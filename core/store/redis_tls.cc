@@ -4,6 +4,7 @@
 #include <openssl/x509_vfy.h>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -58,9 +59,8 @@ std::string TakeTlsErrorOfWrite(SSL* connection) {
 
 absl::StatusOr<SslConnection> ConnectTls(int fd, const std::string& host,
                                          const RedisTlsFiles& files) {
-  auto context = MakeContext(files);
-  if (!context.ok()) return context.status();
-  SslConnection connection(SSL_new(context->get()));
+  ASSIGN_OR_RETURN(auto context, MakeContext(files));
+  SslConnection connection(SSL_new(context.get()));
   SSL_set_fd(connection.get(), fd);
   X509_VERIFY_PARAM* const checked = SSL_get0_param(connection.get());
   if (X509_VERIFY_PARAM_set1_ip_asc(checked, host.c_str()) != 1) {  // a name, then

@@ -12,6 +12,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
+#include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
 #include "core/journal/journal_entry.h"
 #include "core/store/lmdb.h"
@@ -61,22 +62,21 @@ void AddKey(absl::string_view key, RedisKeys* keys) {
 }
 
 absl::StatusOr<std::optional<RedisSession>> ReadHash(RedisClient& client, const std::string& id) {
-  const auto reply = client.Run({"HMGET", RedisHashKey(id), "epoch", "owner", "tenant", "state"});
-  if (!reply.ok()) return reply.status();
-  if ((*reply)->type != REDIS_REPLY_ARRAY || (*reply)->elements != 4 ||
-      (*reply)->element[0]->type != REDIS_REPLY_STRING) {
+  ASSIGN_OR_RETURN(const auto reply,
+                   client.Run({"HMGET", RedisHashKey(id), "epoch", "owner", "tenant", "state"}));
+  if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 4 ||
+      reply->element[0]->type != REDIS_REPLY_STRING) {
     return std::nullopt;
   }
-  const auto text = [&](size_t i) { return std::string(TextOf(*(*reply)->element[i])); };
+  const auto text = [&](size_t i) { return std::string(TextOf(*reply->element[i])); };
   return RedisSession{.epoch = text(0), .owner = text(1), .tenant = text(2), .state = text(3)};
 }
 
 absl::StatusOr<std::vector<std::string>> ReadList(RedisClient& client, const std::string& key) {
-  const auto reply = client.Run({"LRANGE", key, "0", "-1"});
-  if (!reply.ok()) return reply.status();
+  ASSIGN_OR_RETURN(const auto reply, client.Run({"LRANGE", key, "0", "-1"}));
   std::vector<std::string> items;
-  for (size_t i = 0; i < (*reply)->elements; ++i) {
-    items.emplace_back(TextOf(*(*reply)->element[i]));
+  for (size_t i = 0; i < reply->elements; ++i) {
+    items.emplace_back(TextOf(*reply->element[i]));
   }
   return items;
 }
@@ -87,23 +87,21 @@ absl::Status CheckRedisSession(RedisClient& client, const std::string& id, Store
   // A server may take the session over between the two commands, which renames the list.
   constexpr int kTries = 3;
   for (int i = 0; i < kTries; ++i) {
-    const auto session = ReadHash(client, id);
-    if (!session.ok()) return session.status();
-    if (!session->has_value()) return absl::OkStatus();  // expired meanwhile
-    *epoch = (*session)->epoch;
-    if ((*session)->state == "closed") {
+    ASSIGN_OR_RETURN(const auto session, ReadHash(client, id));
+    if (!session.has_value()) return absl::OkStatus();  // expired meanwhile
+    *epoch = session->epoch;
+    if (session->state == "closed") {
       ++report->closed;
       return absl::OkStatus();
     }
-    const auto records = ReadList(client, RedisListPrefix(id) + *epoch);
-    if (!records.ok()) return records.status();
-    if (records->empty() && i + 1 < kTries) continue;
+    ASSIGN_OR_RETURN(const auto records, ReadList(client, RedisListPrefix(id) + *epoch));
+    if (records.empty() && i + 1 < kTries) continue;
     ++report->open;
     const bool alive = std::find(report->replicas.begin(), report->replicas.end(),
-                                 (*session)->owner) != report->replicas.end();
+                                 session->owner) != report->replicas.end();
     ++(alive ? report->owned : report->ownerless);
-    report->bytes += SizeOf(*records);
-    const auto status = CheckJournal(id, (*session)->tenant, *records, &report->entries);
+    report->bytes += SizeOf(records);
+    const auto status = CheckJournal(id, session->tenant, records, &report->entries);
     if (!status.ok()) report->damaged.push_back({id, std::string(status.message())});
     return absl::OkStatus();
   }
@@ -134,21 +132,20 @@ absl::Status FindOrphans(RedisClient& client, const RedisKeys& keys,
 
 absl::Status CheckJournal(absl::string_view id, absl::string_view tenant,
                           absl::Span<const std::string> records, int64_t* entries) {
-  const auto journal = ParseJournal(records);
-  if (!journal.ok()) return journal.status();
-  const Session& snapshot = journal->snapshot;
+  ASSIGN_OR_RETURN(const auto journal, ParseJournal(records));
+  const Session& snapshot = journal.snapshot;
   if (snapshot.id != id || snapshot.options.tenant != tenant) {
     return absl::DataLossError("journal: expected the session's own, received another one");
   }
   uint64_t decisions = snapshot.decisions;
-  for (const JournalEntry& entry : journal->entries) {
+  for (const JournalEntry& entry : journal.entries) {
     if (entry.decision < decisions) continue;  // written again
     ++decisions;
     ++*entries;
   }
-  if (journal->after_gap == 0) return absl::OkStatus();
+  if (journal.after_gap == 0) return absl::OkStatus();
   return absl::DataLossError(absl::StrCat("journal: expected decision ", decisions, ", received ",
-                                          journal->after_gap, " records after it"));
+                                          journal.after_gap, " records after it"));
 }
 
 absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory) {
@@ -157,14 +154,10 @@ absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory) {
     return absl::NotFoundError(
         absl::StrCat("expected a folder with a session store, received ", directory));
   }
-  auto environment = OpenLmdbToRead(directory);
-  if (!environment.ok()) return environment.status();
-  auto transaction = LmdbTransaction::BeginToRead(environment->get());
-  if (!transaction.ok()) return transaction.status();
-  const auto sessions = transaction->OpenTable(kSessionsTable);
-  if (!sessions.ok()) return sessions.status();
-  const auto records = transaction->OpenTable(kRecordsTable);
-  if (!records.ok()) return records.status();
+  ASSIGN_OR_RETURN(auto environment, OpenLmdbToRead(directory));
+  ASSIGN_OR_RETURN(auto transaction, LmdbTransaction::BeginToRead(environment.get()));
+  ASSIGN_OR_RETURN(const auto sessions, transaction.OpenTable(kSessionsTable));
+  ASSIGN_OR_RETURN(const auto records, transaction.OpenTable(kRecordsTable));
 
   StoreReport report;
   std::map<std::string, std::vector<std::string>> journals;
@@ -174,7 +167,7 @@ absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory) {
   const auto check = [&] {
     if (last.empty()) return;
     report.bytes += SizeOf(journal);
-    const auto bytes = transaction->Get(*sessions, last);
+    const auto bytes = transaction.Get(sessions, last);
     if (!bytes.ok()) {
       failure = bytes.status();
     } else if (!bytes->has_value()) {
@@ -196,20 +189,19 @@ absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory) {
     journal.clear();
   };
   std::set<std::string> with_records;
-  auto status =
-      transaction->Scan(*records, "", [&](absl::string_view key, absl::string_view bytes) {
-        const std::string id(key.substr(0, kStoredIdBytes));
-        if (id != last) {
-          check();
-          last = id;
-          with_records.insert(id);
-        }
-        journal.push_back(OpenRecord(bytes));
-      });
+  auto status = transaction.Scan(records, "", [&](absl::string_view key, absl::string_view bytes) {
+    const std::string id(key.substr(0, kStoredIdBytes));
+    if (id != last) {
+      check();
+      last = id;
+      with_records.insert(id);
+    }
+    journal.push_back(OpenRecord(bytes));
+  });
   check();
   if (status.ok()) status = failure;
   if (!status.ok()) return status;
-  status = transaction->Scan(*sessions, "", [&](absl::string_view id, absl::string_view) {
+  status = transaction.Scan(sessions, "", [&](absl::string_view id, absl::string_view) {
     ++report.open;
     ++report.ownerless;
     if (!with_records.contains(std::string(id))) {
@@ -221,29 +213,26 @@ absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory) {
 }
 
 absl::StatusOr<StoreReport> CheckRedisStore(const RedisOptions& options) {
-  auto client = RedisClient::Connect(options);
-  if (!client.ok()) return client.status();
+  ASSIGN_OR_RETURN(auto client, RedisClient::Connect(options));
   StoreReport report;
-  const auto durability = ReadRedisDurability(**client);
-  if (!durability.ok()) return durability.status();
-  report.warnings = durability->Warnings(options.replicas);
-  const auto replicas =
-      (*client)->Run({"EVAL", kLiving, "1", kRedisReplicas, absl::StrCat(kAliveMilliseconds)});
-  if (!replicas.ok()) return replicas.status();
-  for (size_t i = 0; i < (*replicas)->elements; ++i) {
-    report.replicas.emplace_back(TextOf(*(*replicas)->element[i]));
+  ASSIGN_OR_RETURN(const auto durability, ReadRedisDurability(*client));
+  report.warnings = durability.Warnings(options.replicas);
+  ASSIGN_OR_RETURN(const auto replicas, client->Run({"EVAL", kLiving, "1", kRedisReplicas,
+                                                     absl::StrCat(kAliveMilliseconds)}));
+  for (size_t i = 0; i < replicas->elements; ++i) {
+    report.replicas.emplace_back(TextOf(*replicas->element[i]));
   }
   RedisKeys keys;
   auto status =
-      (*client)->ScanKeys(kRedisSessionKeys, [&](absl::string_view key) { AddKey(key, &keys); });
+      client->ScanKeys(kRedisSessionKeys, [&](absl::string_view key) { AddKey(key, &keys); });
   if (!status.ok()) return status;
   std::map<std::string, std::string> epochs;
   for (const std::string& id : keys.sessions) {
     std::string epoch;
-    if (status = CheckRedisSession(**client, id, &report, &epoch); !status.ok()) return status;
+    if (status = CheckRedisSession(*client, id, &report, &epoch); !status.ok()) return status;
     if (!epoch.empty()) epochs[id] = epoch;
   }
-  if (status = FindOrphans(**client, keys, epochs, &report); !status.ok()) return status;
+  if (status = FindOrphans(*client, keys, epochs, &report); !status.ok()) return status;
   return report;
 }
 

@@ -20,6 +20,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/string_view.h"
 #include "core/action/action_head.h"
+#include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
@@ -53,9 +54,8 @@ absl::StatusOr<std::unique_ptr<Environment>> MakeEnvironmentOf(const Policy& pol
 absl::StatusOr<Policy> ReadPlayablePolicy(const std::string& path) {
   absl::StatusOr<Policy> policy = ReadPolicyFile(path);
   if (!policy.ok()) return policy;
-  const auto environment = MakeEnvironmentOf(*policy);
-  if (!environment.ok()) return environment.status();
-  const int expected = (*environment)->observation_size();
+  ASSIGN_OR_RETURN(const auto environment, MakeEnvironmentOf(*policy));
+  const int expected = environment->observation_size();
   if (policy->observation_size() == expected) return policy;
   return absl::InvalidArgumentError(absl::StrCat("--policy: expected observations of ", expected,
                                                  " elements, received ",
@@ -66,18 +66,17 @@ absl::StatusOr<Policy> GivenPolicy(const Flags& flags) {
   if (!flags.policy.empty()) return ReadPlayablePolicy(flags.policy);
   ModelConfig config = flags.random;
   config.ffn_size = 4 * config.hidden_size;
-  if (auto status = config.Validate(); !status.ok()) return status;
+  RETURN_IF_ERROR(config.Validate());
   return RandomPolicy(config, kObservationSize, ActionSpace::Discrete(2), /*seed=*/1);
 }
 
 absl::StatusOr<Policy> LoadPolicy(const Flags& flags) {
   absl::StatusOr<Policy> policy = GivenPolicy(flags);
   if (!policy.ok() || flags.arithmetic.empty()) return policy;
-  const absl::StatusOr<Arithmetic> arithmetic =
-      ParseEnum<Arithmetic>("--arithmetic", flags.arithmetic);
-  if (!arithmetic.ok()) return arithmetic.status();
-  if (*arithmetic == policy->config.arithmetic) return policy;
-  if (*arithmetic == Arithmetic::kInteger) return QuantizeToInteger(*policy);
+  ASSIGN_OR_RETURN(const Arithmetic arithmetic,
+                   ParseEnum<Arithmetic>("--arithmetic", flags.arithmetic));
+  if (arithmetic == policy->config.arithmetic) return policy;
+  if (arithmetic == Arithmetic::kInteger) return QuantizeToInteger(*policy);
   return Quantize(*policy);  // fails for a policy that is already in int8
 }
 
@@ -177,9 +176,8 @@ Work PlayTogether(const Engine& engine, std::vector<Player>& players) {
 }
 
 absl::Status Run(const Flags& flags) {
-  auto loaded = LoadPolicy(flags);
-  if (!loaded.ok()) return loaded.status();
-  const auto policy = std::make_shared<const Policy>(*std::move(loaded));
+  ASSIGN_OR_RETURN(auto loaded, LoadPolicy(flags));
+  const auto policy = std::make_shared<const Policy>(std::move(loaded));
   const std::unique_ptr<Engine> engine =
       flags.engine == "streaming" ? MakeStreamingEngine(policy) : MakeReferenceEngine(policy);
   std::vector<Player> players;

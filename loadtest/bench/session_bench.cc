@@ -20,6 +20,7 @@
 #include <string>
 #include <vector>
 
+#include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
 #include "core/open_sessions/session_store.h"
@@ -120,9 +121,8 @@ class Measurement {
 
 absl::Status Run(const Flags& flags) {
   const int64_t before = AllocatedBytes();
-  auto policy = ReadPolicyFile(flags.policy);
-  if (!policy.ok()) return policy.status();
-  const std::shared_ptr<const Engine> engine = MakeCompactEngine(*std::move(policy));
+  ASSIGN_OR_RETURN(auto policy, ReadPolicyFile(flags.policy));
+  const std::shared_ptr<const Engine> engine = MakeCompactEngine(std::move(policy));
   const std::shared_ptr<const Policy> shared(engine, &engine->policy());
   const int64_t sessions = flags.sessions;
   const bool can_be_active = sessions <= flags.active;

@@ -22,6 +22,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/action/action_head.h"
+#include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
 #include "loadtest/bench/cached_dense.h"
@@ -135,9 +136,8 @@ absl::StatusOr<Decide> CachedWindow(const Policy& policy, bool int8) {
 
 absl::StatusOr<Decide> MakeDecide(const Flags& flags) {
   if (flags.model == "snn") {
-    auto policy = ReadPolicyFile(flags.policy);
-    if (!policy.ok()) return policy.status();
-    return FullWindow(*std::move(policy));
+    ASSIGN_OR_RETURN(auto policy, ReadPolicyFile(flags.policy));
+    return FullWindow(std::move(policy));
   }
   if (flags.model == "dense") return FullWindow(DensePolicy());
   return CachedWindow(DensePolicy(), /*int8=*/flags.model == "dense_cached_int8");
@@ -147,9 +147,8 @@ absl::Status Run(const Flags& flags) {
   if (!flags.export_file.empty()) return Export(flags.export_file);
   at::set_num_threads(1);
   const torch::NoGradGuard no_grad;
-  const auto decide = MakeDecide(flags);
-  if (!decide.ok()) return decide.status();
-  RunContestant(*decide);
+  ASSIGN_OR_RETURN(const auto decide, MakeDecide(flags));
+  RunContestant(decide);
   return absl::OkStatus();
 }
 

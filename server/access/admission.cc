@@ -3,6 +3,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "server/access/permission.h"
 
 namespace spikeserve {
@@ -21,7 +22,7 @@ absl::StatusOr<std::shared_ptr<const Credential>> Admit(const Authenticator& aut
                                                         const Method& method) {
   const auto caller = Authenticate(authenticator, authorization);
   if (!caller.ok()) return caller;
-  if (auto status = CheckMayCall((*caller)->role(), method); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckMayCall((*caller)->role(), method));
   return caller;
 }
 
@@ -29,13 +30,13 @@ absl::StatusOr<std::shared_ptr<const Credential>> AdmitToPages(const Authenticat
                                                                absl::string_view authorization) {
   const auto caller = Authenticate(authenticator, authorization);
   if (!caller.ok()) return caller;
-  if (auto status = CheckMayReadStatus((*caller)->role()); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckMayReadStatus((*caller)->role()));
   return caller;
 }
 
 absl::Status CheckStillAdmitted(const Credential& caller, int64_t request_bytes,
                                 int64_t max_message_bytes) {
-  if (auto status = caller.CheckValid(); !status.ok()) return status;
+  RETURN_IF_ERROR(caller.CheckValid());
   return CheckSize(caller, request_bytes, max_message_bytes);
 }
 

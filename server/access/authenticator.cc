@@ -11,6 +11,7 @@
 #include "absl/time/clock.h"
 #include "core/base/file.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 absl::Status Credential::CheckValid() const {
@@ -41,7 +42,7 @@ absl::StatusOr<std::unique_ptr<Authenticator>> Authenticator::Create(const std::
         std::make_shared<Tenant>(""), TokenEntry{.role = Role::kOperator});
     return authenticator;
   }
-  if (auto status = authenticator->Reload(); !status.ok()) return status;
+  RETURN_IF_ERROR(authenticator->Reload());
   return authenticator;
 }
 
@@ -61,7 +62,7 @@ absl::StatusOr<std::shared_ptr<const Credential>> Authenticator::Authenticate(
     return absl::UnauthenticatedError(
         "authorization: expected a token of the tokens file, received an unknown one");
   }
-  if (auto status = credential->CheckValid(); !status.ok()) return status;
+  RETURN_IF_ERROR(credential->CheckValid());
   return credential;
 }
 

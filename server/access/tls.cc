@@ -12,6 +12,7 @@
 
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -74,11 +75,9 @@ absl::Status TlsFiles::Validate() const {
 
 absl::Status CheckTlsFiles(const TlsFiles& files) {
   if (!files.enabled()) return absl::OkStatus();
-  const auto certificate = ReadCertificate("--tls_certificate", files.certificate);
-  if (!certificate.ok()) return certificate.status();
-  const auto key = ReadKey(files.key);
-  if (!key.ok()) return key.status();
-  if (X509_check_private_key(certificate->get(), key->get()) != 1) {
+  ASSIGN_OR_RETURN(const auto certificate, ReadCertificate("--tls_certificate", files.certificate));
+  ASSIGN_OR_RETURN(const auto key, ReadKey(files.key));
+  if (X509_check_private_key(certificate.get(), key.get()) != 1) {
     ERR_clear_error();
     return absl::InvalidArgumentError(absl::StrCat("--tls_key: expected the key of ",
                                                    files.certificate, ", received ", files.key));

@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "core/base/file.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -101,8 +102,7 @@ CertificateTimes TimesOf(SSL_CTX* context) {
 absl::StatusOr<std::unique_ptr<TlsContext>> TlsContext::Create(const TlsFiles& files,
                                                                Protocol protocol) {
   auto shared = std::unique_ptr<TlsContext>(new TlsContext(files, protocol));
-  const auto loaded = shared->Reload();
-  if (!loaded.ok()) return loaded.status();
+  RETURN_IF_ERROR(shared->Reload().status());
   return shared;
 }
 
@@ -121,13 +121,12 @@ absl::StatusOr<std::vector<std::string>> TlsContext::ReadFiles() const {
 }
 
 absl::StatusOr<bool> TlsContext::Reload() {
-  auto contents = ReadFiles();
-  if (!contents.ok()) return contents.status();
+  ASSIGN_OR_RETURN(auto contents, ReadFiles());
   {
     absl::MutexLock lock(&mutex_);
-    if (*contents == contents_) return false;
+    if (contents == contents_) return false;
   }
-  if (auto status = CheckTlsFiles(files_); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckTlsFiles(files_));
   auto context = MakeContext(files_, protocol_);
   if (context == nullptr) {
     return absl::InvalidArgumentError(
@@ -143,7 +142,7 @@ absl::StatusOr<bool> TlsContext::Reload() {
         " to ", absl::FormatTime(times.end, absl::UTCTimeZone())));
   }
   context_ = std::move(context);
-  contents_ = *std::move(contents);
+  contents_ = std::move(contents);
   return true;
 }
 

@@ -12,6 +12,7 @@
 #include "core/base/hex.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -62,7 +63,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, TenantLimits* l
   object.Optional("calls_per_second", &limits->calls_per_second);
   object.Optional("max_message_bytes", &limits->max_message_bytes);
   object.Optional("max_durability", &limits->max_durability);
-  if (auto status = object.Finish(); !status.ok()) return status;
+  RETURN_IF_ERROR(object.Finish());
   const auto valid = limits->Validate();
   if (valid.ok()) return valid;
   return absl::InvalidArgumentError(absl::StrCat(field, ".", valid.message()));
@@ -80,14 +81,10 @@ absl::Status ReadJson(absl::string_view field, const Json& json, TokenEntry* ent
   object.Optional("sees", &sees);
   object.Optional("name", &entry->name);
   object.Optional("learning", &entry->may_learn);
-  if (auto status = object.Finish(); !status.ok()) return status;
-  const auto digest = ParseDigest(field, hash);
-  if (!digest.ok()) return digest.status();
-  entry->sha256 = *digest;
+  RETURN_IF_ERROR(object.Finish());
+  ASSIGN_OR_RETURN(entry->sha256, ParseDigest(field, hash));
   if (expires.has_value()) {
-    const auto time = ParseExpiry(field, *expires);
-    if (!time.ok()) return time.status();
-    entry->expires = *time;
+    ASSIGN_OR_RETURN(entry->expires, ParseExpiry(field, *expires));
   }
   entry->sees_all = sees == Sees::kAll;
   if (entry->sees_all && entry->role == Role::kAgent) {
@@ -113,13 +110,12 @@ Digest Sha256(absl::string_view bytes) {
 }
 
 absl::StatusOr<TokenFile> ParseTokenFile(absl::string_view text) {
-  const auto json = ParseJsonObject("tokens file", text);
-  if (!json.ok()) return json.status();
+  ASSIGN_OR_RETURN(const auto json, ParseJsonObject("tokens file", text));
   TokenFile file;
-  JsonObject object("", *json);
+  JsonObject object("", json);
   object.Optional("tenants", &file.tenants);
   object.Optional("tokens", &file.tokens);
-  if (auto status = object.Finish(); !status.ok()) return status;
+  RETURN_IF_ERROR(object.Finish());
   if (file.tenants.contains("")) {
     return absl::InvalidArgumentError("tenants: expected names, received an empty one");
   }

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "server/admin/session_info.h"
 #include "server/admin/traffic.h"
 #include "server/messages/convert.h"
@@ -60,8 +61,7 @@ absl::Status AdminHandler::LoadPolicy(CallContext& context, const v1::LoadPolicy
                                     request.make_default(), &context.span);
     return served.status();
   };
-  auto status = ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), load);
-  if (!status.ok()) return status;
+  RETURN_IF_ERROR(ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), load));
   const auto catalog = registry_->catalog();
   const auto policy = catalog->FindPolicy(request.policy());
   if (!policy.ok()) return policy.status();  // another call has unloaded it since
@@ -80,14 +80,13 @@ absl::Status AdminHandler::UnloadPolicy(CallContext& /*context*/,
 absl::Status AdminHandler::ReloadPolicies(CallContext& context,
                                           const v1::ReloadPoliciesRequest& /*request*/,
                                           v1::ReloadPoliciesResponse* response) const {
-  const auto report = registry_->Reload(&context.span);
-  if (!report.ok()) return report.status();
-  ToProto(report->loaded, response->mutable_loaded());
-  ToProto(report->unloaded, response->mutable_unloaded());
-  for (const absl::Status& refused : report->refused) {
+  ASSIGN_OR_RETURN(const auto report, registry_->Reload(&context.span));
+  ToProto(report.loaded, response->mutable_loaded());
+  ToProto(report.unloaded, response->mutable_unloaded());
+  for (const absl::Status& refused : report.refused) {
     response->add_refused(std::string(refused.message()));
   }
-  for (const std::string& setting : report->waiting) response->add_waiting(setting);
+  for (const std::string& setting : report.waiting) response->add_waiting(setting);
   return absl::OkStatus();
 }
 

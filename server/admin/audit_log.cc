@@ -13,6 +13,7 @@
 #include "absl/strings/str_split.h"
 #include "core/base/file.h"
 #include "core/base/json_object.h"
+#include "core/base/status_macros.h"
 #include "nlohmann/json.hpp"
 #include "server/base/log.h"
 
@@ -52,8 +53,7 @@ std::string LineOf(const AuditEntry& entry) {
 std::string TextOf(const Json& json) { return json.is_null() ? "" : json.dump(); }
 
 absl::StatusOr<AuditEntry> ParseLine(absl::string_view line) {
-  const auto json = ParseJsonObject("entry", line);
-  if (!json.ok()) return json.status();
+  ASSIGN_OR_RETURN(const auto json, ParseJsonObject("entry", line));
   AuditEntry entry;
   std::string time;
   int code = 0;
@@ -61,7 +61,7 @@ absl::StatusOr<AuditEntry> ParseLine(absl::string_view line) {
   Json request;
   Json before;
   Json after;
-  JsonObject object("", *json);
+  JsonObject object("", json);
   object.AllowOtherKeys();
   object.Required("time", &time);
   object.Required("action", &entry.action);
@@ -75,7 +75,7 @@ absl::StatusOr<AuditEntry> ParseLine(absl::string_view line) {
   object.Required("message", &message);
   object.Required("before", &before);
   object.Required("after", &after);
-  if (auto status = object.Finish(); !status.ok()) return status;
+  RETURN_IF_ERROR(object.Finish());
   std::string error;
   if (!absl::ParseTime(kTimeFormat, time, &entry.time, &error)) {
     return absl::InvalidArgumentError(absl::StrCat("time: ", error));
@@ -162,7 +162,7 @@ class LockedFile {
     const std::string torn = tail.substr(tail.rfind('\n') + 1);
     if (torn.empty()) return absl::OkStatus();
     if (ParseLine(torn).ok()) {
-      if (auto status = Append("\n"); !status.ok()) return status;
+      RETURN_IF_ERROR(Append("\n"));
       ++size_;
       return absl::OkStatus();
     }
@@ -190,9 +190,8 @@ absl::StatusOr<std::unique_ptr<AuditLog>> AuditLog::Open(const std::string& path
                         absl::StrCat("--audit_log: expected a file that the server can append to: ",
                                      status.message()));
   }
-  const auto text = ReadFile(path);
-  if (!text.ok()) return text.status();
-  for (const absl::string_view line : absl::StrSplit(*text, '\n', absl::SkipEmpty())) {
+  ASSIGN_OR_RETURN(const auto text, ReadFile(path));
+  for (const absl::string_view line : absl::StrSplit(text, '\n', absl::SkipEmpty())) {
     if (auto entry = ParseLine(line); entry.ok()) log->Remember(*std::move(entry));
   }
   return log;
@@ -200,8 +199,8 @@ absl::StatusOr<std::unique_ptr<AuditLog>> AuditLog::Open(const std::string& path
 
 absl::Status AuditLog::Append(absl::string_view line) {
   LockedFile file(path_);
-  if (auto status = file.Prepare(); !status.ok()) return status;
-  if (auto status = file.MakeRoom(line.size() + reserved_); !status.ok()) return status;
+  RETURN_IF_ERROR(file.Prepare());
+  RETURN_IF_ERROR(file.MakeRoom(line.size() + reserved_));
   return file.Append(line);
 }
 

@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/agent/head_log.h"
 #include "core/base/json.h"
+#include "core/base/status_macros.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/learner.h"
 #include "nlohmann/json.hpp"
@@ -87,15 +88,14 @@ absl::Status CatchUp(const ServedPolicy& served) {
 
 absl::Status HeadHandler::GetHead(CallContext& context, const v1::GetHeadRequest& request,
                                   v1::GetHeadResponse* response) const {
-  const auto served = registry_->catalog()->Find(request.policy(), request.version());
-  if (!served.ok()) return served.status();
-  const auto tenant = TenantOf(*context.caller, request);
-  if (!tenant.ok()) return tenant.status();
-  const Policy& policy = (*served)->policy();
-  CatchUp(**served).IgnoreError();
-  const auto snapshot = HeadOf(**served, *tenant)->Read();
-  response->set_policy((*served)->name);
-  response->set_version((*served)->version);
+  ASSIGN_OR_RETURN(const auto served,
+                   registry_->catalog()->Find(request.policy(), request.version()));
+  ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request));
+  const Policy& policy = served->policy();
+  CatchUp(*served).IgnoreError();
+  const auto snapshot = HeadOf(*served, tenant)->Read();
+  response->set_policy(served->name);
+  response->set_version(served->version);
   response->set_base_norm(BaseNorm(policy));
   response->set_delta_norm(FrobeniusNorm(snapshot->delta));
   response->set_drift(snapshot->drift);
@@ -103,10 +103,10 @@ absl::Status HeadHandler::GetHead(CallContext& context, const v1::GetHeadRequest
   response->set_rejected_updates(snapshot->rejected);
   response->set_rollbacks(snapshot->rollbacks);
   response->set_watched_return(snapshot->level.mean);
-  response->set_paused((*served)->learning->paused());
-  const bool shared = (*served)->SharesHead(*tenant);
+  response->set_paused(served->learning->paused());
+  const bool shared = served->SharesHead(tenant);
   const auto on_it = [&](const SessionEntry& entry) {
-    return entry.served == *served && (shared || entry.tenant == *tenant);
+    return entry.served == served && (shared || entry.tenant == tenant);
   };
   store_->ForEach(on_it, [&](const ListedSession& session) {
     absl::MutexLock lock(&session.entry->mutex);
@@ -124,34 +124,32 @@ absl::Status HeadHandler::GetHead(CallContext& context, const v1::GetHeadRequest
 
 absl::Status HeadHandler::PromoteHead(CallContext& context, const v1::PromoteHeadRequest& request,
                                       v1::PromoteHeadResponse* response) const {
-  if (auto status = registry_->CheckCanSign(); !status.ok()) return status;
+  RETURN_IF_ERROR(registry_->CheckCanSign());
   absl::MutexLock lock(&promote_mutex_);
-  const auto served = registry_->catalog()->Find(request.policy(), request.version());
-  if (!served.ok()) return served.status();
-  const auto tenant = TenantOf(*context.caller, request);
-  if (!tenant.ok()) return tenant.status();
-  if (auto status = CatchUp(**served); !status.ok()) return status;
-  const auto snapshot = HeadOf(**served, *tenant)->Read();
+  ASSIGN_OR_RETURN(const auto served,
+                   registry_->catalog()->Find(request.policy(), request.version()));
+  ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request));
+  RETURN_IF_ERROR(CatchUp(*served));
+  const auto snapshot = HeadOf(*served, tenant)->Read();
   if (snapshot->drift == 0.0) {
     return absl::FailedPreconditionError(
         absl::StrCat("version: expected one whose shared head has learned, received ",
-                     (*served)->version, ", whose shared head equals that of its file"));
+                     served->version, ", whose shared head equals that of its file"));
   }
-  const auto files = registry_->FormatVersion(Promoted(**served, *snapshot));
-  if (!files.ok()) return files.status();
-  if (registry_->shares_settings()) return Share((*served)->name, *files, request, response);
-  const auto version = WriteNewVersion(registry_->directory(), (*served)->name, *files);
-  if (!version.ok()) return version.status();
-  const std::string path = PolicyFilePath(registry_->directory(), *version);
-  auto loaded = ChangeTraffic(*registry_, version->policy, response->mutable_traffic(), [&] {
-    return registry_->LoadVersion(*version, request.make_default()).status();
+  ASSIGN_OR_RETURN(const auto files, registry_->FormatVersion(Promoted(*served, *snapshot)));
+  if (registry_->shares_settings()) return Share(served->name, files, request, response);
+  ASSIGN_OR_RETURN(const auto version,
+                   WriteNewVersion(registry_->directory(), served->name, files));
+  const std::string path = PolicyFilePath(registry_->directory(), version);
+  auto loaded = ChangeTraffic(*registry_, version.policy, response->mutable_traffic(), [&] {
+    return registry_->LoadVersion(version, request.make_default()).status();
   });
   if (!loaded.ok()) {
     std::error_code ignored;
     std::filesystem::remove_all(std::filesystem::path(path).parent_path(), ignored);
     return loaded;
   }
-  response->set_version(version->version);
+  response->set_version(version.version);
   response->set_path(path);
   return absl::OkStatus();
 }
@@ -160,11 +158,10 @@ absl::Status HeadHandler::Share(const std::string& policy, const VersionFiles& f
                                 const v1::PromoteHeadRequest& request,
                                 v1::PromoteHeadResponse* response) const {
   absl::StatusOr<PolicyVersion> version;
-  auto shared = ChangeTraffic(*registry_, policy, response->mutable_traffic(), [&] {
+  RETURN_IF_ERROR(ChangeTraffic(*registry_, policy, response->mutable_traffic(), [&] {
     version = registry_->ShareVersion(policy, files, request.make_default());
     return version.status();
-  });
-  if (!shared.ok()) return shared;
+  }));
   response->set_version(version->version);
   response->set_path(PolicyFilePath(registry_->directory(), *version));
   return absl::OkStatus();
@@ -172,15 +169,14 @@ absl::Status HeadHandler::Share(const std::string& policy, const VersionFiles& f
 
 absl::Status HeadHandler::RollbackHead(CallContext& context, const v1::RollbackHeadRequest& request,
                                        v1::RollbackHeadResponse* response) const {
-  const auto served = registry_->catalog()->Find(request.policy(), request.version());
-  if (!served.ok()) return served.status();
-  const auto tenant = TenantOf(*context.caller, request);
-  if (!tenant.ok()) return tenant.status();
-  if ((*served)->log == nullptr) {
-    response->set_drift(HeadOf(**served, *tenant)->Rollback()->drift);
+  ASSIGN_OR_RETURN(const auto served,
+                   registry_->catalog()->Find(request.policy(), request.version()));
+  ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request));
+  if (served->log == nullptr) {
+    response->set_drift(HeadOf(*served, tenant)->Rollback()->drift);
     return absl::OkStatus();
   }
-  const auto drift = (*served)->log->Rollback((*served)->SharesHead(*tenant) ? "" : *tenant);
+  const auto drift = served->log->Rollback(served->SharesHead(tenant) ? "" : tenant);
   if (drift.ok()) response->set_drift(*drift);
   return drift.status();
 }

@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/time/time.h"
+#include "core/base/status_macros.h"
 #include "server/admin/traffic.h"
 #include "server/rollouts/evidence_total.h"
 
@@ -56,9 +57,8 @@ absl::StatusOr<Rollout> PlanFromProto(const v1::StartRolloutRequest& request) {
   if (request.has_hold_seconds()) plan.hold_seconds = request.hold_seconds();
   if (request.has_min_episodes()) plan.min_episodes = request.min_episodes();
   for (const v1::RolloutCondition& condition : request.abort_if()) {
-    const auto measure = MeasureFromProto(condition.measure());
-    if (!measure.ok()) return measure.status();
-    plan.abort_if.push_back({.measure = *measure, .margin = condition.margin()});
+    ASSIGN_OR_RETURN(const auto measure, MeasureFromProto(condition.measure()));
+    plan.abort_if.push_back({.measure = measure, .margin = condition.margin()});
   }
   return plan;
 }
@@ -135,10 +135,9 @@ void RolloutHandler::Describe(const std::string& policy, v1::Rollout* rollout) c
 absl::Status RolloutHandler::StartRollout(CallContext& /*context*/,
                                           const v1::StartRolloutRequest& request,
                                           v1::StartRolloutResponse* response) const {
-  const auto plan = PlanFromProto(request);
-  if (!plan.ok()) return plan.status();
+  ASSIGN_OR_RETURN(const auto plan, PlanFromProto(request));
   auto status = ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
-                              [&] { return rollouts_->Start(request.policy(), *plan); });
+                              [&] { return rollouts_->Start(request.policy(), plan); });
   Describe(request.policy(), response->mutable_rollout());
   return status;
 }

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "server/messages/convert.h"
 
 namespace spikeserve {
@@ -102,21 +103,20 @@ absl::StatusOr<bool> TakeBeats(const v1::ActRequest& request, absl::Duration rec
   const BeatHistory history = HistoryOf(request, beats);
   progress->finished = *budget > 0;
   if (!progress->finished) return false;
-  const auto done = AppendBeats(history, agent, *budget, on_appended);
-  if (!done.ok()) return done.status();
-  *budget -= done->appended;
-  progress->appended += done->appended;
-  progress->dropped += done->dropped;
-  if (done->dropped > 0) observer.OnSkippedBeats(done->dropped);
+  ASSIGN_OR_RETURN(const auto done, AppendBeats(history, agent, *budget, on_appended));
+  *budget -= done.appended;
+  progress->appended += done.appended;
+  progress->dropped += done.dropped;
+  if (done.dropped > 0) observer.OnSkippedBeats(done.dropped);
   const absl::Duration now = clock.Now();
   progress->spent += now - start;
-  progress->finished = done->finished;
+  progress->finished = done.finished;
   if (!progress->finished) return false;
   if (request.step() < agent->session().step) return true;  // asks for an answer that was given
   if (!request.observation().empty()) progress->expired = IsExpired(request, now, *robot);
   if (progress->expired) observer.OnExpired();
   if (!progress->expired && !request.observation().empty()) return true;
-  if (auto status = TakeLastExecuted(history, agent); !status.ok()) return status;
+  RETURN_IF_ERROR(TakeLastExecuted(history, agent));
   return false;
 }
 

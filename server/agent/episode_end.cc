@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/action/reported_action.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/session/session_value.h"
 #include "server/messages/convert.h"
 
@@ -81,13 +82,11 @@ absl::Status AnswerWith(const absl::StatusOr<EpisodeSummary>& summary, const Ses
 
 absl::Status CheckEnd(const v1::EndEpisodeRequest& end, const Policy& policy) {
   if (end.has_executed_action()) {
-    const auto executed =
-        ParseExecutedAction(FromProto(end.executed_action()), policy.action_space);
-    if (!executed.ok()) return executed.status();
+    RETURN_IF_ERROR(
+        ParseExecutedAction(FromProto(end.executed_action()), policy.action_space).status());
   }
   if (!end.observation().empty()) {
-    auto status = CheckObservation(end.observation(), policy.observation_size());
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(CheckObservation(end.observation(), policy.observation_size()));
   }
   return end.has_target_return() ? CheckTargetReturn(end.target_return()) : absl::OkStatus();
 }
@@ -115,8 +114,8 @@ absl::Status EndEpisodeOf(SessionEntry& entry, const v1::EndEpisodeRequest& requ
                           const Span& call, v1::EndEpisodeResponse* response) {
   AgentSession& agent = entry.agent;
   const bool repeats = RepeatsEnd(request, agent.session());
-  if (auto status = CheckEpisode(request, repeats, agent.session()); !status.ok()) return status;
-  if (auto status = CheckEnd(request, agent.policy()); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckEpisode(request, repeats, agent.session()));
+  RETURN_IF_ERROR(CheckEnd(request, agent.policy()));
   const EpisodeEnd end = EndOf(request, agent.policy());
   Span merge = StartMerge(call, entry);
   const auto summary = agent.EndEpisode(end);

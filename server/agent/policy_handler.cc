@@ -10,6 +10,7 @@
 #include "absl/synchronization/mutex.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/journal/session_bytes.h"
 #include "core/journal/session_export.h"
@@ -52,16 +53,14 @@ absl::Status CheckPeriod(double seconds) {
 
 absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& request,
                                                 const ServedPolicy& served) {
-  auto settings = RequestFromProto(request);
-  if (!settings.ok()) return settings.status();
-  auto options = ResolveSession(*std::move(settings), served);
-  if (!options.ok()) return options.status();
-  options->policy_sha256 = served.sha256;
-  if (auto status = CheckLabels(request.labels()); !status.ok()) return status;
-  options->labels.insert(request.labels().begin(), request.labels().end());
+  ASSIGN_OR_RETURN(auto settings, RequestFromProto(request));
+  ASSIGN_OR_RETURN(auto options, ResolveSession(std::move(settings), served));
+  options.policy_sha256 = served.sha256;
+  RETURN_IF_ERROR(CheckLabels(request.labels()));
+  options.labels.insert(request.labels().begin(), request.labels().end());
   if (!request.has_period_seconds()) return options;
-  if (auto status = CheckPeriod(request.period_seconds()); !status.ok()) return status;
-  options->labels[kPeriodLabel] = absl::StrCat(request.period_seconds());
+  RETURN_IF_ERROR(CheckPeriod(request.period_seconds()));
+  options.labels[kPeriodLabel] = absl::StrCat(request.period_seconds());
   return options;
 }
 
@@ -122,11 +121,10 @@ absl::Status PolicyHandler::OpenSession(CallContext& context, const v1::OpenSess
     return absl::PermissionDeniedError(
         "learning: expected unset, because the token has \"learning\": false, received a config");
   }
-  const auto durability = ChooseDurability(*context.caller->tenant(), request);
-  if (!durability.ok()) return durability.status();
+  ASSIGN_OR_RETURN(const auto durability, ChooseDurability(*context.caller->tenant(), request));
   const auto open = gate_->Find(context, id);
-  if (open.ok()) return OpenAgain(context, **open, request, *durability, response);
-  return OpenNew(context, id, request, *durability, response);
+  if (open.ok()) return OpenAgain(context, **open, request, durability, response);
+  return OpenNew(context, id, request, durability, response);
 }
 
 absl::Status PolicyHandler::OpenSessionAs(CallContext& context, std::string id,
@@ -179,29 +177,25 @@ absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id
   absl::StatusOr<std::string> id = std::move(session_id);
   if (id->empty()) id = NewSessionId();
   if (!id.ok()) return id.status();
-  const auto route = ChooseRoute(request, *id, *registry_->catalog());
-  if (!route.ok()) return route.status();
-  const ServedPolicy& served = *route->served;
-  auto options = OptionsFromProto(request, served);
-  if (!options.ok()) return options.status();
-  options->tenant = context.caller->tenant()->name();
-  options->durability = durability;
+  ASSIGN_OR_RETURN(const auto route, ChooseRoute(request, *id, *registry_->catalog()));
+  const ServedPolicy& served = *route.served;
+  ASSIGN_OR_RETURN(auto options, OptionsFromProto(request, served));
+  options.tenant = context.caller->tenant()->name();
+  options.durability = durability;
   SessionExtras extras;
   extras.id = *id;
   extras.quota = context.caller->tenant();
-  extras.assigned = route->by_rollout;
-  if (route->shadow != nullptr) {
-    extras.shadow = std::make_shared<ShadowSession>(*route->shadow, *options, clock_);
+  extras.assigned = route.by_rollout;
+  if (route.shadow != nullptr) {
+    extras.shadow = std::make_shared<ShadowSession>(*route.shadow, options, clock_);
   }
   if (request.record()) {
-    auto recorder = NewRecorder(route->served, &options->recording);
-    if (!recorder.ok()) return recorder.status();
-    extras.recorder = *std::move(recorder);
+    ASSIGN_OR_RETURN(extras.recorder, NewRecorder(route.served, &options.recording));
   }
   if (durability != Durability::kNone) {
-    if (auto status = durability_.journals->CheckReachable(); !status.ok()) return status;
+    RETURN_IF_ERROR(durability_.journals->CheckReachable());
     if (durability_.files != nullptr) {
-      if (auto status = durability_.files->Check(served); !status.ok()) return status;
+      RETURN_IF_ERROR(durability_.files->Check(served));
     }
     if (durability == Durability::kSync) {
       if (auto status = durability_.journals->CheckKeepsRecords(); !status.ok()) {
@@ -210,12 +204,12 @@ absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id
     }
     extras.journal = std::make_shared<SessionJournal>(
         SessionJournal::Key{
-            .id = *id, .tenant = options->tenant, .policy_file = PolicyFileOf(served)},
+            .id = *id, .tenant = options.tenant, .policy_file = PolicyFileOf(served)},
         durability, /*decisions=*/0, durability_.journals);
   }
-  ToProto(*id, *options, served, response);
+  ToProto(*id, options, served, response);
   const std::shared_ptr<SessionJournal> journal = extras.journal;
-  auto status = store_->Open(route->served, *std::move(options), std::move(extras)).status();
+  auto status = store_->Open(route.served, std::move(options), std::move(extras)).status();
   // A session that was refused is never written, so that nothing of it can be waited for.
   if (status.ok() && journal != nullptr) {
     context.commits.push_back({.journal = journal, .position = 1});
@@ -229,17 +223,16 @@ absl::Status PolicyHandler::OpenAgain(CallContext& context, SessionEntry& entry,
   absl::MutexLock lock(&entry.mutex);
   const Session& session = entry.agent.session();
   const SessionOptions& opened = session.options;
-  auto options = OptionsFromProto(request, *entry.served);
-  if (!options.ok()) return options.status();
-  options->tenant = opened.tenant;
-  options->durability = durability;
-  options->policy = request.policy();
-  if (request.version() != 0) options->version = request.version();
-  if (request.record()) options->recording = opened.recording;
+  ASSIGN_OR_RETURN(auto options, OptionsFromProto(request, *entry.served));
+  options.tenant = opened.tenant;
+  options.durability = durability;
+  options.policy = request.policy();
+  if (request.version() != 0) options.version = request.version();
+  if (request.record()) options.recording = opened.recording;
   const auto bytes = [](const SessionOptions& any) {
     return SerializeSession(NewSession("", any));
   };
-  if (bytes(*options) != bytes(opened) || request.record() == opened.recording.empty()) {
+  if (bytes(options) != bytes(opened) || request.record() == opened.recording.empty()) {
     return absl::AlreadyExistsError(
         absl::StrCat("session_id: expected an id that is not open, or the request that opened it, "
                      "received another request for ",
@@ -275,10 +268,10 @@ absl::Status PolicyHandler::ActNext(CallContext& context, const v1::ActRequest& 
 absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
     const CallContext& context, const v1::ActRequest& request) const {
   const Credential& caller = *context.caller;
-  if (auto status = caller.tenant()->AcquireDecision(clock_->Now()); !status.ok()) return status;
+  RETURN_IF_ERROR(caller.tenant()->AcquireDecision(clock_->Now()));
   auto entry = gate_->Find(context, request.session_id());
   if (!entry.ok()) return entry;
-  if (auto status = CheckMayPlay(caller, **entry); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckMayPlay(caller, **entry));
   if ((*entry)->journal == nullptr) return entry;
   const absl::Status writable = (*entry)->journal->CheckWritable();
   if (writable.ok()) return entry;
@@ -294,13 +287,12 @@ void PolicyHandler::CountBeats(const Credential& caller, int64_t beats) const {
 
 absl::Status PolicyHandler::ActOne(CallContext& context, const v1::ActRequest& request,
                                    bool is_next, v1::ActResponse* response) const {
-  auto entry = FindForDecision(context, request);
-  if (!entry.ok()) return entry.status();
+  ASSIGN_OR_RETURN(auto entry, FindForDecision(context, request));
   DecisionRequest act = {.context = &context,
                          .request = &request,
                          .response = response,
                          .is_next = is_next,
-                         .entry = *std::move(entry),
+                         .entry = std::move(entry),
                          .received = clock_->Now()};
   do {
     DecideActs({&act}, *clock_);
@@ -395,26 +387,25 @@ int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest
 
 absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisodeRequest& request,
                                        v1::EndEpisodeResponse* response) const {
-  const auto entry = gate_->Find(context, request.session_id());
-  if (!entry.ok()) return entry.status();
-  if (auto status = CheckMayPlay(*context.caller, **entry); !status.ok()) return status;
-  absl::MutexLock lock(&(*entry)->mutex);
-  AgentSession& agent = (*entry)->agent;
-  if ((*entry)->journal != nullptr) (*entry)->journal->WriteAgainIfMissing(agent.session());
+  ASSIGN_OR_RETURN(const auto entry, gate_->Find(context, request.session_id()));
+  RETURN_IF_ERROR(CheckMayPlay(*context.caller, *entry));
+  absl::MutexLock lock(&entry->mutex);
+  AgentSession& agent = entry->agent;
+  if (entry->journal != nullptr) entry->journal->WriteAgainIfMissing(agent.session());
   const int64_t episode = agent.session().episode;
   const Place place = PlaceOf(request);
-  const absl::Status status = EndEpisodeOf(**entry, request, context.span, response);
+  const absl::Status status = EndEpisodeOf(*entry, request, context.span, response);
   if (absl::IsFailedPrecondition(status)) {
-    return SessionGate::Refused(context, place, status, **entry);
+    return SessionGate::Refused(context, place, status, *entry);
   }
   if (status.ok()) {
     if (place.is_of_session) {
-      AddCommit(**entry, &context.commits);
+      AddCommit(*entry, &context.commits);
     } else {
-      AddConfirmation(**entry, agent.session().episode > episode, &context.commits);
+      AddConfirmation(*entry, agent.session().episode > episode, &context.commits);
     }
     if (context.commits.empty()) {
-      SessionGate::Trace(context.span, **entry, agent.contribution());
+      SessionGate::Trace(context.span, *entry, agent.contribution());
     } else {
       context.commits.back().contribution = agent.contribution();
     }
@@ -432,18 +423,16 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindReadable(
 
 absl::Status PolicyHandler::GetSession(CallContext& context, const v1::GetSessionRequest& request,
                                        v1::GetSessionResponse* response) const {
-  const auto entry = FindReadable(context, request.session_id());
-  if (!entry.ok()) return entry.status();
-  absl::MutexLock lock(&(*entry)->mutex);
-  *response = ToProto((*entry)->agent, request.include_head_delta());
+  ASSIGN_OR_RETURN(const auto entry, FindReadable(context, request.session_id()));
+  absl::MutexLock lock(&entry->mutex);
+  *response = ToProto(entry->agent, request.include_head_delta());
   return absl::OkStatus();
 }
 
 absl::Status PolicyHandler::Explain(CallContext& context, const v1::ExplainRequest& request,
                                     v1::ExplainResponse* response) const {
-  const auto entry = FindReadable(context, request.session_id());
-  if (!entry.ok()) return entry.status();
-  return ExplainSession(**entry, response);
+  ASSIGN_OR_RETURN(const auto entry, FindReadable(context, request.session_id()));
+  return ExplainSession(*entry, response);
 }
 
 absl::Status PolicyHandler::ExportSession(CallContext& context,
@@ -452,7 +441,7 @@ absl::Status PolicyHandler::ExportSession(CallContext& context,
   absl::StatusOr<std::shared_ptr<SessionEntry>> entry = context.read;
   if (*entry == nullptr) entry = gate_->Find(context, request.session_id());
   if (!entry.ok()) return entry.status();
-  if (auto status = CheckMayPlay(*context.caller, **entry); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckMayPlay(*context.caller, **entry));
   const ServedPolicy& served = *(*entry)->served;
   if (request.include_policy()) {
     auto file = registry_->ReadVersionFile({served.name, served.version});
@@ -476,15 +465,14 @@ absl::Status PolicyHandler::CloseSession(CallContext& context,
                                          const v1::CloseSessionRequest& request,
                                          v1::CloseSessionResponse* /*response*/) const {
   const std::string& tenant = context.caller->tenant()->name();
-  const auto entry = gate_->Find(context, request.session_id());
-  if (!entry.ok()) return entry.status();
+  ASSIGN_OR_RETURN(const auto entry, gate_->Find(context, request.session_id()));
   auto status = store_->Close(request.session_id(), tenant);
-  if (!status.ok() || (*entry)->journal == nullptr) return status;
+  if (!status.ok() || entry->journal == nullptr) return status;
   // The store refuses the end if another server has taken the session over. ASYNC sessions wait for
   // this, too, unless the store cannot be reached: then the end is written when it comes back.
-  SessionJournal& journal = *(*entry)->journal;
+  SessionJournal& journal = *entry->journal;
   if (journal.is_sync() || durability_.journals->CheckReachable().ok()) {
-    context.commits.push_back({.journal = (*entry)->journal, .position = journal.written()});
+    context.commits.push_back({.journal = entry->journal, .position = journal.written()});
   }
   return status;
 }

@@ -5,6 +5,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/agent/head_log.h"
+#include "core/base/status_macros.h"
 #include "core/journal/journal_entry.h"
 #include "core/journal/session_journal.h"
 #include "core/session/session_id.h"
@@ -139,21 +140,18 @@ absl::StatusOr<SessionRecovery::Restored> SessionRecovery::Unfold(const Key& key
                                                                   ClaimedJournal* claimed) const {
   Restored restored;
   restored.cut = CutDamagedEnd(&claimed->records);
-  auto journal = ParseJournal(claimed->records);
-  if (!journal.ok()) return journal.status();
-  const SessionOptions options = journal->snapshot.options;
-  if (journal->snapshot.id != key.second || options.tenant != key.first ||
+  ASSIGN_OR_RETURN(auto journal, ParseJournal(claimed->records));
+  const SessionOptions options = journal.snapshot.options;
+  if (journal.snapshot.id != key.second || options.tenant != key.first ||
       options.durability == Durability::kNone) {
     return absl::DataLossError("journal: expected the session's own, received another one");
   }
-  auto served = FindPolicy(options, registry_);
-  if (!served.ok()) return served.status();
-  restored.entries = journal->entries.size();
-  restored.after_gap = journal->after_gap;
-  auto session = RestoreSession(*std::move(journal), (*served)->policy());
-  if (!session.ok()) return session.status();
-  restored.served = *std::move(served);
-  restored.session = *std::move(session);
+  ASSIGN_OR_RETURN(auto served, FindPolicy(options, registry_));
+  restored.entries = journal.entries.size();
+  restored.after_gap = journal.after_gap;
+  ASSIGN_OR_RETURN(auto session, RestoreSession(std::move(journal), served->policy()));
+  restored.served = std::move(served);
+  restored.session = std::move(session);
   return restored;
 }
 
@@ -164,17 +162,16 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
   const bool is_known = claimed.ok() || absl::IsNotFound(claimed.status());
   const auto former = is_known ? former_.Take(key) : nullptr;
   if (!claimed.ok()) return claimed.status();
-  auto restored = Unfold(key, &*claimed);
-  if (!restored.ok()) return restored.status();
+  ASSIGN_OR_RETURN(auto restored, Unfold(key, &*claimed));
   if (claimed->epoch == 0) {
     return absl::UnavailableError(
         "session_id: expected a session whose policy this server had when it asked the store; try "
         "again");
   }
-  journals_.CountReplayed(restored->entries);
-  const bool is_set_back = former != nullptr && GoOnFrom(*former, &restored->session);
-  const auto& served = restored->served;
-  const Durability durability = restored->session.options.durability;
+  journals_.CountReplayed(restored.entries);
+  const bool is_set_back = former != nullptr && GoOnFrom(*former, &restored.session);
+  const auto& served = restored.served;
+  const Durability durability = restored.session.options.durability;
   SessionExtras extras;
   extras.quota = std::move(quota);
   extras.journal = std::make_shared<SessionJournal>(
@@ -183,24 +180,22 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
                           .epoch = claimed->epoch,
                           .policy_file = PolicyFileOf(*served),
                           .claimed_from = claimed->claimed_from,
-                          .ended = restored->session.episode},
-      durability, restored->session.decisions, &journals_, claimed->records.size(),
-      /*is_whole=*/restored->after_gap == 0 && !is_set_back);
-  auto status = Add(served, std::move(restored->session), std::move(extras));
-  if (!status.ok()) return status;
-  if (restored->after_gap > 0) {
+                          .ended = restored.session.episode},
+      durability, restored.session.decisions, &journals_, claimed->records.size(),
+      /*is_whole=*/restored.after_gap == 0 && !is_set_back);
+  RETURN_IF_ERROR(Add(served, std::move(restored.session), std::move(extras)));
+  if (restored.after_gap > 0) {
     LogWarning("journal goes on before its gap", {{"session", key.second}});
   }
-  if (restored->cut.ok()) return absl::OkStatus();
+  if (restored.cut.ok()) return absl::OkStatus();
   LogError("end of a journal cut off",
-           {{"session", key.second}, {"error", restored->cut.message()}});
+           {{"session", key.second}, {"error", restored.cut.message()}});
   return absl::OkStatus();
 }
 
 absl::Status SessionRecovery::TakeBack(const Key& key, std::shared_ptr<SessionQuota> quota) {
-  const auto former = former_.TakeBack(key);
-  if (!former.ok()) return former.status();
-  SessionEntry& entry = **former;
+  ASSIGN_OR_RETURN(const auto former, former_.TakeBack(key));
+  SessionEntry& entry = *former;
   // The store may have told meanwhile that another server had taken the session over.
   if (!IsGivenUp(entry)) return NoSuchSession(key.second);
   Session session;

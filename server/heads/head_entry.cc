@@ -10,6 +10,7 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
 
 namespace spikeserve {
@@ -56,11 +57,10 @@ std::string HeadEntryIdentity(const HeadEntry& entry) {
 }
 
 absl::StatusOr<HeadEntry> ParseHeadEntry(const std::string& bytes) {
-  const auto json = codec::ParseDocument(bytes, "head entry", kFormat);
-  if (!json.ok()) return json.status();
+  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "head entry", kFormat));
   HeadEntry entry;
   codec::Reader reader;
-  reader.Read(*json, "head entry", entry);
+  reader.Read(json, "head entry", entry);
   if (!reader.status().ok()) return reader.status();
   return entry;
 }

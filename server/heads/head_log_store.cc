@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "core/agent/served_policy.h"
+#include "core/base/status_macros.h"
 #include "server/heads/redis_head_log.h"
 
 namespace spikeserve {
@@ -166,7 +167,7 @@ void HeadLogStore::Serve(VersionLog& log) {
 }
 
 absl::Status HeadLogStore::Exchange(VersionLog& log) {
-  if (auto status = Connect(); !status.ok()) return status;
+  RETURN_IF_ERROR(Connect());
   return log.Exchange(*client_);
 }
 

@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
 #include "core/journal/session_fields.h"
 #include "core/learning/fleet_head.h"
@@ -130,19 +131,18 @@ absl::StatusOr<HeadReplica::Folded> HeadReplica::Fold(const LoggedEntry& entry) 
     return absl::DataLossError(absl::StrCat("expected the entry after ", position_.number,
                                             ", received number ", entry.position.number));
   }
-  const auto parsed = ParseHeadEntry(entry.bytes);
-  if (!parsed.ok()) return parsed.status();
-  const bool merges = parsed->kind == HeadEntry::Kind::kMerge;
+  ASSIGN_OR_RETURN(const auto parsed, ParseHeadEntry(entry.bytes));
+  const bool merges = parsed.kind == HeadEntry::Kind::kMerge;
   const auto size = static_cast<Eigen::Index>(heads_->policy()->weights.head.weight.values.size());
-  if (merges && parsed->delta.size() != size) {
+  if (merges && parsed.delta.size() != size) {
     return absl::InvalidArgumentError(
-        absl::StrCat("delta: expected ", size, " numbers, received ", parsed->delta.size()));
+        absl::StrCat("delta: expected ", size, " numbers, received ", parsed.delta.size()));
   }
   position_ = entry.position;
   last_.push_back({.position = position_,
-                   .session = parsed->session,
-                   .episode = parsed->episode,
-                   .outcome = Apply(*parsed, entry)});
+                   .session = parsed.session,
+                   .episode = parsed.episode,
+                   .outcome = Apply(parsed, entry)});
   if (last_.size() > kRemembered) last_.pop_front();
   return last_.back();
 }
@@ -205,11 +205,10 @@ std::string HeadReplica::Serialize() const {
 }
 
 absl::Status HeadReplica::Restore(const HeadPosition& position, const std::string& bytes) {
-  const auto json = codec::ParseDocument(bytes, "heads", kFormat);
-  if (!json.ok()) return json.status();
+  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "heads", kFormat));
   StoredHeads stored;
   codec::Reader reader;
-  reader.Read(*json, "heads", stored);
+  reader.Read(json, "heads", stored);
   if (!reader.status().ok()) return reader.status();
   const FleetHead any(heads_->policy());
   for (const StoredHead& head : stored.heads) {

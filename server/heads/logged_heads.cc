@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "server/base/log.h"
 
 namespace spikeserve {
@@ -30,17 +31,16 @@ absl::Status LoggedHeads::Exchange(RedisClient& client, absl::Span<HeadRequest> 
   // Redis may have lost what was in the log at an earlier attempt.
   for (HeadRequest& request : requests) request.is_in_log = false;
   if (!has_joined_) {
-    if (auto status = Reload(client, ""); !status.ok()) return status;
+    RETURN_IF_ERROR(Reload(client, ""));
     has_joined_ = true;
   }
   constexpr int kMostAttempts = 4;
   for (int i = 0; i < kMostAttempts; ++i) {
-    const auto all = AppendAndRead(client, requests);
-    if (!all.ok()) return all.status();
-    if (!*all) continue;
+    ASSIGN_OR_RETURN(const auto all, AppendAndRead(client, requests));
+    if (!all) continue;
     const bool has_appended =
         std::any_of(requests.begin(), requests.end(), [](const auto& each) { return each.is_new; });
-    if (auto status = StoreSnapshotIfDue(client, has_appended); !status.ok()) return status;
+    RETURN_IF_ERROR(StoreSnapshotIfDue(client, has_appended));
     return KeepMembers(client);
   }
   return absl::UnavailableError("session store: the log of a shared head changes; try again");
@@ -68,23 +68,21 @@ absl::StatusOr<bool> LoggedHeads::AppendAndRead(RedisClient& client,
   for (HeadRequest& request : requests) {
     if (!request.IsToBeAppended()) continue;
     const bool was_sent = std::exchange(request.is_sent, true);
-    const auto outcome = ReadHeadAppend(client);
-    if (!outcome.ok()) return outcome.status();
-    if (*outcome == AppendOutcome::kStale) {
+    ASSIGN_OR_RETURN(const auto outcome, ReadHeadAppend(client));
+    if (outcome == AppendOutcome::kStale) {
       is_stale = true;
       continue;
     }
     request.is_in_log = true;
-    request.is_new = *outcome == AppendOutcome::kAppended || was_sent;
+    request.is_new = outcome == AppendOutcome::kAppended || was_sent;
     (request.is_new ? metrics.appended : metrics.known).Increment();
   }
-  const auto tail = ReadHeadTail(client);
-  if (!tail.ok()) return tail.status();
+  ASSIGN_OR_RETURN(const auto tail, ReadHeadTail(client));
   if (settings_.replicas > 0) {
-    if (auto status = client.WaitForReplicas(); !status.ok()) return status;
+    RETURN_IF_ERROR(client.WaitForReplicas());
   }
-  auto status = FoldTail(*tail);
-  if (status.ok() && tail->entries.size() == kMostTailEntries) status = ReadOn(client);
+  auto status = FoldTail(tail);
+  if (status.ok() && tail.entries.size() == kMostTailEntries) status = ReadOn(client);
   if (absl::IsDataLoss(status)) status = Reload(client, status.message());
   if (!status.ok()) return status;
   metrics.positions.Add(labels_).Set(static_cast<double>(replica_.position().number));
@@ -94,10 +92,9 @@ absl::StatusOr<bool> LoggedHeads::AppendAndRead(RedisClient& client,
 absl::Status LoggedHeads::ReadOn(RedisClient& client) {
   while (true) {
     SendHeadTail(client, keys_, replica_.position());
-    const auto tail = ReadHeadTail(client);
-    if (!tail.ok()) return tail.status();
-    if (auto status = FoldTail(*tail); !status.ok()) return status;
-    if (tail->entries.size() < kMostTailEntries) return absl::OkStatus();
+    ASSIGN_OR_RETURN(const auto tail, ReadHeadTail(client));
+    RETURN_IF_ERROR(FoldTail(tail));
+    if (tail.entries.size() < kMostTailEntries) return absl::OkStatus();
   }
 }
 
@@ -115,28 +112,26 @@ absl::Status LoggedHeads::FoldTail(const LogTail& tail) {
     return absl::DataLossError("the log has a snapshot, but no entry was taken");
   }
   for (size_t i = first; i < tail.entries.size(); ++i) {
-    const auto folded = replica_.Fold(tail.entries[i]);
-    if (!folded.ok()) return folded.status();
-    outcomes_[{folded->session, folded->episode}] = folded->outcome;
+    ASSIGN_OR_RETURN(const auto folded, replica_.Fold(tail.entries[i]));
+    outcomes_[{folded.session, folded.episode}] = folded.outcome;
     settings_.metrics->folded.Increment();
   }
   return absl::OkStatus();
 }
 
 absl::Status LoggedHeads::Reload(RedisClient& client, absl::string_view reason) {
-  const auto stored = LoadHeadLog(client, keys_);
-  if (!stored.ok()) return stored.status();
+  ASSIGN_OR_RETURN(const auto stored, LoadHeadLog(client, keys_));
   HeadReplica whole(std::make_shared<TenantHeads>(heads()->policy()));
-  if (!stored->bytes.empty()) {
-    if (auto status = whole.Restore(stored->snapshot, stored->bytes); !status.ok()) {
+  if (!stored.bytes.empty()) {
+    if (auto status = whole.Restore(stored.snapshot, stored.bytes); !status.ok()) {
       // Damaged, or of a later release. A server that has the heads stores them again.
       AskForHeadSnapshot(client, keys_).IgnoreError();
       return status;
     }
   }
   const HeadPosition end =
-      stored->entries.empty() ? whole.position() : stored->entries.back().position;
-  for (const LoggedEntry& entry : stored->entries) {
+      stored.entries.empty() ? whole.position() : stored.entries.back().position;
+  for (const LoggedEntry& entry : stored.entries) {
     if (entry.position == whole.position()) continue;
     const auto folded = whole.Fold(entry);
     if (absl::IsDataLoss(folded.status())) return MendGap(client, whole, end);
@@ -148,7 +143,7 @@ absl::Status LoggedHeads::Reload(RedisClient& client, absl::string_view reason) 
       replica_.position().number > whole.position().number && replica_.HasPassed(whole.position());
   if (store_is_behind) return Rewrite(client, replica_, end, reason);
   replica_.TakeOver(whole);
-  snapshot_number_ = stored->snapshot.number;
+  snapshot_number_ = stored.snapshot.number;
   if (reason.empty()) return absl::OkStatus();
   settings_.metrics->reloaded.Increment();
   LogWarning("shared heads reloaded from their log", {{"policy", name_}, {"reason", reason}});
@@ -184,7 +179,7 @@ absl::Status LoggedHeads::MendGap(RedisClient& client, const HeadReplica& whole,
              {{"policy", name_}, {"last_entry", number}});
   }
   if (settings_.clock->Now() - *gap_since_ < kGapPatience) {
-    if (auto status = AskForHeadSnapshot(client, keys_); !status.ok()) return status;
+    RETURN_IF_ERROR(AskForHeadSnapshot(client, keys_));
     return absl::UnavailableError("session store: the log of a shared head lacks entries");
   }
   if (auto status = Rewrite(client, whole, end, "no server has the entries after the gap");

@@ -5,6 +5,7 @@
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/learning/contribution_budget.h"
 #include "core/store/stored_session.h"
 
@@ -139,9 +140,8 @@ absl::StatusOr<std::vector<LoggedEntry>> ParseEntries(const redisReply& reply) {
   if (reply.type != REDIS_REPLY_ARRAY) return Unexpected("entries");
   std::vector<LoggedEntry> entries;
   for (size_t i = 0; i < reply.elements; ++i) {
-    auto entry = ParseEntry(*reply.element[i]);
-    if (!entry.ok()) return entry.status();
-    entries.push_back(*std::move(entry));
+    ASSIGN_OR_RETURN(auto entry, ParseEntry(*reply.element[i]));
+    entries.push_back(std::move(entry));
   }
   return entries;
 }
@@ -206,11 +206,10 @@ void SendHeadAppend(RedisClient& client, const HeadLogKeys& keys, const HeadPosi
 }
 
 absl::StatusOr<AppendOutcome> ReadHeadAppend(RedisClient& client) {
-  const auto reply = client.Read();
-  if (!reply.ok()) return reply.status();
-  if ((*reply)->type != REDIS_REPLY_INTEGER) return Unexpected("the outcome of an entry");
-  if ((*reply)->integer < 0) return AppendOutcome::kStale;
-  return (*reply)->integer == 0 ? AppendOutcome::kKnown : AppendOutcome::kAppended;
+  ASSIGN_OR_RETURN(const auto reply, client.Read());
+  if (reply->type != REDIS_REPLY_INTEGER) return Unexpected("the outcome of an entry");
+  if (reply->integer < 0) return AppendOutcome::kStale;
+  return reply->integer == 0 ? AppendOutcome::kKnown : AppendOutcome::kAppended;
 }
 
 void SendHeadTail(RedisClient& client, const HeadLogKeys& keys, const HeadPosition& from) {
@@ -219,35 +218,28 @@ void SendHeadTail(RedisClient& client, const HeadLogKeys& keys, const HeadPositi
 }
 
 absl::StatusOr<LogTail> ReadHeadTail(RedisClient& client) {
-  const auto reply = client.Read();
-  if (!reply.ok()) return reply.status();
+  ASSIGN_OR_RETURN(const auto reply, client.Read());
   LogTail tail;
-  if (!IsArray(**reply, 3) ||
-      !absl::SimpleAtoi(TextOf(*(*reply)->element[0]), &tail.snapshot_number)) {
+  if (!IsArray(*reply, 3) || !absl::SimpleAtoi(TextOf(*reply->element[0]), &tail.snapshot_number)) {
     return Unexpected("the end of a log");
   }
-  tail.wants_snapshot = !TextOf(*(*reply)->element[1]).empty();
-  auto entries = ParseEntries(*(*reply)->element[2]);
-  if (!entries.ok()) return entries.status();
-  tail.entries = *std::move(entries);
+  tail.wants_snapshot = !TextOf(*reply->element[1]).empty();
+  ASSIGN_OR_RETURN(tail.entries, ParseEntries(*reply->element[2]));
   return tail;
 }
 
 absl::StatusOr<StoredLog> LoadHeadLog(RedisClient& client, const HeadLogKeys& keys) {
-  const auto reply = client.Run({"EVAL", kLoad, "2", keys.log, keys.snapshot});
-  if (!reply.ok()) return reply.status();
+  ASSIGN_OR_RETURN(const auto reply, client.Run({"EVAL", kLoad, "2", keys.log, keys.snapshot}));
   StoredLog stored;
-  if (!IsArray(**reply, 5) ||
-      !absl::SimpleAtoi(TextOf(*(*reply)->element[1]), &stored.snapshot.number)) {
+  if (!IsArray(*reply, 5) ||
+      !absl::SimpleAtoi(TextOf(*reply->element[1]), &stored.snapshot.number)) {
     return Unexpected("a log with its snapshot");
   }
-  const absl::string_view id = TextOf(*(*reply)->element[0]);
+  const absl::string_view id = TextOf(*reply->element[0]);
   if (!id.empty()) stored.snapshot.id = std::string(id);
-  stored.snapshot.digest = std::string(TextOf(*(*reply)->element[2]));
-  stored.bytes = std::string(TextOf(*(*reply)->element[3]));
-  auto entries = ParseEntries(*(*reply)->element[4]);
-  if (!entries.ok()) return entries.status();
-  stored.entries = *std::move(entries);
+  stored.snapshot.digest = std::string(TextOf(*reply->element[2]));
+  stored.bytes = std::string(TextOf(*reply->element[3]));
+  ASSIGN_OR_RETURN(stored.entries, ParseEntries(*reply->element[4]));
   return stored;
 }
 
@@ -262,11 +254,11 @@ absl::Status StoreHeadSnapshot(RedisClient& client, const HeadLogKeys& keys,
 absl::Status ReplaceHeadLog(RedisClient& client, const HeadLogKeys& keys,
                             absl::string_view expected_digest, const HeadPosition& position,
                             absl::string_view bytes) {
-  const auto reply =
+  ASSIGN_OR_RETURN(
+      const auto reply,
       client.Run({"EVAL", kReplace, "2", keys.log, keys.snapshot, expected_digest, position.id,
-                  absl::StrCat(position.number), position.digest, bytes});
-  if (!reply.ok()) return reply.status();
-  if ((*reply)->integer == 1) return absl::OkStatus();
+                  absl::StrCat(position.number), position.digest, bytes}));
+  if (reply->integer == 1) return absl::OkStatus();
   return absl::AbortedError("another server has changed the log");
 }
 

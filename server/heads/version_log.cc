@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/session/session_id.h"
 #include "server/base/log.h"
 #include "server/base/retry_delay.h"
@@ -86,12 +87,11 @@ absl::StatusOr<MergeOutcome> VersionLog::Do(HeadRequest request) {
 absl::Status VersionLog::CatchUp() { return Do({}).status(); }
 
 absl::StatusOr<double> VersionLog::Rollback(const std::string& tenant) {
-  if (auto status = CatchUp(); !status.ok()) return status;
+  RETURN_IF_ERROR(CatchUp());
   // A tenant that has learned nothing gets no head.
   if (heads()->Find(tenant) == nullptr) return 0.0;
-  const auto outcome = Do(NewRequest(HeadEntry::Kind::kRollback, tenant));
-  if (!outcome.ok()) return outcome.status();
-  return outcome->drift;
+  ASSIGN_OR_RETURN(const auto outcome, Do(NewRequest(HeadEntry::Kind::kRollback, tenant)));
+  return outcome.drift;
 }
 
 absl::Status VersionLog::SetPaused(bool paused) {

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "core/base/json.h"
+#include "core/base/status_macros.h"
 #include "core/base/version.h"
 #include "core/session/session_id.h"
 #include "server/policies/policy_repository.h"
@@ -71,9 +72,8 @@ void FillTensor(const TensorSpec& spec,
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindPolicy(
     const std::string& name, const std::string& version) const {
-  const auto number = ReadVersion(version);
-  if (!number.ok()) return number.status();
-  return registry_->catalog()->Find(name, *number);
+  ASSIGN_OR_RETURN(const auto number, ReadVersion(version));
+  return registry_->catalog()->Find(name, number);
 }
 
 absl::Status InferenceHandler::ServerLive(CallContext& /*context*/,
@@ -112,15 +112,14 @@ absl::Status InferenceHandler::ServerMetadata(CallContext& /*context*/,
 absl::Status InferenceHandler::ModelMetadata(CallContext& /*context*/,
                                              const inference::ModelMetadataRequest& request,
                                              inference::ModelMetadataResponse* response) const {
-  const auto served = FindPolicy(request.name(), request.version());
-  if (!served.ok()) return served.status();
+  ASSIGN_OR_RETURN(const auto served, FindPolicy(request.name(), request.version()));
   response->set_name(request.name());
   for (const auto& other : ListServed(*registry_)) {
     if (other->name == request.name()) response->add_versions(absl::StrCat(other->version));
   }
   response->set_platform(kPlatform);
-  for (const auto& spec : InputSpecs((*served)->policy())) FillTensor(spec, response->add_inputs());
-  for (const auto& spec : OutputSpecs((*served)->policy())) {
+  for (const auto& spec : InputSpecs(served->policy())) FillTensor(spec, response->add_inputs());
+  for (const auto& spec : OutputSpecs(served->policy())) {
     FillTensor(spec, response->add_outputs());
   }
   return absl::OkStatus();
@@ -129,9 +128,8 @@ absl::Status InferenceHandler::ModelMetadata(CallContext& /*context*/,
 absl::Status InferenceHandler::ModelConfig(CallContext& /*context*/,
                                            const inference::ModelConfigRequest& request,
                                            inference::ModelConfigResponse* response) const {
-  const auto served = FindPolicy(request.name(), request.version());
-  if (!served.ok()) return served.status();
-  FillConfig(**served, session_ttl_, response->mutable_config());
+  ASSIGN_OR_RETURN(const auto served, FindPolicy(request.name(), request.version()));
+  FillConfig(*served, session_ttl_, response->mutable_config());
   return absl::OkStatus();
 }
 
@@ -139,8 +137,7 @@ absl::Status InferenceHandler::ModelStatistics(CallContext& /*context*/,
                                                const inference::ModelStatisticsRequest& request,
                                                inference::ModelStatisticsResponse* response) const {
   if (!request.name().empty()) {
-    const auto served = FindPolicy(request.name(), request.version());
-    if (!served.ok()) return served.status();
+    RETURN_IF_ERROR(FindPolicy(request.name(), request.version()).status());
   }
   for (const auto& served : ListServed(*registry_)) {
     if (!request.name().empty() && served->name != request.name()) continue;
@@ -153,11 +150,10 @@ absl::Status InferenceHandler::ModelStatistics(CallContext& /*context*/,
 absl::Status InferenceHandler::RepositoryIndex(CallContext& /*context*/,
                                                const inference::RepositoryIndexRequest& request,
                                                inference::RepositoryIndexResponse* response) const {
-  if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
-  const auto folders = ListPolicyFolders(registry_->directory());
-  if (!folders.ok()) return folders.status();
+  RETURN_IF_ERROR(CheckRepository(request.repository_name()));
+  ASSIGN_OR_RETURN(const auto folders, ListPolicyFolders(registry_->directory()));
   std::map<PolicyVersion, bool> ready;
-  for (const PolicyVersion& version : folders->versions) ready[version] = false;
+  for (const PolicyVersion& version : folders.versions) ready[version] = false;
   for (const auto& served : ListServed(*registry_)) {
     ready[{served->name, served->version}] = true;
   }
@@ -175,20 +171,19 @@ absl::Status InferenceHandler::RepositoryIndex(CallContext& /*context*/,
 absl::Status InferenceHandler::RepositoryModelLoad(
     CallContext& context, const inference::RepositoryModelLoadRequest& request,
     inference::RepositoryModelLoadResponse* /*response*/) const {
-  if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckRepository(request.repository_name()));
   if (!request.parameters().empty()) {
     return absl::InvalidArgumentError(
         absl::StrCat("parameters: expected none, because a model is defined by its file, received ",
                      Quoted(request.parameters().begin()->first)));
   }
-  const auto folders = ListPolicyFolders(registry_->directory());
-  if (!folders.ok()) return folders.status();
+  ASSIGN_OR_RETURN(const auto folders, ListPolicyFolders(registry_->directory()));
   absl::Status status = absl::NotFoundError(
       absl::StrCat("model_name: expected a policy in the policy directory, received ",
                    Quoted(request.model_name())));
   bool found = false;
   // The highest version first: it becomes the default of a policy that was not served.
-  for (auto it = folders->versions.rbegin(); it != folders->versions.rend(); ++it) {
+  for (auto it = folders.versions.rbegin(); it != folders.versions.rend(); ++it) {
     const PolicyVersion& version = *it;
     if (version.policy != request.model_name()) continue;
     if (!std::exchange(found, true)) status = absl::OkStatus();
@@ -200,12 +195,11 @@ absl::Status InferenceHandler::RepositoryModelLoad(
 absl::Status InferenceHandler::RepositoryModelUnload(
     CallContext& /*context*/, const inference::RepositoryModelUnloadRequest& request,
     inference::RepositoryModelUnloadResponse* /*response*/) const {
-  if (auto status = CheckRepository(request.repository_name()); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckRepository(request.repository_name()));
   const auto catalog = registry_->catalog();
-  const auto policy = catalog->FindPolicy(request.model_name());
-  if (!policy.ok()) return policy.status();
-  for (const auto& [version, served] : (*policy)->versions) {
-    const std::string use = (*policy)->settings.DescribeUseBesideDefault(version);
+  ASSIGN_OR_RETURN(const auto policy, catalog->FindPolicy(request.model_name()));
+  for (const auto& [version, served] : policy->versions) {
+    const std::string use = policy->settings.DescribeUseBesideDefault(version);
     if (!use.empty()) {
       return absl::FailedPreconditionError(
           absl::StrCat("model_name: expected a policy without a version that a setting uses, "
@@ -214,11 +208,10 @@ absl::Status InferenceHandler::RepositoryModelUnload(
     }
   }
   // The default last: it can be unloaded once it is the only version.
-  const int64_t last = (*policy)->DefaultVersion();
-  for (const auto& [version, served] : (*policy)->versions) {
+  const int64_t last = policy->DefaultVersion();
+  for (const auto& [version, served] : policy->versions) {
     if (version == last) continue;
-    auto status = registry_->Unload({.policy = request.model_name(), .version = version});
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(registry_->Unload({.policy = request.model_name(), .version = version}));
   }
   return registry_->Unload({.policy = request.model_name(), .version = last});
 }
@@ -226,49 +219,45 @@ absl::Status InferenceHandler::RepositoryModelUnload(
 absl::Status InferenceHandler::ModelInfer(CallContext& context, const ModelInferRequest& request,
                                           ModelInferResponse* response) const {
   const absl::Duration start = clock_->Now();
-  auto sequence = ReadSequence(request);
-  if (!sequence.ok()) return sequence.status();
+  ASSIGN_OR_RETURN(auto sequence, ReadSequence(request));
   // The tenant is part of the session id, so that tenants may use equal sequence ids.
   if (const std::string& tenant = context.caller->tenant()->name(); !tenant.empty()) {
-    sequence->session_id = absl::StrCat(tenant, "/", sequence->session_id);
+    sequence.session_id = absl::StrCat(tenant, "/", sequence.session_id);
   }
-  const auto input = ReadInputs(request);
-  if (!input.ok()) return input.status();
-  if (sequence->start) {
-    if (auto status = Start(context, request, *sequence, response); !status.ok()) {
+  ASSIGN_OR_RETURN(const auto input, ReadInputs(request));
+  if (sequence.start) {
+    if (auto status = Start(context, request, sequence, response); !status.ok()) {
       return status;
     }
   }
-  const auto served = FindRunning(context, request, *sequence);
-  if (!served.ok()) return served.status();
-  const std::string& name = (*served)->name;
-  const int64_t version = (*served)->version;
+  ASSIGN_OR_RETURN(const auto served, FindRunning(context, request, sequence));
+  const std::string& name = served->name;
+  const int64_t version = served->version;
 
   v1::ActResponse answer;
-  if (auto status = Decide(context, request, *input, *sequence, **served, &answer); !status.ok()) {
-    if (sequence->start) status.Update(Close(context, *sequence));
+  if (auto status = Decide(context, request, input, sequence, *served, &answer); !status.ok()) {
+    if (sequence.start) status.Update(Close(context, sequence));
     statistics_.CountFailure(name, version, clock_->Now() - start);
     return status;
   }
   response->set_model_name(name);
   response->set_model_version(absl::StrCat(version));
   response->set_id(request.id());
-  WriteOutputs(answer, request, *input, response);
+  WriteOutputs(answer, request, input, response);
   statistics_.CountSuccess(name, version, absl::Now(), clock_->Now() - start,
                            absl::Seconds(answer.stats().compute_seconds()));
-  return sequence->end ? End(context, *sequence) : absl::OkStatus();
+  return sequence.end ? End(context, sequence) : absl::OkStatus();
 }
 
 absl::Status InferenceHandler::Start(CallContext& context, const ModelInferRequest& request,
                                      const SequenceRequest& sequence,
                                      ModelInferResponse* response) const {
-  const auto opening = ReadOpening(request);
-  if (!opening.ok()) return opening.status();
+  ASSIGN_OR_RETURN(const auto opening, ReadOpening(request));
   // Closes a sequence of the same id that still runs: its agent has started anew.
   if (auto status = Close(context, sequence); !status.ok() && !absl::IsNotFound(status))
     return status;
   v1::OpenSessionResponse opened;
-  if (auto status = sessions_->OpenSessionAs(context, sequence.session_id, *opening, &opened);
+  if (auto status = sessions_->OpenSessionAs(context, sequence.session_id, opening, &opened);
       !status.ok()) {
     return status;
   }
@@ -276,9 +265,8 @@ absl::Status InferenceHandler::Start(CallContext& context, const ModelInferReque
     (*response->mutable_parameters())["recording"].set_string_param(opened.recording());
   }
   if (server_.empty()) return absl::OkStatus();
-  const auto entry = gate_->Find(context, sequence.session_id);
-  if (!entry.ok()) return entry.status();
-  (*response->mutable_parameters())[kSequenceToken].set_string_param(TokenOf(**entry));
+  ASSIGN_OR_RETURN(const auto entry, gate_->Find(context, sequence.session_id));
+  (*response->mutable_parameters())[kSequenceToken].set_string_param(TokenOf(*entry));
   return absl::OkStatus();
 }
 
@@ -302,8 +290,7 @@ absl::Status InferenceHandler::CheckToken(const SequenceRequest& sequence,
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunning(
     CallContext& context, const ModelInferRequest& request, const SequenceRequest& sequence) const {
-  const auto version = ReadVersion(request.model_version());
-  if (!version.ok()) return version.status();
+  ASSIGN_OR_RETURN(const auto version, ReadVersion(request.model_version()));
   const auto entry = gate_->Find(context, sequence.session_id);
   const absl::Status known = entry.ok() ? CheckToken(sequence, **entry) : entry.status();
   if (absl::IsFailedPrecondition(known)) return known;
@@ -315,10 +302,10 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunnin
         absl::FormatDuration(session_ttl_), " is ended"));
   }
   const auto& served = (*entry)->served;
-  if (*version == 0 || *version == served->version) return served;
+  if (version == 0 || version == served->version) return served;
   return absl::InvalidArgumentError(
       absl::StrCat("model_version: expected none, or ", served->version,
-                   ", which the sequence was started on, received ", *version));
+                   ", which the sequence was started on, received ", version));
 }
 
 absl::Status InferenceHandler::Decide(CallContext& context, const ModelInferRequest& request,
@@ -350,7 +337,7 @@ absl::Status InferenceHandler::End(CallContext& context, const SequenceRequest& 
   end.set_session_id(sequence.session_id);
   end.set_terminated(true);
   v1::EndEpisodeResponse ended;
-  if (auto status = sessions_->EndEpisode(context, end, &ended); !status.ok()) return status;
+  RETURN_IF_ERROR(sessions_->EndEpisode(context, end, &ended));
   return Close(context, sequence);
 }
 

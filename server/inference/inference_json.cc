@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "nlohmann/json.hpp"
 
@@ -53,8 +54,7 @@ absl::Status ReadParameters(const std::string& field, const std::map<std::string
       *value = member;
       continue;
     }
-    auto status = ReadParameter(absl::StrCat(field, ".", name), member, &(*parameters)[name]);
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(ReadParameter(absl::StrCat(field, ".", name), member, &(*parameters)[name]));
   }
   return absl::OkStatus();
 }
@@ -75,9 +75,8 @@ absl::Status AppendFloats(const std::string& field, const Json& json, int depth,
     }
     // The name of an element is built only where it is needed: arrays are long.
     const std::string element = absl::StrCat(field, "[", i, "]");
-    const auto status = json[i].is_array() ? AppendFloats(element, json[i], depth + 1, bytes)
-                                           : ReadJson(element, json[i], &number);
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(json[i].is_array() ? AppendFloats(element, json[i], depth + 1, bytes)
+                                       : ReadJson(element, json[i], &number));
   }
   return absl::OkStatus();
 }
@@ -96,7 +95,7 @@ class InferReader {
     object.Optional("parameters", &parameters);
     object.Required("inputs", &inputs);
     object.Optional("outputs", &outputs);
-    if (auto status = object.Finish(); !status.ok()) return status;
+    RETURN_IF_ERROR(object.Finish());
     Json binary;
     auto status = ReadParameters("parameters", parameters, kBinaryOutputs, &binary,
                                  request_.message.mutable_parameters());
@@ -132,12 +131,11 @@ class InferReader {
     object.Required("shape", &shape);
     object.Optional("parameters", &parameters);
     object.Optional("data", &data);
-    if (auto status = object.Finish(); !status.ok()) return status;
+    RETURN_IF_ERROR(object.Finish());
     tensor.mutable_shape()->Add(shape.begin(), shape.end());
     Json size;
-    auto status = ReadParameters(absl::StrCat(field, ".parameters"), parameters, kBinarySize, &size,
-                                 tensor.mutable_parameters());
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(ReadParameters(absl::StrCat(field, ".parameters"), parameters, kBinarySize,
+                                   &size, tensor.mutable_parameters()));
     if (size.is_null() == !data.has_value()) {
       return absl::InvalidArgumentError(absl::StrCat(field, ": expected either data or parameters.",
                                                      kBinarySize, ", received ",
@@ -152,7 +150,7 @@ class InferReader {
 
   absl::Status TakeBytes(const std::string& field, const Json& json, std::string* raw) {
     uint64_t size = 0;
-    if (auto status = ReadJson(field, json, &size); !status.ok()) return status;
+    RETURN_IF_ERROR(ReadJson(field, json, &size));
     if (size > bytes_.size()) {
       return absl::InvalidArgumentError(absl::StrCat(field, ": expected at most ", bytes_.size(),
                                                      ", the bytes that are left behind the JSON, "
@@ -170,7 +168,7 @@ class InferReader {
     JsonObject object(field, json);
     object.Required("name", output.mutable_name());
     object.Optional("parameters", &parameters);
-    if (auto status = object.Finish(); !status.ok()) return status;
+    RETURN_IF_ERROR(object.Finish());
     Json binary;
     auto status = ReadParameters(absl::StrCat(field, ".parameters"), parameters, kBinaryOutput,
                                  &binary, output.mutable_parameters());
@@ -239,9 +237,8 @@ absl::StatusOr<HttpInferRequest> ReadHttpInfer(absl::string_view body,
         absl::StrCat("Inference-Header-Content-Length: expected at most ", body.size(),
                      ", the length of the body, received ", length));
   }
-  const auto json = ParseJsonObject("body", body.substr(0, length));
-  if (!json.ok()) return json.status();
-  return InferReader(body.substr(length)).Read(*json);
+  ASSIGN_OR_RETURN(const auto json, ParseJsonObject("body", body.substr(0, length)));
+  return InferReader(body.substr(length)).Read(json);
 }
 
 HttpInferResponse WriteHttpInfer(const inference::ModelInferResponse& message,

@@ -3,6 +3,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -69,9 +70,8 @@ absl::StatusOr<SequenceRequest> ReadSequence(const ModelInferRequest& request) {
 absl::StatusOr<v1::OpenSessionRequest> ReadOpening(const ModelInferRequest& request) {
   v1::OpenSessionRequest opening;
   opening.set_policy(request.model_name());
-  const auto version = ReadVersion(request.model_version());
-  if (!version.ok()) return version.status();
-  opening.set_version(*version);
+  ASSIGN_OR_RETURN(const auto version, ReadVersion(request.model_version()));
+  opening.set_version(version);
   if (const InferParameter* target = Find(request, "target_return")) {
     if (!target->has_double_param() && !target->has_int64_param()) {
       return BadParameter("target_return", "a double_param or an int64_param", *target);
@@ -88,7 +88,7 @@ absl::StatusOr<v1::OpenSessionRequest> ReadOpening(const ModelInferRequest& requ
                                               : static_cast<uint64_t>(seed->int64_param()));
   }
   bool record = false;
-  if (auto status = ReadFlag(request, "record", &record); !status.ok()) return status;
+  RETURN_IF_ERROR(ReadFlag(request, "record", &record));
   opening.set_record(record);
   return opening;
 }

@@ -9,6 +9,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/types/span.h"
 #include "core/base/json.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -153,7 +154,7 @@ std::string DataTypeName(inference::DataType type) {
 }
 
 absl::StatusOr<InferenceInput> ReadInputs(const ModelInferRequest& request) {
-  if (auto status = CheckContents(request); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckContents(request));
   InferenceInput input;
   input.raw = request.raw_input_contents_size() > 0;
   bool has_observation = false;
@@ -166,14 +167,14 @@ absl::StatusOr<InferenceInput> ReadInputs(const ModelInferRequest& request) {
     if (is_observation ? has_observation : input.reward.has_value()) {
       return BadInput(tensor, "expected one of this name, received two");
     }
-    auto values = ReadFloats(tensor, input.raw ? &request.raw_input_contents(i) : nullptr);
-    if (!values.ok()) return values.status();
+    ASSIGN_OR_RETURN(auto values,
+                     ReadFloats(tensor, input.raw ? &request.raw_input_contents(i) : nullptr));
     if (is_observation) {
       has_observation = true;
-      input.observation = *std::move(values);
+      input.observation = std::move(values);
       input.batched = tensor.shape_size() == 2;
-    } else if (values->size() == 1) {
-      input.reward = values->front();
+    } else if (values.size() == 1) {
+      input.reward = values.front();
     } else {
       return BadInput(
           tensor, absl::StrCat("expected shape [1] or [1, 1], received ", ShapeToString(tensor)));

@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/agent/beats.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/engine/energy.h"
 #include "core/learning/frobenius_norm.h"
@@ -150,9 +151,7 @@ absl::StatusOr<SessionRequest> RequestFromProto(const v1::OpenSessionRequest& re
   settings.sample = request.action_selection() == v1::SAMPLE;
   if (request.has_temperature()) settings.temperature = request.temperature();
   if (request.has_learning()) {
-    const auto learning = LearningFromProto(request.learning());
-    if (!learning.ok()) return learning.status();
-    settings.learning = *learning;
+    ASSIGN_OR_RETURN(settings.learning, LearningFromProto(request.learning()));
   }
   settings.head_delta = AsVector(request.head_delta());
   return settings;

@@ -3,6 +3,7 @@
 #include <string>
 
 #include "absl/synchronization/mutex.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "server/messages/convert.h"
 
@@ -95,9 +96,9 @@ absl::Status ExplainSession(SessionEntry& entry, v1::ExplainResponse* response) 
     absl::MutexLock lock(&entry.mutex);
     session = entry.agent.session();
   }
-  const auto explanation = Explain(entry.served->engine->CompletePolicy(), session);
-  if (!explanation.ok()) return explanation.status();
-  *response = ToProto(*entry.served, session, *explanation);
+  ASSIGN_OR_RETURN(const auto explanation,
+                   Explain(entry.served->engine->CompletePolicy(), session));
+  *response = ToProto(*entry.served, session, explanation);
   return absl::OkStatus();
 }
 

@@ -4,6 +4,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/string_view.h"
 #include "core/base/json.h"
+#include "core/base/status_macros.h"
 #include "core/math/counter_random.h"
 
 namespace spikeserve {
@@ -50,19 +51,17 @@ absl::StatusOr<const CatalogPolicy*> PolicyCatalog::FindPolicy(const std::string
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyCatalog::Find(const std::string& name,
                                                                         int64_t version) const {
-  const auto policy = FindPolicy(name);
-  if (!policy.ok()) return policy.status();
-  const auto& versions = (*policy)->versions;
-  const auto found = versions.find(version == 0 ? (*policy)->DefaultVersion() : version);
+  ASSIGN_OR_RETURN(const auto policy, FindPolicy(name));
+  const auto& versions = policy->versions;
+  const auto found = versions.find(version == 0 ? policy->DefaultVersion() : version);
   if (found != versions.end()) return found->second;
   return absl::NotFoundError(absl::StrCat("version: expected 0 or one of [", Keys(versions),
                                           "] of policy ", name, ", received ", version));
 }
 
 absl::StatusOr<Route> PolicyCatalog::Choose(const VersionChoice& choice) const {
-  const auto found = FindPolicy(choice.policy);
-  if (!found.ok()) return found.status();
-  const CatalogPolicy& policy = **found;
+  ASSIGN_OR_RETURN(const auto found, FindPolicy(choice.policy));
+  const CatalogPolicy& policy = *found;
   int64_t version = choice.version;
   const bool is_free = version == 0 && choice.label.empty();
   if (!choice.label.empty()) {
@@ -80,9 +79,8 @@ absl::StatusOr<Route> PolicyCatalog::Choose(const VersionChoice& choice) const {
   } else if (is_free && !policy.settings.shares.empty()) {
     version = ShareOf(policy.settings.shares, choice);
   }
-  auto served = Find(choice.policy, version);
-  if (!served.ok()) return served.status();
-  Route route = {.served = *std::move(served),
+  ASSIGN_OR_RETURN(auto served, Find(choice.policy, version));
+  Route route = {.served = std::move(served),
                  .shadow = nullptr,
                  .by_rollout = is_free && policy.settings.rollout_running()};
   if (policy.settings.shadow_version != 0 &&

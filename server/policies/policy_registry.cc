@@ -8,6 +8,7 @@
 #include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/model/policy_file.h"
 #include "server/policies/version_writer.h"
 #include "server/trace/tracer.h"
@@ -27,7 +28,7 @@ absl::Status CheckVersion(const CatalogPolicy& policy, const std::string& name, 
 absl::Status CheckShadow(const CatalogPolicy& policy, const std::string& name,
                          std::vector<TrafficShare> shadowed, int64_t shadow_version) {
   if (shadow_version == 0) return absl::OkStatus();
-  if (auto status = CheckVersion(policy, name, shadow_version); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckVersion(policy, name, shadow_version));
   if (shadowed.empty()) shadowed = {{.version = policy.DefaultVersion(), .percent = 100}};
   for (const TrafficShare& share : shadowed) {
     if (SameSpaces(*policy.versions.at(share.version), *policy.versions.at(shadow_version))) {
@@ -44,9 +45,9 @@ absl::Status CheckShadow(const CatalogPolicy& policy, const std::string& name,
 // CheckShadow.
 absl::Status CheckTraffic(const CatalogPolicy& policy, const std::string& name,
                           const std::vector<TrafficShare>& shares, int64_t shadow_version) {
-  if (auto status = CheckShares(shares); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckShares(shares));
   for (const TrafficShare& share : shares) {
-    if (auto status = CheckVersion(policy, name, share.version); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckVersion(policy, name, share.version));
   }
   return CheckShadow(policy, name, shares, shadow_version);
 }
@@ -140,8 +141,7 @@ bool PolicyRegistry::HasUnloaded() {
 
 absl::Status PolicyRegistry::Save(const Settings& settings) {
   if (shares_settings() && has_joined()) {
-    auto status = options_.shared->Write({.revision = revision_ + 1, .json = ToJson(settings)});
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(options_.shared->Write({.revision = revision_ + 1, .json = ToJson(settings)}));
     ++revision_;
   }
   return SaveFile(settings);
@@ -176,13 +176,10 @@ absl::Status PolicyRegistry::CheckCanSign() const {
 }
 
 absl::StatusOr<VersionFiles> PolicyRegistry::FormatVersion(const Policy& policy) const {
-  auto bytes = FormatPolicyFile(policy);
-  if (!bytes.ok()) return bytes.status();
-  VersionFiles files = {.policy = *std::move(bytes), .signature = {}};
+  ASSIGN_OR_RETURN(auto bytes, FormatPolicyFile(policy));
+  VersionFiles files = {.policy = std::move(bytes), .signature = {}};
   if (options_.signatures == nullptr) return files;
-  auto signature = options_.signatures->Sign(files.policy);
-  if (!signature.ok()) return signature.status();
-  files.signature = *std::move(signature);
+  ASSIGN_OR_RETURN(files.signature, options_.signatures->Sign(files.policy));
   return files;
 }
 
@@ -221,22 +218,20 @@ absl::StatusOr<ReloadReport> PolicyRegistry::Reload(const Span* call) {
     call_ = nullptr;
   };
   absl::StatusOr<ReloadReport> report;
-  auto status = WithLatest([&] {
+  RETURN_IF_ERROR(WithLatest([&] {
     change_mutex_.AssertHeld();
     report = ReloadOnce();
     return report.status();
-  });
-  if (!status.ok()) return status;
+  }));
   return report;
 }
 
 absl::StatusOr<ReloadReport> PolicyRegistry::ReloadOnce() {
-  auto folders = ListPolicyFolders(options_.directory);
-  if (!folders.ok()) return folders.status();
+  ASSIGN_OR_RETURN(auto folders, ListPolicyFolders(options_.directory));
   ReloadReport report;
-  report.refused = std::move(folders->refused);
+  report.refused = std::move(folders.refused);
   PolicyCatalog catalog = *this->catalog();
-  LoadChanged(folders->versions, &catalog, &report);
+  LoadChanged(folders.versions, &catalog, &report);
   UnloadRemoved(&catalog, &report);
   report.waiting = ApplySettings(&catalog);
   auto kept = KeepDefaults(catalog);
@@ -318,12 +313,11 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadVersion(
     call_ = nullptr;
   };
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> served;
-  auto status = WithLatest([&] {
+  RETURN_IF_ERROR(WithLatest([&] {
     change_mutex_.AssertHeld();
     served = LoadOnce(version, make_default);
     return served.status();
-  });
-  if (!status.ok()) return status;
+  }));
   return served;
 }
 
@@ -333,21 +327,20 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadOnce(
   bool changed = settings.unloaded.erase(version) == 1;
   if (make_default) {
     PolicySettings& policy = settings.policies[version.policy];
-    if (auto status = CheckNoRollout(policy); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckNoRollout(policy));
     policy.default_version = version.version;
     policy.default_follows_highest = false;
     changed = true;
   }
-  auto served = Read(version);
-  if (!served.ok()) return served.status();
+  ASSIGN_OR_RETURN(auto served, Read(version));
   if (changed) {
-    if (auto status = Save(settings); !status.ok()) return status;
+    RETURN_IF_ERROR(Save(settings));
     settings_ = std::move(settings);
   }
   PolicyCatalog catalog = *this->catalog();
-  catalog.policies()[version.policy].versions[version.version] = *served;
+  catalog.policies()[version.policy].versions[version.version] = served;
   ApplySettings(&catalog);
-  if (auto status = KeepDefaults(catalog); !status.ok()) return status;
+  RETURN_IF_ERROR(KeepDefaults(catalog));
   Publish(std::move(catalog));
   return served;
 }
@@ -362,8 +355,7 @@ absl::Status PolicyRegistry::Unload(const PolicyVersion& version) {
 
 absl::Status PolicyRegistry::UnloadOnce(const PolicyVersion& version) {
   PolicyCatalog catalog = *this->catalog();
-  const auto found = catalog.FindPolicy(version.policy);
-  if (!found.ok()) return found.status();
+  RETURN_IF_ERROR(catalog.FindPolicy(version.policy).status());
   CatalogPolicy& policy = catalog.policies()[version.policy];
   if (auto status = CheckVersion(policy, version.policy, version.version); !status.ok()) {
     return status;
@@ -380,7 +372,7 @@ absl::Status PolicyRegistry::UnloadOnce(const PolicyVersion& version) {
   settings.unloaded.insert(version);
   // Otherwise a later load of this version would take the default from another one.
   if (is_last) settings.policies[version.policy].default_version = 0;
-  if (auto status = Save(settings); !status.ok()) return status;
+  RETURN_IF_ERROR(Save(settings));
   settings_ = std::move(settings);
   policy.versions.erase(version.version);
   if (policy.versions.empty()) catalog.policies().erase(version.policy);
@@ -403,11 +395,10 @@ absl::Status PolicyRegistry::ChangeOnce(
     const std::string& policy,
     absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)> change) {
   PolicyCatalog catalog = *this->catalog();
-  const auto found = catalog.FindPolicy(policy);
-  if (!found.ok()) return found.status();
+  ASSIGN_OR_RETURN(const auto found, catalog.FindPolicy(policy));
   Settings settings = settings_;
-  if (auto status = change(**found, &settings.policies[policy]); !status.ok()) return status;
-  if (auto status = Save(settings); !status.ok()) return status;
+  RETURN_IF_ERROR(change(*found, &settings.policies[policy]));
+  RETURN_IF_ERROR(Save(settings));
   settings_ = std::move(settings);
   ApplySettings(&catalog);
   Publish(std::move(catalog));
@@ -417,7 +408,7 @@ absl::Status PolicyRegistry::ChangeOnce(
 absl::StatusOr<int64_t> PolicyRegistry::SetDefault(const std::string& policy, int64_t version) {
   int64_t result = version;
   const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
-    if (auto status = CheckNoRollout(*settings); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckNoRollout(*settings));
     if (version == 0) {
       result = served.versions.rbegin()->first;
     } else if (auto known = CheckVersion(served, policy, version); !known.ok()) {
@@ -427,7 +418,7 @@ absl::StatusOr<int64_t> PolicyRegistry::SetDefault(const std::string& policy, in
     settings->default_follows_highest = version == 0;
     return absl::OkStatus();
   };
-  if (auto status = Change(policy, change); !status.ok()) return status;
+  RETURN_IF_ERROR(Change(policy, change));
   return result;
 }
 
@@ -457,7 +448,7 @@ absl::Status PolicyRegistry::SetTraffic(const std::string& policy,
                                         const std::vector<TrafficShare>& shares,
                                         int64_t shadow_version) {
   return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
-    if (auto status = CheckNoRollout(*settings); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckNoRollout(*settings));
     auto status = CheckTraffic(served, policy, shares, shadow_version);
     if (!status.ok()) return status;
     settings->shares = shares;
@@ -469,7 +460,7 @@ absl::Status PolicyRegistry::SetTraffic(const std::string& policy,
 absl::Status PolicyRegistry::SetShares(const std::string& policy,
                                        const std::vector<TrafficShare>& shares) {
   return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
-    if (auto status = CheckNoRollout(*settings); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckNoRollout(*settings));
     auto status = CheckTraffic(served, policy, shares, served.settings.shadow_version);
     if (status.ok()) settings->shares = shares;
     return status;
@@ -501,7 +492,7 @@ absl::Status PolicyRegistry::PauseOnce(const std::string& policy, bool paused) {
   for (const auto& [name, served] : catalog->policies()) {
     if (policy.empty() || name == policy) settings.policies[name].learning_paused = paused;
   }
-  if (auto status = Save(settings); !status.ok()) return status;
+  RETURN_IF_ERROR(Save(settings));
   settings_ = std::move(settings);
   SwitchLearning();
   return absl::OkStatus();

@@ -18,6 +18,7 @@
 #include "core/action/action_head.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/learning/fleet_head.h"
 #include "core/model/policy_file.h"
@@ -137,10 +138,9 @@ absl::StatusOr<int64_t> ParseVersion(const fs::path& folder) {
 }
 
 absl::StatusOr<PolicyFolders> ListPolicyFolders(const std::string& directory) {
-  const auto policies = ListFolders(directory);
-  if (!policies.ok()) return policies.status();
+  ASSIGN_OR_RETURN(const auto policies, ListFolders(directory));
   PolicyFolders found;
-  for (const fs::path& folder : *policies) {
+  for (const fs::path& folder : policies) {
     const std::string name = folder.filename().string();
     if (!IsPlainName(name)) {
       found.refused.push_back(absl::InvalidArgumentError(absl::StrCat(
@@ -194,17 +194,16 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
     HeadLogs* logs) {
   const std::string path = PolicyFilePath(directory, version);
   for (const std::string& file : {path, SignaturePath(path)}) {
-    if (auto status = CheckWithin(directory, file); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckWithin(directory, file));
   }
   // The bytes that are verified are those that are parsed: the file may change at any time.
-  const auto files = ReadVersionFiles(path, signatures);
-  if (!files.ok()) return files.status();
-  auto policy = ParsePolicyFile(files->policy);
+  ASSIGN_OR_RETURN(const auto files, ReadVersionFiles(path, signatures));
+  auto policy = ParsePolicyFile(files.policy);
   if (!policy.ok()) return Annotate(policy.status(), path);
   auto served = std::make_shared<ServedPolicy>();
   served->name = version.policy;
   served->version = version.version;
-  served->sha256 = Sha256Of(files->policy);
+  served->sha256 = Sha256Of(files.policy);
   served->engine = MakeCompactEngine(*std::move(policy));
   const std::shared_ptr<const Policy> shared(served->engine, &served->policy());
   served->learning = std::move(learning);
@@ -212,7 +211,7 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
   const auto heads = logs != nullptr ? served->log->heads() : std::make_shared<TenantHeads>(shared);
   served->fleet = heads->Of("");
   if (!share_heads) served->tenant_heads = heads;
-  if (auto status = WarmUp(*served->engine, path); !status.ok()) return status;
+  RETURN_IF_ERROR(WarmUp(*served->engine, path));
   served->observer = new_observer(served->name, served->version, served->policy());
   return served;
 }

@@ -9,6 +9,7 @@
 #include "core/base/json.h"
 #include "core/base/json_object.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -29,8 +30,7 @@ absl::Status CheckLabels(absl::string_view field, const std::map<std::string, in
       return absl::InvalidArgumentError(absl::StrCat(
           field, ": expected letters, digits, '.', '-', '_', received ", Quoted(label)));
     }
-    const auto status = CheckVersion(absl::StrCat(field, ".", label), version);
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(CheckVersion(absl::StrCat(field, ".", label), version));
   }
   return absl::OkStatus();
 }
@@ -67,14 +67,13 @@ absl::Status ReadJson(absl::string_view field, const Json& json, PolicySettings*
   object.Optional("labels", &settings->labels);
   object.Optional("shares", &settings->shares);
   object.Optional("rollout", &settings->rollout);
-  if (auto status = object.Finish(); !status.ok()) return status;
+  RETURN_IF_ERROR(object.Finish());
   if (settings->default_follows_highest && settings->default_version != 0) {
     return absl::InvalidArgumentError(
         absl::StrCat(field, ".default_version: expected none beside default_follows_highest, ",
                      "received ", settings->default_version));
   }
-  const auto labels = CheckLabels(absl::StrCat(field, ".labels"), settings->labels);
-  if (!labels.ok()) return labels;
+  RETURN_IF_ERROR(CheckLabels(absl::StrCat(field, ".labels"), settings->labels));
   const auto shares = CheckShares(settings->shares);
   if (shares.ok()) return shares;
   return absl::InvalidArgumentError(absl::StrCat(field, ".", shares.message()));
@@ -152,23 +151,21 @@ PolicySettings EffectiveSettings(const PolicySettings& settings, const std::set<
 }
 
 absl::StatusOr<Settings> ParseSettings(absl::string_view text) {
-  const auto json = ParseJsonObject("settings", text);
-  if (!json.ok()) return json.status();
+  ASSIGN_OR_RETURN(const auto json, ParseJsonObject("settings", text));
   Settings settings;
   std::map<std::string, std::vector<int64_t>> unloaded;
   std::map<std::string, std::map<std::string, std::string>> promoted;
-  JsonObject object("", *json);
+  JsonObject object("", json);
   object.Optional("policies", &settings.policies);
   object.Optional("unloaded", &unloaded);
   object.Optional("promoted", &promoted);
-  if (auto status = object.Finish(); !status.ok()) return status;
+  RETURN_IF_ERROR(object.Finish());
   // As ToJson() does, so that equal settings compare equal.
   std::erase_if(settings.policies,
                 [](const auto& policy) { return policy.second == PolicySettings(); });
   for (const auto& [name, versions] : unloaded) {
     for (const int64_t version : versions) {
-      const auto status = CheckVersion(absl::StrCat("unloaded.", name), version);
-      if (!status.ok()) return status;
+      RETURN_IF_ERROR(CheckVersion(absl::StrCat("unloaded.", name), version));
       settings.unloaded.insert({.policy = name, .version = version});
     }
   }
@@ -203,9 +200,8 @@ absl::StatusOr<Settings> ReadSettings(const std::string& path) {
       std::filesystem::file_type::not_found) {
     return Settings();
   }
-  const auto text = ReadFile(path);
-  if (!text.ok()) return text.status();
-  auto settings = ParseSettings(*text);
+  ASSIGN_OR_RETURN(const auto text, ReadFile(path));
+  auto settings = ParseSettings(text);
   if (settings.ok()) return settings;
   return Annotate(settings.status(), path);
 }

@@ -17,6 +17,7 @@
 #include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/model/safetensors.h"
 
 namespace spikeserve {
@@ -191,7 +192,7 @@ absl::Status PolicySignatures::CheckCanSign() const {
 }
 
 absl::StatusOr<std::string> PolicySignatures::Sign(absl::string_view policy) const {
-  if (auto status = CheckCanSign(); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckCanSign());
   const std::unique_ptr<EVP_MD_CTX, decltype(&EVP_MD_CTX_free)> context(EVP_MD_CTX_new(),
                                                                         &EVP_MD_CTX_free);
   std::string signature(kSignatureBytes, '\0');
@@ -217,9 +218,7 @@ absl::StatusOr<VersionFiles> ReadVersionFiles(const std::string& policy_path,
   if (!policy.ok()) return Annotate(policy.status(), policy_path);
   VersionFiles files = {.policy = *std::move(policy), .signature = {}};
   if (signatures == nullptr) return files;
-  auto signature = ReadSignature(SignaturePath(policy_path));
-  if (!signature.ok()) return signature.status();
-  files.signature = *std::move(signature);
+  ASSIGN_OR_RETURN(files.signature, ReadSignature(SignaturePath(policy_path)));
   if (auto status = signatures->Verify(files); !status.ok()) return Annotate(status, policy_path);
   return files;
 }

@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/json_object.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -71,7 +72,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, RolloutEvidence
   object.Required("returning_sessions", &evidence->returning_sessions, 0);
   object.Required("session_episodes", &evidence->session_episodes);
   object.Required("session_returns", &evidence->session_returns);
-  if (auto status = object.Finish(); !status.ok()) return status;
+  RETURN_IF_ERROR(object.Finish());
   const size_t sampled = evidence->session_returns.size();
   const bool fits =
       evidence->session_episodes.size() == sampled &&
@@ -86,7 +87,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, RolloutEvidence
 }
 
 absl::Status Rollout::Validate() const {
-  if (auto status = CheckSteps(steps); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckSteps(steps));
   if (!std::isfinite(hold_seconds) || hold_seconds <= 0.0) {
     return absl::InvalidArgumentError(
         absl::StrCat("hold_seconds: expected a number above 0, received ", hold_seconds));
@@ -162,7 +163,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, Rollout* rollou
   Json stable_evidence;
   object.Required("new_evidence", &new_evidence);
   object.Required("stable_evidence", &stable_evidence);
-  if (auto status = object.Finish(); !status.ok()) return status;
+  RETURN_IF_ERROR(object.Finish());
   const std::string prefix = absl::StrCat(field, field.empty() ? "" : ".");
   auto status = ReadEvidence(prefix + "new_evidence", new_evidence, &rollout->new_evidence);
   status.Update(

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "server/base/log.h"
 
 namespace spikeserve {
@@ -16,21 +17,19 @@ std::string NameOf(const ServedPolicy& served) {
 
 absl::Status SharedFiles::Follow(const std::vector<std::string>& alive) {
   auto catalog = registry_.catalog();
-  const auto revision = shared_.FilesRevision();
-  if (!revision.ok()) return revision.status();
-  if (catalog == catalog_ && alive == alive_ && *revision == revision_) return absl::OkStatus();
+  ASSIGN_OR_RETURN(const auto revision, shared_.FilesRevision());
+  if (catalog == catalog_ && alive == alive_ && revision == revision_) return absl::OkStatus();
   std::vector<SharedSettings::VersionFile> files;
   for (const auto& [name, policy] : catalog->policies()) {
     for (const auto& [version, served] : policy.versions) {
       files.push_back({.version = NameOf(*served), .sha256 = served->sha256});
     }
   }
-  auto compared = shared_.CompareFiles(files, alive);
-  if (!compared.ok()) return compared.status();
+  ASSIGN_OR_RETURN(auto compared, shared_.CompareFiles(files, alive));
   catalog_ = std::move(catalog);
   alive_ = alive;
-  revision_ = compared->revision;
-  std::set<std::string> different(compared->different.begin(), compared->different.end());
+  revision_ = compared.revision;
+  std::set<std::string> different(compared.different.begin(), compared.different.end());
   absl::MutexLock lock(&mutex_);
   for (const std::string& version : different) {
     if (different_.contains(version)) continue;

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "server/base/log.h"
 #include "server/policies/policy_registry.h"
@@ -68,7 +69,7 @@ absl::Status PolicyRegistry::Refresh() {
   }
   if (!document.ok()) return document.status();
   if (document->revision != revision_) {
-    if (auto status = Adopt(*document); !status.ok()) return status;
+    RETURN_IF_ERROR(Adopt(*document));
   }
   joined_.store(true, std::memory_order_release);
   return absl::OkStatus();
@@ -83,8 +84,7 @@ absl::Status PolicyRegistry::Adopt(const SharedSettings::Document& document) {
     LogError("shared settings not saved", {{"error", status.message()}});
   }
   FetchPromoted();
-  auto folders = ListPolicyFolders(options_.directory);
-  if (!folders.ok()) return folders.status();
+  ASSIGN_OR_RETURN(auto folders, ListPolicyFolders(options_.directory));
   ReloadReport report;
   PolicyCatalog catalog = *this->catalog();
   for (const PolicyVersion& version : settings_.unloaded) {
@@ -94,7 +94,7 @@ absl::Status PolicyRegistry::Adopt(const SharedSettings::Document& document) {
     files_.erase(version);
     if (policy->second.versions.empty()) catalog.policies().erase(policy);
   }
-  LoadChanged(folders->versions, &catalog, &report);
+  LoadChanged(folders.versions, &catalog, &report);
   UnloadRemoved(&catalog, &report);
   ApplySettings(&catalog);
   SwitchLearning();
@@ -122,10 +122,9 @@ void PolicyRegistry::FetchPromoted() {
 }
 
 absl::StatusOr<VersionFiles> PolicyRegistry::FetchFiles(const std::string& sha256) {
-  auto policy = options_.shared->GetFile(sha256);
-  if (!policy.ok()) return policy.status();
-  if (auto status = CheckSha256(*policy, sha256); !status.ok()) return status;
-  VersionFiles files = {.policy = *std::move(policy), .signature = {}};
+  ASSIGN_OR_RETURN(auto policy, options_.shared->GetFile(sha256));
+  RETURN_IF_ERROR(CheckSha256(policy, sha256));
+  VersionFiles files = {.policy = std::move(policy), .signature = {}};
   auto signature = options_.shared->GetFile(SignaturePath(sha256));
   if (signature.ok()) {
     files.signature = *std::move(signature);
@@ -145,17 +144,15 @@ absl::StatusOr<PolicyVersion> PolicyRegistry::ShareVersion(const std::string& na
   const std::string sha256 = Sha256Of(files.policy);
   absl::MutexLock change(&change_mutex_);
   if (!files.signature.empty()) {
-    auto status = options_.shared->PutFile(SignaturePath(sha256), files.signature);
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(options_.shared->PutFile(SignaturePath(sha256), files.signature));
   }
-  if (auto status = options_.shared->PutFile(sha256, files.policy); !status.ok()) return status;
+  RETURN_IF_ERROR(options_.shared->PutFile(sha256, files.policy));
   absl::StatusOr<PolicyVersion> version;
-  auto status = WithLatest([&] {
+  RETURN_IF_ERROR(WithLatest([&] {
     change_mutex_.AssertHeld();
     version = ShareOnce(name, sha256, make_default);
     return version.status();
-  });
-  if (!status.ok()) return status;
+  }));
   return version;
 }
 
@@ -170,11 +167,11 @@ absl::StatusOr<PolicyVersion> PolicyRegistry::ShareOnce(const std::string& name,
   settings.promoted[version] = sha256;
   if (make_default) {
     PolicySettings& changed = settings.policies[name];
-    if (auto status = CheckNoRollout(changed); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckNoRollout(changed));
     changed.default_version = version.version;
     changed.default_follows_highest = false;
   }
-  if (auto status = Save(settings); !status.ok()) return status;
+  RETURN_IF_ERROR(Save(settings));
   // From here on as on every other server.
   if (auto status = Adopt({.revision = revision_, .json = ToJson(settings)}); !status.ok()) {
     return status;

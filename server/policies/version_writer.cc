@@ -17,6 +17,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
+#include "core/base/status_macros.h"
 #include "server/policies/confined_path.h"
 
 namespace spikeserve {
@@ -75,7 +76,7 @@ int64_t NextVersion(const fs::path& policy_folder) {
 absl::Status WriteAndRename(const std::string& directory, const std::string& name,
                             const VersionFiles& files, absl::FunctionRef<int64_t()> number) {
   const fs::path policy_folder = fs::path(directory) / name;
-  if (auto status = CheckWithin(directory, policy_folder); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckWithin(directory, policy_folder));
   std::string folder = (policy_folder / absl::StrCat(kUnfinished, "XXXXXX")).string();
   if (mkdtemp(folder.data()) == nullptr) return SystemError(folder, "create the folder");
   const OpenFolder in_use(folder);
@@ -133,9 +134,8 @@ absl::Status WriteVersion(const std::string& directory, const PolicyVersion& ver
 absl::StatusOr<PolicyVersion> WriteNewVersion(const std::string& directory, const std::string& name,
                                               const VersionFiles& files) {
   PolicyVersion written = {.policy = name, .version = 0};
-  const auto status = WriteAndRename(
-      directory, name, files, [&] { return written.version = NextVersion(directory, name); });
-  if (!status.ok()) return status;
+  RETURN_IF_ERROR(WriteAndRename(directory, name, files,
+                                 [&] { return written.version = NextVersion(directory, name); }));
   return written;
 }
 

@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
+#include "core/base/status_macros.h"
 #include "server/base/log.h"
 #include "server/rollouts/evidence_total.h"
 #include "server/rollouts/rollout_judge.h"
@@ -158,9 +159,9 @@ absl::Status RolloutManager::Start(const std::string& policy, Rollout plan) {
   absl::MutexLock lock(&mutex_);
   if (plan.steps.empty()) plan.steps = {1, 10, 50, 100};
   if (plan.abort_if.empty()) plan.abort_if = DefaultConditions();
-  if (auto status = plan.Validate(); !status.ok()) return status;
+  RETURN_IF_ERROR(plan.Validate());
   const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
-    if (auto status = CheckStart(served, *settings, plan); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckStart(served, *settings, plan));
     plan.stable_version = served.DefaultVersion();
     plan.started = plan.step_started = UnixSeconds();
     Watch(policy, served, plan);

@@ -5,6 +5,7 @@
 #include <google/protobuf/wire_format_lite.h>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
@@ -53,7 +54,7 @@ class ElementChecker {
       } else if (form == WireFormatLite::WIRETYPE_END_GROUP) {
         --groups;
       } else if (has_length && field != nullptr && field->message_type() != nullptr) {
-        if (auto status = CheckNested(*field); !status.ok()) return status;
+        RETURN_IF_ERROR(CheckNested(*field));
       } else if (!WireFormatLite::SkipField(&input_, tag)) {
         return absl::OkStatus();
       }
@@ -94,7 +95,7 @@ absl::Status ParseRequest(absl::string_view bytes, google::protobuf::Message* re
   // time to lose.
   const bool is_short_act = bytes.size() <= kShortAct && &type == v1::ActRequest::descriptor();
   if (may_exceed || (!is_short_act && HasItems(type))) {
-    if (auto status = ElementChecker(bytes).Check(&type); !status.ok()) return status;
+    RETURN_IF_ERROR(ElementChecker(bytes).Check(&type));
   }
   if (request->ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
     return absl::OkStatus();

@@ -12,6 +12,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
+#include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
 #include "core/journal/session_journal.h"
 #include "core/session/session_id.h"
@@ -93,10 +94,9 @@ class FileBackend final : public JournalBackend {
 absl::Status FileBackend::Open() {
   environment_ = nullptr;
   space_bytes_ = 0;
-  auto repair = RepairFileStore(directory_);
-  if (!repair.ok()) return repair.status();
-  if (repair->has_value()) {
-    const FileRepair& done = **repair;
+  ASSIGN_OR_RETURN(auto repair, RepairFileStore(directory_));
+  if (repair.has_value()) {
+    const FileRepair& done = *repair;
     LogError("session store was damaged; goes on with what can be read",
              {{"damage", done.damage},
               {"kept_as", done.kept_as},
@@ -105,35 +105,29 @@ absl::Status FileBackend::Open() {
               {"without_records", absl::StrCat(done.without)},
               {"left_out", absl::StrCat(done.unnamed)}});
   }
-  auto environment = OpenLmdb(directory_, kMostStoreBytes);
-  if (!environment.ok()) return environment.status();
-  environment_ = *std::move(environment);
-  auto transaction = LmdbTransaction::Begin(environment_.get());
-  if (!transaction.ok()) return transaction.status();
-  const auto sessions = transaction->OpenTable(kSessionsTable);
-  if (!sessions.ok()) return sessions.status();
-  const auto records = transaction->OpenTable(kRecordsTable);
-  if (!records.ok()) return records.status();
-  sessions_ = *sessions;
-  records_ = *records;
-  return transaction->Commit();
+  ASSIGN_OR_RETURN(environment_, OpenLmdb(directory_, kMostStoreBytes));
+  ASSIGN_OR_RETURN(auto transaction, LmdbTransaction::Begin(environment_.get()));
+  ASSIGN_OR_RETURN(const auto sessions, transaction.OpenTable(kSessionsTable));
+  ASSIGN_OR_RETURN(const auto records, transaction.OpenTable(kRecordsTable));
+  sessions_ = sessions;
+  records_ = records;
+  return transaction.Commit();
 }
 
 absl::Status FileBackend::RemoveOld(absl::Duration retention) {
-  auto transaction = LmdbTransaction::Begin(environment_.get());
-  if (!transaction.ok()) return transaction.status();
+  ASSIGN_OR_RETURN(auto transaction, LmdbTransaction::Begin(environment_.get()));
   std::vector<std::string> ids;
-  auto status = transaction->Scan(
+  auto status = transaction.Scan(
       sessions_, "", [&](absl::string_view id, absl::string_view) { ids.emplace_back(id); });
   if (!status.ok()) return status;
   const int64_t oldest = absl::ToUnixSeconds(now_() - retention);
   for (const std::string& id : ids) {
-    const auto session = Read(*transaction, id);
+    const auto session = Read(transaction, id);
     // A session whose description is damaged cannot be claimed. It is left for inspection.
     if (!session.ok() || (*session)->written_seconds >= oldest) continue;
-    if (status = Remove(*transaction, id); !status.ok()) return status;
+    if (status = Remove(transaction, id); !status.ok()) return status;
   }
-  return transaction->Commit();
+  return transaction.Commit();
 }
 
 absl::Status FileBackend::Contain(const absl::Status& status) {
@@ -150,7 +144,7 @@ absl::Status FileBackend::TakeSpace(size_t bytes) {
   for (const int error :
        {mdb_env_info(environment_.get(), &info), mdb_env_stat(environment_.get(), &stat),
         mdb_env_get_fd(environment_.get(), &file)}) {
-    if (auto status = LmdbStatus(error); !status.ok()) return status;
+    RETURN_IF_ERROR(LmdbStatus(error));
   }
   const size_t needed = (info.me_last_pgno + 1) * stat.ms_psize + bytes + kReserveBytes;
   if (needed <= space_bytes_) return absl::OkStatus();
@@ -197,18 +191,17 @@ absl::StatusOr<std::vector<absl::Status>> FileBackend::WriteAll(
     absl::Span<const JournalRecord> records) {
   size_t bytes = 0;
   for (const JournalRecord& record : records) bytes += record.bytes.size();
-  if (auto status = TakeSpace(bytes); !status.ok()) return status;
-  auto transaction = LmdbTransaction::Begin(environment_.get());
-  if (!transaction.ok()) return transaction.status();
+  RETURN_IF_ERROR(TakeSpace(bytes));
+  ASSIGN_OR_RETURN(auto transaction, LmdbTransaction::Begin(environment_.get()));
   std::vector<absl::Status> outcomes;
   for (const JournalRecord& record : records) {
-    outcomes.push_back(WriteRecord(*transaction, record));
+    outcomes.push_back(WriteRecord(transaction, record));
     const absl::StatusCode code = outcomes.back().code();
     const bool is_outcome = code == absl::StatusCode::kOk || code == absl::StatusCode::kAborted ||
                             code == absl::StatusCode::kAlreadyExists;
     if (!is_outcome) return outcomes.back();
   }
-  if (auto status = transaction->Commit(); !status.ok()) return status;
+  RETURN_IF_ERROR(transaction.Commit());
   return outcomes;
 }
 
@@ -230,18 +223,18 @@ absl::Status FileBackend::WriteRecord(LmdbTransaction& transaction, const Journa
 
   // The journal that was claimed had a gap: what stands behind it is of no use.
   if (writes_again) {
-    if (auto status = RemoveBefore(transaction, key.id, kNoDecisions); !status.ok()) return status;
+    RETURN_IF_ERROR(RemoveBefore(transaction, key.id, kNoDecisions));
   }
 
   StoredSession& session = **found;
   const int64_t now = NowSeconds();
   if (now - session.written_seconds >= absl::ToInt64Seconds(kWrittenStep)) {
     session.written_seconds = now;
-    if (auto status = Put(transaction, key.id, session); !status.ok()) return status;
+    RETURN_IF_ERROR(Put(transaction, key.id, session));
   }
   const std::string record_key = StoredRecordKey(key.id, record.decisions);
   const std::string sealed = SealRecord(record.bytes);
-  if (auto status = transaction.Put(records_, record_key, sealed); !status.ok()) return status;
+  RETURN_IF_ERROR(transaction.Put(records_, record_key, sealed));
   const bool replaces =
       record.kind == JournalRecord::Kind::kSnapshot || record.kind == JournalRecord::Kind::kRelease;
   if (!replaces) return absl::OkStatus();
@@ -259,46 +252,41 @@ std::vector<absl::StatusOr<ClaimedJournal>> FileBackend::Claim(
 absl::StatusOr<std::vector<absl::StatusOr<ClaimedJournal>>> FileBackend::ClaimAll(
     absl::Span<const JournalClaim> claims) {
   if (environment_ == nullptr) return absl::DataLossError("session store: is not open");
-  auto transaction = LmdbTransaction::Begin(environment_.get());
-  if (!transaction.ok()) return transaction.status();
+  ASSIGN_OR_RETURN(auto transaction, LmdbTransaction::Begin(environment_.get()));
   std::vector<absl::StatusOr<ClaimedJournal>> journals;
   for (const JournalClaim& claim : claims) {
-    journals.push_back(ClaimOne(*transaction, claim));
+    journals.push_back(ClaimOne(transaction, claim));
     absl::StatusOr<ClaimedJournal>& journal = journals.back();
     if (absl::IsDataLoss(journal.status())) return journal.status();
     if (absl::IsFailedPrecondition(journal.status())) {
       journal = absl::DataLossError(journal.status().message());
     }
   }
-  if (auto status = transaction->Commit(); !status.ok()) return status;
+  RETURN_IF_ERROR(transaction.Commit());
   return journals;
 }
 
 absl::StatusOr<ClaimedJournal> FileBackend::ClaimOne(LmdbTransaction& transaction,
                                                      const JournalClaim& claim) {
   const std::string& id = claim.id;
-  auto session = Read(transaction, id);
-  if (!session.ok()) return session.status();
-  if (!session->has_value() || (*session)->tenant != claim.tenant) return NoSuchSession(id);
-  const uint64_t former = (*session)->epoch++;
-  ClaimedJournal journal = {.epoch = (*session)->epoch, .records = {}, .claimed_from = former};
-  (*session)->written_seconds = NowSeconds();
-  if (auto status = Put(transaction, id, **session); !status.ok()) return status;
-  const auto status =
-      transaction.Scan(records_, id, [&](absl::string_view, absl::string_view bytes) {
-        journal.records.push_back(OpenRecord(bytes));
-      });
-  if (!status.ok()) return status;
+  ASSIGN_OR_RETURN(auto session, Read(transaction, id));
+  if (!session.has_value() || session->tenant != claim.tenant) return NoSuchSession(id);
+  const uint64_t former = session->epoch++;
+  ClaimedJournal journal = {.epoch = session->epoch, .records = {}, .claimed_from = former};
+  session->written_seconds = NowSeconds();
+  RETURN_IF_ERROR(Put(transaction, id, *session));
+  RETURN_IF_ERROR(transaction.Scan(records_, id, [&](absl::string_view, absl::string_view bytes) {
+    journal.records.push_back(OpenRecord(bytes));
+  }));
   return journal;
 }
 
 absl::StatusOr<std::optional<StoredSession>> FileBackend::Read(LmdbTransaction& transaction,
                                                                const std::string& id) {
-  const auto bytes = transaction.Get(sessions_, id);
-  if (!bytes.ok()) return bytes.status();
-  if (!bytes->has_value()) return std::nullopt;
+  ASSIGN_OR_RETURN(const auto bytes, transaction.Get(sessions_, id));
+  if (!bytes.has_value()) return std::nullopt;
   const auto json =
-      codec::ParseDocument(std::string(**bytes), "stored session", kStoredSessionFormat);
+      codec::ParseDocument(std::string(*bytes), "stored session", kStoredSessionFormat);
   // DATA_LOSS is what LMDB finds; here it is this session alone.
   if (!json.ok()) return absl::FailedPreconditionError(json.status().message());
   StoredSession session;
@@ -332,7 +320,7 @@ absl::Status FileBackend::RemoveBefore(LmdbTransaction& transaction, const std::
 }
 
 absl::Status FileBackend::Remove(LmdbTransaction& transaction, const std::string& id) {
-  if (auto status = RemoveBefore(transaction, id, kNoDecisions); !status.ok()) return status;
+  RETURN_IF_ERROR(RemoveBefore(transaction, id, kNoDecisions));
   return transaction.Delete(sessions_, id);
 }
 
@@ -365,11 +353,10 @@ absl::StatusOr<std::unique_ptr<JournalBackend>> OpenFileBackend(const std::strin
     return absl::InvalidArgumentError(
         absl::StrCat("expected a writable folder, received ", directory, ": ", error.message()));
   }
-  auto locks = LockFolder(directory);
-  if (!locks.ok()) return locks.status();
-  auto backend = std::make_unique<FileBackend>(directory, *std::move(locks), std::move(now));
-  if (auto status = backend->Open(); !status.ok()) return status;
-  if (auto status = backend->RemoveOld(retention); !status.ok()) return status;
+  ASSIGN_OR_RETURN(auto locks, LockFolder(directory));
+  auto backend = std::make_unique<FileBackend>(directory, std::move(locks), std::move(now));
+  RETURN_IF_ERROR(backend->Open());
+  RETURN_IF_ERROR(backend->RemoveOld(retention));
   return backend;
 }
 

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/journal/session_journal.h"
 #include "server/base/log.h"
 #include "server/base/retry_delay.h"
@@ -210,11 +211,10 @@ absl::Status JournalStore::CheckJournals() {
   std::vector<std::shared_ptr<SessionJournal>> missing;
   for (size_t first = 0; first < held.size(); first += kMostRecords) {
     const auto part = absl::MakeConstSpan(held).subspan(first, kMostRecords);
-    const auto outcomes = backend_->Check(part);
-    if (!outcomes.ok()) return outcomes.status();
+    ASSIGN_OR_RETURN(const auto outcomes, backend_->Check(part));
     for (size_t i = 0; i < part.size(); ++i) {
-      if (absl::IsAborted((*outcomes)[i]) && !part[i].journal->lost()) fences_.Increment();
-      part[i].journal->OnChecked((*outcomes)[i]);
+      if (absl::IsAborted(outcomes[i]) && !part[i].journal->lost()) fences_.Increment();
+      part[i].journal->OnChecked(outcomes[i]);
       if (part[i].journal->missing()) missing.push_back(part[i].journal);
     }
   }

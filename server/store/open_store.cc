@@ -10,6 +10,7 @@
 #include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/session/session_id.h"
 #include "core/store/redis_tls.h"
 #include "server/store/file_backend.h"
@@ -88,7 +89,7 @@ absl::StatusOr<StoreAddress> ParseStoreAddress(const std::string& text) {
   if (absl::ConsumePrefix(&rest, "file:") && !rest.empty()) {
     return StoreAddress{.kind = StoreAddress::Kind::kFile, .folder = std::string(rest)};
   }
-  if (auto status = CheckNoRedisPassword(text); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckNoRedisPassword(text));
   if (auto redis = ParseRedisAddress(text); redis.has_value()) {
     return StoreAddress{.kind = StoreAddress::Kind::kRedis, .redis = *std::move(redis)};
   }
@@ -117,11 +118,10 @@ absl::StatusOr<OpenedStore> OpenStore(const StoreOptions& options, prometheus::R
     if (!opened.ok()) return Annotate(opened.status(), kAddressFlag);
     backend = *std::move(opened);
   } else {
-    const auto redis = ReadRedisOptions(std::move(address->redis), options);
-    if (!redis.ok()) return redis.status();
-    backend = NewRedisBackend(*redis, options.retention, store.replica, options.may_evict);
-    store.shared = std::make_unique<RedisShared>(*redis, store.replica);
-    store.heads = std::make_unique<HeadLogStore>(*redis, options.retention, &clock, registry);
+    ASSIGN_OR_RETURN(const auto redis, ReadRedisOptions(std::move(address->redis), options));
+    backend = NewRedisBackend(redis, options.retention, store.replica, options.may_evict);
+    store.shared = std::make_unique<RedisShared>(redis, store.replica);
+    store.heads = std::make_unique<HeadLogStore>(redis, options.retention, &clock, registry);
   }
   const absl::Duration check_interval =
       std::min(JournalStore::kCheckInterval, options.retention / 4);

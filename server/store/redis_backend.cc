@@ -12,6 +12,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/strip.h"
 #include "core/base/clock.h"
+#include "core/base/status_macros.h"
 #include "core/journal/session_journal.h"
 #include "core/store/redis_client.h"
 #include "core/store/redis_durability.h"
@@ -146,25 +147,20 @@ absl::Status RedisBackend::EnsureClient() {
 }
 
 absl::Status RedisBackend::NewClient() {
-  auto connected = RedisClient::Connect(options_);
-  if (!connected.ok()) return connected.status();
-  client_ = *std::move(connected);
+  ASSIGN_OR_RETURN(client_, RedisClient::Connect(options_));
   is_new_ = true;
-  if (auto status = LookAtSettings(); !status.ok()) return status;
+  RETURN_IF_ERROR(LookAtSettings());
   return MoveUncertain();
 }
 
 absl::Status RedisBackend::Ping() {
   const std::string expected = absl::StrCat(owner_, "-", ++pings_);
-  const auto reply = client_->Run({"PING", expected});
-  if (!reply.ok()) return reply.status();
-  return TextOf(**reply) == expected ? absl::OkStatus() : UnexpectedReply("the answer to a PING");
+  ASSIGN_OR_RETURN(const auto reply, client_->Run({"PING", expected}));
+  return TextOf(*reply) == expected ? absl::OkStatus() : UnexpectedReply("the answer to a PING");
 }
 
 absl::Status RedisBackend::LookAtSettings() {
-  auto durability = ReadRedisDurability(*client_);
-  if (!durability.ok()) return durability.status();
-  durability_ = *std::move(durability);
+  ASSIGN_OR_RETURN(durability_, ReadRedisDurability(*client_));
   looked_ = clock_.Now();
   const std::vector<std::string> warnings = durability_.Warnings(options_.replicas);
   std::string settings = absl::StrJoin(warnings, "; ");
@@ -181,10 +177,10 @@ absl::StatusOr<bool> RedisBackend::Connect() {
   if (client_ != nullptr && clock_.Now() - used_ > kFresh) {
     if (!Ping().ok()) client_ = nullptr;
   }
-  if (auto status = EnsureClient(); !status.ok()) return status;
+  RETURN_IF_ERROR(EnsureClient());
   const bool refuses = !CheckKeepsRecords().ok();
   if (clock_.Now() - looked_ > (refuses ? kRefusedInterval : kLookInterval)) {
-    if (auto status = LookAtSettings(); !status.ok()) return status;
+    RETURN_IF_ERROR(LookAtSettings());
   }
   used_ = clock_.Now();
   return std::exchange(is_new_, false);
@@ -192,7 +188,7 @@ absl::StatusOr<bool> RedisBackend::Connect() {
 
 template <typename Exchange>
 absl::StatusOr<RedisBackend::Outcomes> RedisBackend::OnClient(Exchange exchange) {
-  if (auto status = EnsureClient(); !status.ok()) return status;
+  RETURN_IF_ERROR(EnsureClient());
   absl::StatusOr<Outcomes> result = exchange();
   if (result.ok() && options_.replicas > 0) {
     if (auto status = client_->WaitForReplicas(); !status.ok()) result = status;
@@ -228,14 +224,12 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::CheckAll(
   }
   std::vector<size_t> others;
   for (const size_t i : asked) {
-    const auto reply = client_->Read();
-    if (!reply.ok()) return reply.status();
-    if ((*reply)->integer != 1) others.push_back(i);
+    ASSIGN_OR_RETURN(const auto reply, client_->Read());
+    if (reply->integer != 1) others.push_back(i);
   }
   Outcomes outcomes(journals.size());
   for (const size_t i : others) {
-    auto status = FindReason(*journals[i].journal, &outcomes[i]);
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(FindReason(*journals[i].journal, &outcomes[i]));
   }
   return outcomes;
 }
@@ -273,13 +267,12 @@ absl::Status RedisBackend::MoveUncertain() {
   }
   Journals moved;
   for (const auto& [journal, move] : uncertain_) {
-    const auto reply = client_->Read();
-    if (!reply.ok()) return reply.status();
-    if ((*reply)->integer == 1) moved.insert(journal);
+    ASSIGN_OR_RETURN(const auto reply, client_->Read());
+    if (reply->integer == 1) moved.insert(journal);
   }
   // An owner whose move is lost would take its own former epoch for one that the store has lost.
   if (options_.replicas > 0 && !moved.empty()) {
-    if (auto status = client_->WaitForReplicas(); !status.ok()) return status;
+    RETURN_IF_ERROR(client_->WaitForReplicas());
   }
   for (const auto& [journal, move] : uncertain_) {
     if (moved.contains(journal)) journal->OnMoved(move.epoch);
@@ -295,9 +288,8 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::WriteAll(
   Outcomes outcomes(records.size());
   std::vector<size_t> refused;
   for (size_t i = 0; i < records.size(); ++i) {
-    const auto is_written = ReadReplies(records[i]);
-    if (!is_written.ok()) return is_written.status();
-    if (!*is_written) refused.push_back(i);
+    ASSIGN_OR_RETURN(const auto is_written, ReadReplies(records[i]));
+    if (!is_written) refused.push_back(i);
   }
   for (const std::string& list : std::exchange(left_over_, {})) {
     if (const auto reply = client_->Run({"DEL", list}); !reply.ok()) return reply.status();
@@ -308,8 +300,7 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::WriteAll(
       outcomes[i] = absl::AlreadyExistsError("session_id: expected one that is not open");
       continue;
     }
-    auto status = FindReason(*records[i].journal, &outcomes[i]);
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(FindReason(*records[i].journal, &outcomes[i]));
   }
   return outcomes;
 }
@@ -358,55 +349,50 @@ absl::StatusOr<bool> RedisBackend::ReadReplies(const JournalRecord& record) {
   if (record.kind != JournalRecord::Kind::kEntry && record.kind != JournalRecord::Kind::kConfirm) {
     return ReadPut(record);
   }
-  const auto base = client_->Read();
-  if (!base.ok()) return base.status();
-  const auto length = client_->Read();
-  if (!length.ok()) return length.status();
-  if ((*length)->integer == 0 || (*base)->type != REDIS_REPLY_STRING) return false;
+  ASSIGN_OR_RETURN(const auto base, client_->Read());
+  ASSIGN_OR_RETURN(const auto length, client_->Read());
+  if (length->integer == 0 || base->type != REDIS_REPLY_STRING) return false;
   if (of_unknown_length_.contains(record.journal)) return true;
-  return TextOf(**base) == BaseOf(*record.journal, record.base) &&
-         (*length)->integer == static_cast<int64_t>(record.records);
+  return TextOf(*base) == BaseOf(*record.journal, record.base) &&
+         length->integer == static_cast<int64_t>(record.records);
 }
 
 absl::StatusOr<bool> RedisBackend::ReadPut(const JournalRecord& record) {
-  const auto reply = client_->Read();
-  if (!reply.ok()) return reply.status();
-  const bool is_number = (*reply)->type == REDIS_REPLY_INTEGER;
-  if (!is_number && (*reply)->type != REDIS_REPLY_STRING) {
+  ASSIGN_OR_RETURN(const auto reply, client_->Read());
+  const bool is_number = reply->type == REDIS_REPLY_INTEGER;
+  if (!is_number && reply->type != REDIS_REPLY_STRING) {
     return absl::UnavailableError("session store: expected the outcome of a snapshot");
   }
-  if (is_number && (*reply)->integer == 0) return false;
+  if (is_number && reply->integer == 0) return false;
   of_unknown_length_.erase(record.journal);
   if (is_number) return true;
   // What an older epoch has left. If this is not done, it expires.
-  left_over_.push_back(RedisListKey(record.journal->key().id, TextOf(**reply)));
+  left_over_.push_back(RedisListKey(record.journal->key().id, TextOf(*reply)));
   return true;
 }
 
 absl::Status RedisBackend::FindReason(SessionJournal& journal, absl::Status* reason) {
   const std::string& id = journal.key().id;
-  const auto reply =
-      client_->Run({"HMGET", RedisHashKey(id), "epoch", "owner", "state", "changes"});
-  if (!reply.ok()) return reply.status();
-  if (!IsArray(**reply, 4)) return UnexpectedReply("four fields");
-  const std::string epoch = TextAt(**reply, 0);
+  ASSIGN_OR_RETURN(const auto reply,
+                   client_->Run({"HMGET", RedisHashKey(id), "epoch", "owner", "state", "changes"}));
+  if (!IsArray(*reply, 4)) return UnexpectedReply("four fields");
+  const std::string epoch = TextAt(*reply, 0);
   if (epoch.empty()) {
     *reason = absl::NotFoundError("the store does not have the session");
     return absl::OkStatus();
   }
   uint64_t number = 0;
-  const bool is_mine = TextAt(**reply, 1) == owner_;
-  const bool is_known = absl::SimpleAtoi(epoch, &number) && TextAt(**reply, 2) == "open";
+  const bool is_mine = TextAt(*reply, 1) == owner_;
+  const bool is_known = absl::SimpleAtoi(epoch, &number) && TextAt(*reply, 2) == "open";
   *reason = absl::AbortedError("another owner has claimed the session");
   if (!is_known) return absl::OkStatus();
   if (!is_mine) {
-    const auto length = client_->Run({"LLEN", RedisListKey(id, epoch)});
-    if (!length.ok()) return length.status();
+    ASSIGN_OR_RETURN(const auto length, client_->Run({"LLEN", RedisListKey(id, epoch)}));
     int64_t changes = 0;
-    absl::string_view text = TextOf(*(*reply)->element[3]);
+    absl::string_view text = TextOf(*reply->element[3]);
     const bool has_changes =
         absl::ConsumePrefix(&text, absl::StrCat(epoch, ":")) && absl::SimpleAtoi(text, &changes);
-    changes += std::max((*length)->integer, 1LL) - 1;
+    changes += std::max(length->integer, 1LL) - 1;
     const bool is_known_owner = number == journal.key().claimed_from && number < journal.epoch();
     if (changes > MostReplaced(journal, number)) return absl::OkStatus();
     if (!has_changes && !is_known_owner) return absl::OkStatus();
@@ -427,7 +413,7 @@ std::vector<absl::StatusOr<ClaimedJournal>> RedisBackend::Claim(
   const auto outcome = OnClient([&]() -> absl::StatusOr<Outcomes> {
     results = ClaimRedisJournals(*client_, {owner_, retention_}, claims, random_);
     // A claim may have failed because of its keys alone, or because the connection did.
-    if (auto status = Ping(); !status.ok()) return status;
+    RETURN_IF_ERROR(Ping());
     return Outcomes();
   });
   if (outcome.ok()) return results;

@@ -5,6 +5,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "core/base/status_macros.h"
 #include "core/store/stored_session.h"
 
 namespace spikeserve {
@@ -86,9 +87,7 @@ absl::StatusOr<RedisReply> RedisShared::Run(bool writes,
                                             std::initializer_list<absl::string_view> arguments) {
   absl::MutexLock lock(&mutex_);
   if (client_ == nullptr) {
-    auto connected = RedisClient::Connect(options_);
-    if (!connected.ok()) return connected.status();
-    client_ = *std::move(connected);
+    ASSIGN_OR_RETURN(client_, RedisClient::Connect(options_));
   }
   auto reply = client_->Run(arguments);
   if (reply.ok() && writes && options_.replicas > 0) {
@@ -99,25 +98,25 @@ absl::StatusOr<RedisReply> RedisShared::Run(bool writes,
 }
 
 absl::StatusOr<SharedSettings::Document> RedisShared::Read() {
-  const auto reply = Run(/*writes=*/false, {"HMGET", kSettings, "revision", "settings"});
-  if (!reply.ok()) return reply.status();
+  ASSIGN_OR_RETURN(const auto reply,
+                   Run(/*writes=*/false, {"HMGET", kSettings, "revision", "settings"}));
   Document document;
-  if ((*reply)->type != REDIS_REPLY_ARRAY || (*reply)->elements != 2) {
+  if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 2) {
     return Unexpected("a revision and settings");
   }
-  const absl::string_view revision = TextOf(*(*reply)->element[0]);
+  const absl::string_view revision = TextOf(*reply->element[0]);
   if (!revision.empty() && !absl::SimpleAtoi(revision, &document.revision)) {
     return Unexpected("a revision");
   }
-  document.json = std::string(TextOf(*(*reply)->element[1]));
+  document.json = std::string(TextOf(*reply->element[1]));
   return document;
 }
 
 absl::Status RedisShared::Write(const Document& document) {
-  const auto reply = Run(/*writes=*/true, {"EVAL", kWrite, "1", kSettings,
-                                           absl::StrCat(document.revision), document.json});
-  if (!reply.ok()) return reply.status();
-  if ((*reply)->integer == 1) return absl::OkStatus();
+  ASSIGN_OR_RETURN(const auto reply,
+                   Run(/*writes=*/true, {"EVAL", kWrite, "1", kSettings,
+                                         absl::StrCat(document.revision), document.json}));
+  if (reply->integer == 1) return absl::OkStatus();
   return absl::AbortedError("settings: another server has changed them");
 }
 
@@ -126,9 +125,8 @@ absl::Status RedisShared::PutFile(const std::string& name, const std::string& by
 }
 
 absl::StatusOr<std::string> RedisShared::GetFile(const std::string& name) {
-  const auto reply = Run(/*writes=*/false, {"GET", FileKey(name)});
-  if (!reply.ok()) return reply.status();
-  if ((*reply)->type == REDIS_REPLY_STRING) return std::string(TextOf(**reply));
+  ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/false, {"GET", FileKey(name)}));
+  if (reply->type == REDIS_REPLY_STRING) return std::string(TextOf(*reply));
   return absl::NotFoundError(absl::StrCat("the store has no file ", name));
 }
 
@@ -137,15 +135,15 @@ absl::StatusOr<SharedSettings::ComparedFiles> RedisShared::CompareFiles(
   std::string lines;
   for (const VersionFile& file : files)
     absl::StrAppend(&lines, file.version, " ", file.sha256, "\n");
-  const auto reply = Run(/*writes=*/true, {"EVAL", kCompare, "1", kVersions, replica_,
-                                           absl::StrJoin(alive, " "), lines});
-  if (!reply.ok()) return reply.status();
+  ASSIGN_OR_RETURN(const auto reply,
+                   Run(/*writes=*/true, {"EVAL", kCompare, "1", kVersions, replica_,
+                                         absl::StrJoin(alive, " "), lines}));
   ComparedFiles compared;
-  if ((*reply)->type != REDIS_REPLY_ARRAY || (*reply)->elements != 2 ||
-      !absl::SimpleAtoi(TextOf(*(*reply)->element[0]), &compared.revision)) {
+  if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 2 ||
+      !absl::SimpleAtoi(TextOf(*reply->element[0]), &compared.revision)) {
     return Unexpected("the outcome of a comparison");
   }
-  const redisReply& different = *(*reply)->element[1];
+  const redisReply& different = *reply->element[1];
   for (size_t i = 0; i < different.elements; ++i) {
     compared.different.emplace_back(TextOf(*different.element[i]));
   }
@@ -153,40 +151,39 @@ absl::StatusOr<SharedSettings::ComparedFiles> RedisShared::CompareFiles(
 }
 
 absl::StatusOr<int64_t> RedisShared::FilesRevision() {
-  const auto reply = Run(/*writes=*/false, {"HGET", kVersions, "changes"});
-  if (!reply.ok()) return reply.status();
+  ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/false, {"HGET", kVersions, "changes"}));
   int64_t revision = 0;
-  const absl::string_view text = TextOf(**reply);
+  const absl::string_view text = TextOf(*reply);
   if (!text.empty() && !absl::SimpleAtoi(text, &revision)) return Unexpected("a number of changes");
   return revision;
 }
 
 absl::StatusOr<std::vector<std::string>> RedisShared::Heartbeat() {
-  const auto reply = Run(/*writes=*/false, {"EVAL", kBeat, "1", kRedisReplicas, replica_,
-                                            absl::StrCat(kAliveMilliseconds)});
-  if (!reply.ok()) return reply.status();
+  ASSIGN_OR_RETURN(const auto reply,
+                   Run(/*writes=*/false, {"EVAL", kBeat, "1", kRedisReplicas, replica_,
+                                          absl::StrCat(kAliveMilliseconds)}));
   std::vector<std::string> replicas;
-  for (size_t i = 0; i < (*reply)->elements; ++i) {
-    replicas.emplace_back(TextOf(*(*reply)->element[i]));
+  for (size_t i = 0; i < reply->elements; ++i) {
+    replicas.emplace_back(TextOf(*reply->element[i]));
   }
   return replicas;
 }
 
 absl::StatusOr<std::vector<ReplicaReport>> RedisShared::Report(const std::string& json,
                                                                absl::Duration now) {
-  const auto reply = Run(/*writes=*/false, {"EVAL", kReport, "1", kServers, replica_, json,
-                                            absl::StrCat(absl::ToInt64Milliseconds(kReportLife))});
-  if (!reply.ok()) return reply.status();
-  if ((*reply)->type != REDIS_REPLY_ARRAY || (*reply)->elements % 3 != 0) {
+  ASSIGN_OR_RETURN(const auto reply,
+                   Run(/*writes=*/false, {"EVAL", kReport, "1", kServers, replica_, json,
+                                          absl::StrCat(absl::ToInt64Milliseconds(kReportLife))}));
+  if (reply->type != REDIS_REPLY_ARRAY || reply->elements % 3 != 0) {
     return Unexpected("the reports of servers");
   }
   std::vector<ReplicaReport> reports;
-  for (size_t i = 0; i < (*reply)->elements; i += 3) {
+  for (size_t i = 0; i < reply->elements; i += 3) {
     int64_t age = 0;
-    if (!absl::SimpleAtoi(TextOf(*(*reply)->element[i + 1]), &age)) return Unexpected("an age");
-    reports.push_back({.replica = std::string(TextOf(*(*reply)->element[i])),
+    if (!absl::SimpleAtoi(TextOf(*reply->element[i + 1]), &age)) return Unexpected("an age");
+    reports.push_back({.replica = std::string(TextOf(*reply->element[i])),
                        .written = now - absl::Milliseconds(age),
-                       .json = std::string(TextOf(*(*reply)->element[i + 2]))});
+                       .json = std::string(TextOf(*reply->element[i + 2]))});
   }
   return reports;
 }

@@ -14,6 +14,7 @@
 #include <cstring>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -86,7 +87,7 @@ absl::Status ClientSocket::StartTls(const std::string& host, ssl_ctx_st* tls, ab
     const int result = SSL_connect(tls_);
     if (result == 1) return absl::OkStatus();
     if (const auto waits = TlsResult(result); !waits.ok()) return waits.status();
-    if (auto status = Wait(/*writes=*/false, end); !status.ok()) return status;
+    RETURN_IF_ERROR(Wait(/*writes=*/false, end));
   }
 }
 

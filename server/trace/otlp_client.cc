@@ -12,6 +12,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -112,7 +113,7 @@ struct OtlpClient::Callbacks {
 
 absl::StatusOr<std::unique_ptr<OtlpClient>> OtlpClient::Create(const TraceOptions& options) {
   std::unique_ptr<OtlpClient> client(new OtlpClient(options));
-  if (auto status = client->ReadFiles(); !status.ok()) return status;
+  RETURN_IF_ERROR(client->ReadFiles());
   return client;
 }
 
@@ -147,9 +148,7 @@ absl::Status OtlpClient::ReadFiles() {
 
 absl::Status OtlpClient::Connect(absl::Duration end) {
   Disconnect();
-  auto socket = ClientSocket::Connect(options_.host, options_.port, tls_.get(), end);
-  if (!socket.ok()) return socket.status();
-  socket_ = *std::move(socket);
+  ASSIGN_OR_RETURN(socket_, ClientSocket::Connect(options_.host, options_.port, tls_.get(), end));
   nghttp2_session_callbacks* callbacks = nullptr;
   nghttp2_session_callbacks_new(&callbacks);
   nghttp2_session_callbacks_set_on_header_callback(callbacks, &Callbacks::OnHeader);
@@ -186,7 +185,7 @@ absl::StatusOr<std::string> OtlpClient::Call(absl::string_view path, absl::strin
 absl::StatusOr<std::string> OtlpClient::CallOnce(absl::string_view path, absl::string_view message,
                                                  absl::Duration end) {
   if (session_ == nullptr || nghttp2_session_check_request_allowed(session_) == 0) {
-    if (auto status = Connect(end); !status.ok()) return status;
+    RETURN_IF_ERROR(Connect(end));
   }
   Exchange exchange = {.request = Framed(message)};
   auto status = Submit(path, &exchange);
@@ -222,9 +221,9 @@ absl::Status OtlpClient::Submit(absl::string_view path, Exchange* exchange) {
 
 absl::Status OtlpClient::Run(const Exchange& exchange, absl::Duration end) {
   while (true) {
-    if (auto status = Flush(); !status.ok()) return status;
+    RETURN_IF_ERROR(Flush());
     if (exchange.closed) return absl::OkStatus();
-    if (auto status = socket_->Wait(/*writes=*/!unsent_.empty(), end); !status.ok()) return status;
+    RETURN_IF_ERROR(socket_->Wait(/*writes=*/!unsent_.empty(), end));
     if (auto status = Receive(); !status.ok()) {
       // The answer may have come before the connection ended.
       return exchange.closed ? absl::OkStatus() : status;
@@ -241,21 +240,19 @@ absl::Status OtlpClient::Flush() {
       if (length == 0) return absl::OkStatus();
       unsent_.assign(reinterpret_cast<const char*>(data), static_cast<size_t>(length));
     }
-    const auto written = socket_->Write(unsent_);
-    if (!written.ok()) return written.status();
-    if (*written == 0) return absl::OkStatus();
-    unsent_.erase(0, *written);
+    ASSIGN_OR_RETURN(const auto written, socket_->Write(unsent_));
+    if (written == 0) return absl::OkStatus();
+    unsent_.erase(0, written);
   }
 }
 
 absl::Status OtlpClient::Receive() {
   std::array<char, 16384> buffer;
   while (true) {
-    const auto count = socket_->Read(buffer.data(), buffer.size());
-    if (!count.ok()) return count.status();
-    if (*count == 0) return absl::OkStatus();
+    ASSIGN_OR_RETURN(const auto count, socket_->Read(buffer.data(), buffer.size()));
+    if (count == 0) return absl::OkStatus();
     const ssize_t taken =
-        nghttp2_session_mem_recv(session_, reinterpret_cast<const uint8_t*>(buffer.data()), *count);
+        nghttp2_session_mem_recv(session_, reinterpret_cast<const uint8_t*>(buffer.data()), count);
     if (taken < 0) return absl::UnavailableError(nghttp2_strerror(static_cast<int>(taken)));
   }
 }

@@ -4,6 +4,7 @@
 #include <iterator>
 #include <utility>
 
+#include "core/base/status_macros.h"
 #include "server/base/log.h"
 #include "server/trace/otlp.h"
 
@@ -45,9 +46,8 @@ prometheus::Counter& AddCounter(prometheus::Registry* registry, const char* outc
 
 absl::StatusOr<std::unique_ptr<SpanExporter>> SpanExporter::Create(const TraceOptions& options,
                                                                    prometheus::Registry* registry) {
-  auto client = OtlpClient::Create(options);
-  if (!client.ok()) return client.status();
-  return std::unique_ptr<SpanExporter>(new SpanExporter(options, *std::move(client), registry));
+  ASSIGN_OR_RETURN(auto client, OtlpClient::Create(options));
+  return std::unique_ptr<SpanExporter>(new SpanExporter(options, std::move(client), registry));
 }
 
 SpanExporter::SpanExporter(const TraceOptions& options, std::unique_ptr<OtlpClient> client,

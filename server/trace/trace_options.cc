@@ -10,6 +10,7 @@
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "core/base/json.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -199,8 +200,7 @@ absl::Status ReadBatches(Get get, TraceOptions* options) {
 }
 
 absl::Status ReadResource(Get get, TraceOptions* options) {
-  auto status = ReadPairs(Read(get, "RESOURCE_ATTRIBUTES"), &options->resource);
-  if (!status.ok()) return status;
+  RETURN_IF_ERROR(ReadPairs(Read(get, "RESOURCE_ATTRIBUTES"), &options->resource));
   const Variable service = Read(get, "SERVICE_NAME");
   std::erase_if(options->resource, [&](const auto& pair) {
     if (pair.first != "service.name") return false;
@@ -225,7 +225,7 @@ absl::StatusOr<TraceOptions> ReadTraceOptions(Get get) {
   if (exporter.is_set() && exporter.value != "otlp") return exporter.Wrong("otlp or none");
   const Variable endpoint = ReadExporter(get, "ENDPOINT");
   if (endpoint.is_set()) {
-    if (auto status = ReadEndpoint(endpoint, &options); !status.ok()) return status;
+    RETURN_IF_ERROR(ReadEndpoint(endpoint, &options));
   } else if (exporter.is_set()) {
     options.host = "localhost";
   } else {

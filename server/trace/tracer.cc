@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <utility>
 
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 
 namespace spikeserve {
@@ -11,9 +12,8 @@ namespace spikeserve {
 absl::StatusOr<std::unique_ptr<Tracer>> Tracer::Create(const TraceOptions& options,
                                                        prometheus::Registry* registry) {
   SPIKESERVE_DCHECK(options.enabled());
-  auto exporter = SpanExporter::Create(options, registry);
-  if (!exporter.ok()) return exporter.status();
-  return std::unique_ptr<Tracer>(new Tracer(options, *std::move(exporter)));
+  ASSIGN_OR_RETURN(auto exporter, SpanExporter::Create(options, registry));
+  return std::unique_ptr<Tracer>(new Tracer(options, std::move(exporter)));
 }
 
 bool Tracer::IsChosen(const TraceParent& parent) const {

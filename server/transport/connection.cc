@@ -5,6 +5,7 @@
 #include <array>
 #include <utility>
 
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "server/base/log.h"
 #include "server/transport/connection_callbacks.h"
@@ -79,7 +80,7 @@ void Connection::Enter(State next) {
 absl::Status Connection::Start() {
   SPIKESERVE_DCHECK_EQ(watched_, uint32_t{0});  // called once
   watched_ = EPOLLIN;
-  if (auto status = loop().Watch(socket_->fd(), watched_, this); !status.ok()) return status;
+  RETURN_IF_ERROR(loop().Watch(socket_->fd(), watched_, this));
   WantFlush();
   return absl::OkStatus();
 }

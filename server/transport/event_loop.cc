@@ -9,6 +9,8 @@
 #include <limits>
 #include <utility>
 
+#include "core/base/status_macros.h"
+
 namespace spikeserve {
 namespace {
 
@@ -27,7 +29,7 @@ absl::StatusOr<std::unique_ptr<EventLoop>> EventLoop::Create(const Clock* clock)
   if (!loop->epoll_.valid() || !loop->wakeup_.valid()) {
     return absl::ResourceExhaustedError("event loop: cannot open a file descriptor");
   }
-  if (auto status = loop->Watch(loop->wakeup_.get(), EPOLLIN, nullptr); !status.ok()) return status;
+  RETURN_IF_ERROR(loop->Watch(loop->wakeup_.get(), EPOLLIN, nullptr));
   return loop;
 }
 

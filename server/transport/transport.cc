@@ -9,6 +9,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/blocking_counter.h"
 #include "absl/time/clock.h"
+#include "core/base/status_macros.h"
 #include "core/base/steady_wait.h"
 #include "server/transport/listener.h"
 
@@ -54,20 +55,18 @@ Transport::Transport(const TransportOptions& options)
 absl::StatusOr<std::unique_ptr<Transport>> Transport::Create(const TransportOptions& options) {
   auto transport = std::unique_ptr<Transport>(new Transport(options));
   for (int i = 0; i < options.loops; ++i) {
-    auto loop =
-        TransportLoop::Create(&transport->options_.limits, &transport->budgets_, options.clock);
-    if (!loop.ok()) return loop.status();
-    transport->loops_.push_back(*std::move(loop));
+    ASSIGN_OR_RETURN(auto loop, TransportLoop::Create(&transport->options_.limits,
+                                                      &transport->budgets_, options.clock));
+    transport->loops_.push_back(std::move(loop));
   }
-  auto listeners = Listen("--listen", options.listen);
-  if (!listeners.ok()) return listeners.status();
-  transport->address_ = listeners->address;
+  ASSIGN_OR_RETURN(auto listeners, Listen("--listen", options.listen));
+  transport->address_ = listeners.address;
   Acceptor::Options accepting = {.hosts = {},
                                  .connections = &transport->connections_,
                                  .refusal = kRefusal,
                                  .tls = options.tls};
   for (const auto& loop : transport->loops_) accepting.hosts.push_back(loop.get());
-  for (FileDescriptor& listener : listeners->sockets) {
+  for (FileDescriptor& listener : listeners.sockets) {
     transport->acceptors_.push_back(std::make_unique<Acceptor>(std::move(listener), accepting));
   }
   return transport;
@@ -77,7 +76,7 @@ Transport::~Transport() { Stop(absl::ZeroDuration()); }
 
 absl::Status Transport::Start() {
   for (const auto& acceptor : acceptors_) {
-    if (auto status = acceptor->Start(); !status.ok()) return status;
+    RETURN_IF_ERROR(acceptor->Start());
   }
   for (const auto& loop : loops_) loop->Run();
   running_ = true;

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 
 namespace spikeserve {
@@ -12,10 +13,9 @@ namespace spikeserve {
 absl::StatusOr<std::unique_ptr<TransportLoop>> TransportLoop::Create(const TransportLimits* limits,
                                                                      TransportBudgets* budgets,
                                                                      const Clock* clock) {
-  auto events = EventLoop::Create(clock);
-  if (!events.ok()) return events.status();
+  ASSIGN_OR_RETURN(auto events, EventLoop::Create(clock));
   return std::unique_ptr<TransportLoop>(
-      new TransportLoop(limits, budgets, clock, *std::move(events)));
+      new TransportLoop(limits, budgets, clock, std::move(events)));
 }
 
 TransportLoop::TransportLoop(const TransportLimits* limits, TransportBudgets* budgets,

@@ -12,6 +12,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/types/span.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "server/base/address.h"
 #include "server/base/gzip.h"
@@ -67,7 +68,7 @@ HttpConnection::HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<C
 HttpConnection::~HttpConnection() { SPIKESERVE_DCHECK(state_ == State::kClosed); }
 
 absl::Status HttpConnection::Start() {
-  if (auto status = events().Watch(socket_->fd(), EPOLLIN, this); !status.ok()) return status;
+  RETURN_IF_ERROR(events().Watch(socket_->fd(), EPOLLIN, this));
   Enter(State::kReading, kRequestTimeout, EPOLLIN);
   return absl::OkStatus();
 }

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "absl/time/clock.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -36,7 +37,7 @@ absl::Status HttpLoop::Run(std::vector<FileDescriptor> listeners) {
       .hosts = {this}, .connections = &table_, .refusal = kRefusal, .tls = options_.tls};
   for (FileDescriptor& listener : listeners) {
     acceptors_.push_back(std::make_unique<Acceptor>(std::move(listener), accepting));
-    if (auto status = acceptors_.back()->Start(); !status.ok()) return status;
+    RETURN_IF_ERROR(acceptors_.back()->Start());
   }
   thread_ = std::thread([this] { events_->Run(); });
   return absl::OkStatus();

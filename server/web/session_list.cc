@@ -18,6 +18,7 @@
 #include "absl/time/time.h"
 #include "core/base/cbor.h"
 #include "core/base/json.h"
+#include "core/base/status_macros.h"
 #include "core/session/session_id.h"
 #include "nlohmann/json.hpp"
 #include "server/admin/session_info.h"
@@ -375,24 +376,22 @@ Json ObservationJson(const Session& session, const Policy& policy, double unusua
 
 absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& caller,
                                          const HttpQuery& query) {
-  const auto order = OrderOf(query);
-  if (!order.ok()) return order.status();
-  const auto page_size = query.GetInteger("page_size", kDefaultPageSize, 1, kLargestPageSize);
-  if (!page_size.ok()) return page_size.status();
-  const auto after = PlaceOf(query.Get("page_token"), *order);
-  if (!after.ok()) return after.status();
+  ASSIGN_OR_RETURN(const auto order, OrderOf(query));
+  ASSIGN_OR_RETURN(const auto page_size,
+                   query.GetInteger("page_size", kDefaultPageSize, 1, kLargestPageSize));
+  ASSIGN_OR_RETURN(const auto after, PlaceOf(query.Get("page_token"), order));
 
   const std::string filter = query.Get("filter");
-  const auto limit = static_cast<size_t>(*page_size);
+  const auto limit = static_cast<size_t>(page_size);
   // One more than the page, which shows whether there is another one.
-  Selection found = filter.empty() && order->IsByIdAscending()
-                        ? FirstById(store, caller, *after, limit + 1)
-                        : FirstInOrder(store, caller, filter, *order, *after, limit + 1);
+  Selection found = filter.empty() && order.IsByIdAscending()
+                        ? FirstById(store, caller, after, limit + 1)
+                        : FirstInOrder(store, caller, filter, order, after, limit + 1);
   std::vector<Row>& rows = found.rows;
   std::string next;
   if (rows.size() > limit) {
     rows.resize(limit);
-    next = TokenOf({.key = rows.back().key, .id = rows.back().session.id}, *order);
+    next = TokenOf({.key = rows.back().key, .id = rows.back().session.id}, order);
   }
   Json sessions = Json::array();
   for (const Row& row : rows) sessions.push_back(InfoJson(row.session));

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "absl/time/time.h"
+#include "core/base/status_macros.h"
 #include "core/base/version.h"
 #include "core/engine/energy.h"
 #include "nlohmann/json.hpp"
@@ -76,10 +77,8 @@ absl::StatusOr<std::string> StatusJson(Json figures,
                                        const v1::ListPoliciesResponse& policies,
                                        const v1::ListRolloutsResponse& rollouts,
                                        const ServerStatus& server) {
-  const auto policies_json = MessageToJson(policies);
-  if (!policies_json.ok()) return policies_json.status();
-  const auto rollouts_json = MessageToJson(rollouts);
-  if (!rollouts_json.ok()) return rollouts_json.status();
+  ASSIGN_OR_RETURN(const auto policies_json, MessageToJson(policies));
+  ASSIGN_OR_RETURN(const auto rollouts_json, MessageToJson(rollouts));
   Json status = std::move(figures);
   status["time"] = server.time;
   status["version"] = std::string(Version());
@@ -88,8 +87,8 @@ absl::StatusOr<std::string> StatusJson(Json figures,
   status["replica"] = server.replica;
   status["replicas"] = server.replicas;
   status["servers"] = ServersToJson(server);
-  status["policies"] = Json::parse(*policies_json)["policies"];
-  status["rollouts"] = Json::parse(*rollouts_json)["rollouts"];
+  status["policies"] = Json::parse(policies_json)["policies"];
+  status["rollouts"] = Json::parse(rollouts_json)["rollouts"];
   status["energy_models"] = EnergyModelsToJson();
   status["metrics"] = Json::object();
   for (const prometheus::MetricFamily& family : families) {

@@ -10,6 +10,7 @@
 #include "absl/strings/strip.h"
 #include "absl/time/time.h"
 #include "core/base/json.h"
+#include "core/base/status_macros.h"
 #include "proto/json.h"
 #include "server/access/admission.h"
 #include "server/base/http_query.h"
@@ -103,11 +104,10 @@ HttpResponse StatusPages::Health() const {
 
 absl::StatusOr<std::string> StatusPages::Status(const Credential& caller,
                                                 const HttpRequest& request) const {
-  const auto query = HttpQuery::Parse(request.parameters, {"window", "metrics"});
-  if (!query.ok()) return query.status();
-  const auto window = query->GetInteger("window", kDefaultWindow, 1, kLongestWindow);
-  if (!window.ok()) return window.status();
-  const std::string metrics = query->Get("metrics", "true");
+  ASSIGN_OR_RETURN(const auto query, HttpQuery::Parse(request.parameters, {"window", "metrics"}));
+  ASSIGN_OR_RETURN(const auto window,
+                   query.GetInteger("window", kDefaultWindow, 1, kLongestWindow));
+  const std::string metrics = query.Get("metrics", "true");
   if (metrics != "true" && metrics != "false") {
     return absl::InvalidArgumentError(
         absl::StrCat("metrics: expected true or false, received ", Quoted(metrics)));
@@ -121,7 +121,7 @@ absl::StatusOr<std::string> StatusPages::Status(const Credential& caller,
     return status;
   std::vector<prometheus::MetricFamily> families;
   if (metrics == "true") families = parts_.metrics->Collect();
-  return StatusJson(parts_.history->Status(absl::Seconds(*window)), families, policies, rollouts,
+  return StatusJson(parts_.history->Status(absl::Seconds(window)), families, policies, rollouts,
                     {.time = absl::ToDoubleSeconds(parts_.clock->Now()),
                      .serving = parts_.serving(),
                      .store = parts_.store_address,
@@ -131,34 +131,32 @@ absl::StatusOr<std::string> StatusPages::Status(const Credential& caller,
 }
 
 absl::StatusOr<std::string> StatusPages::History(const HttpRequest& request) const {
-  const auto query = HttpQuery::Parse(request.parameters, {"seconds"});
-  if (!query.ok()) return query.status();
-  const auto seconds = query->GetInteger("seconds", kDefaultHistory, 1,
-                                         absl::ToInt64Seconds(ServerHistory::kLongest));
-  if (!seconds.ok()) return seconds.status();
-  return parts_.history->Over(absl::Seconds(*seconds)).dump();
+  ASSIGN_OR_RETURN(const auto query, HttpQuery::Parse(request.parameters, {"seconds"}));
+  ASSIGN_OR_RETURN(const auto seconds,
+                   query.GetInteger("seconds", kDefaultHistory, 1,
+                                    absl::ToInt64Seconds(ServerHistory::kLongest)));
+  return parts_.history->Over(absl::Seconds(seconds)).dump();
 }
 
 absl::StatusOr<std::string> StatusPages::Session(const Credential& caller,
                                                  const HttpRequest& request) const {
-  const auto query = HttpQuery::Parse(request.parameters, {"session"});
-  if (!query.ok()) return query.status();
-  return SessionJson(*parts_.store, caller, query->Get("session"), parts_.unusual_deviations);
+  ASSIGN_OR_RETURN(const auto query, HttpQuery::Parse(request.parameters, {"session"}));
+  return SessionJson(*parts_.store, caller, query.Get("session"), parts_.unusual_deviations);
 }
 
 absl::StatusOr<std::string> StatusPages::Sessions(const std::shared_ptr<const Credential>& caller,
                                                   const HttpRequest& request,
                                                   absl::Duration arrived) {
-  const auto query =
-      HttpQuery::Parse(request.parameters, {"filter", "sort", "order", "page_size", "page_token"});
-  if (!query.ok()) return query.status();
+  ASSIGN_OR_RETURN(
+      const auto query,
+      HttpQuery::Parse(request.parameters, {"filter", "sort", "order", "page_size", "page_token"}));
   absl::MutexLock lock(&list_mutex_);
   if (arrived < last_list_.began && caller == last_list_.caller &&
       request.parameters == last_list_.parameters) {
     return last_list_.json;
   }
   const absl::Duration began = parts_.clock->Now();
-  auto json = SessionsJson(*parts_.store, *caller, *query);
+  auto json = SessionsJson(*parts_.store, *caller, query);
   if (!json.ok()) return json;
   last_list_ = {caller, request.parameters, began, *json};
   return json;

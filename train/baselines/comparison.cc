@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 #include "train/data/clip_sampler.h"
 
@@ -77,13 +78,11 @@ absl::StatusOr<BaselineData> ReadBaselineData(const EpisodeSource& source, doubl
   const Split split = SplitEpisodes(source.entries(), validation);
   BaselineData data;
   data.is_held_out = !split.validation.empty();
-  absl::StatusOr<StepTable> training = ReadSteps(source, split.training, kTrainingSteps);
-  if (!training.ok()) return training.status();
-  data.training = *std::move(training);
-  absl::StatusOr<StepTable> held_out =
-      ReadSteps(source, data.is_held_out ? split.validation : split.training, kHeldOutSteps);
-  if (!held_out.ok()) return held_out.status();
-  data.held_out = *std::move(held_out);
+  ASSIGN_OR_RETURN(data.training, ReadSteps(source, split.training, kTrainingSteps));
+  ASSIGN_OR_RETURN(
+      StepTable held_out,
+      ReadSteps(source, data.is_held_out ? split.validation : split.training, kHeldOutSteps));
+  data.held_out = std::move(held_out);
   return data;
 }
 
@@ -136,11 +135,10 @@ BaselineComparison CompareWithBaselines(std::shared_ptr<const Policy> policy,
 
 absl::Status PlayBaselines(absl::string_view environment, uint64_t first_seed,
                            std::vector<double> policy_returns, BaselineComparison* comparison) {
-  absl::StatusOr<std::unique_ptr<Environment>> made = MakeEnvironment(environment);
-  if (!made.ok()) return made.status();
+  ASSIGN_OR_RETURN(std::unique_ptr<Environment> made, MakeEnvironment(environment));
   for (BaselineScore& score : comparison->baselines) {
     for (size_t i = 0; i < policy_returns.size(); ++i) {
-      score.returns.push_back(PlayEpisode(score.baseline, **made, first_seed + i));
+      score.returns.push_back(PlayEpisode(score.baseline, *made, first_seed + i));
     }
   }
   comparison->policy_returns = std::move(policy_returns);

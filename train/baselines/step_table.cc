@@ -4,6 +4,8 @@
 #include <cstdint>
 #include <utility>
 
+#include "core/base/status_macros.h"
+
 namespace spikeserve {
 namespace {
 
@@ -35,12 +37,11 @@ const Eigen::VectorXf& FrameInput::Push(absl::Span<const float> observation) {
 
 absl::StatusOr<StepTable> ReadSteps(const EpisodeSource& source, absl::Span<const int> episodes,
                                     int limit) {
-  absl::StatusOr<std::vector<Episode>> read = source.Read(EvenlySpaced(source, episodes, limit));
-  if (!read.ok()) return read.status();
+  ASSIGN_OR_RETURN(std::vector<Episode> read, source.Read(EvenlySpaced(source, episodes, limit)));
   const Dataset& dataset = source.dataset();
   const int obs = dataset.observation_size, act = dataset.action_space.size();
   StepTable table;
-  table.episodes = *std::move(read);
+  table.episodes = std::move(read);
   int rows = 0;
   for (const Episode& episode : table.episodes) {
     table.begins.push_back(rows);

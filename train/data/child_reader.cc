@@ -14,6 +14,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "core/base/status_macros.h"
 #include "core/dataset/dataset_cbor.h"
 
 namespace spikeserve {
@@ -47,9 +48,8 @@ bool WriteAll(int fd, absl::string_view bytes) {
 // Returns the dataset in CBOR.
 absl::StatusOr<std::string> ReadOrCatch(absl::FunctionRef<absl::StatusOr<Dataset>()> read) {
   try {
-    const absl::StatusOr<Dataset> dataset = read();
-    if (!dataset.ok()) return dataset.status();
-    return SerializeDataset(*dataset);
+    ASSIGN_OR_RETURN(const Dataset dataset, read());
+    return SerializeDataset(dataset);
   } catch (const std::bad_alloc&) {
     return absl::ResourceExhaustedError(
         "expected data that fits into half of the machine's memory, received more");
@@ -102,11 +102,10 @@ absl::StatusOr<Dataset> Result(int fd, int state) {
         "read it (",
         end, ")"));
   }
-  const auto bytes = ReadBack(fd);
-  if (!bytes.ok()) return bytes.status();
-  if (bytes->empty()) return absl::InternalError("expected a result, received none");
-  const auto code = static_cast<absl::StatusCode>((*bytes)[0]);
-  const absl::string_view rest = absl::string_view(*bytes).substr(1);
+  ASSIGN_OR_RETURN(const auto bytes, ReadBack(fd));
+  if (bytes.empty()) return absl::InternalError("expected a result, received none");
+  const auto code = static_cast<absl::StatusCode>(bytes[0]);
+  const absl::string_view rest = absl::string_view(bytes).substr(1);
   if (code != absl::StatusCode::kOk) return absl::Status(code, rest);
   return ParseDataset(rest);
 }

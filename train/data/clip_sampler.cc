@@ -5,6 +5,7 @@
 #include <map>
 #include <utility>
 
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
 
@@ -147,9 +148,8 @@ absl::StatusOr<Clips> ReadClips(const EpisodeSource& source, const std::vector<i
   Clips clips = EmptyClips(source.dataset(), count, timesteps);
   for (int clip = 0; clip < count; ++clip) {
     const ClipPlaces::Place place = places.Draw(key, clip);
-    const absl::StatusOr<std::vector<Episode>> read = source.Read({episodes[place.episode]});
-    if (!read.ok()) return read.status();
-    const Episode& episode = read->front();
+    ASSIGN_OR_RETURN(const std::vector<Episode> read, source.Read({episodes[place.episode]}));
+    const Episode& episode = read.front();
     FillClip(source.dataset(), episode, ReturnsToGo(episode), place.begin,
              DrawDelay(delay, key, clip), clip, &clips);
   }

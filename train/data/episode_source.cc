@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -29,11 +30,10 @@ class Scan {
 
   absl::Status AddFile(const std::string& path) {
     if (IsMinariDataset(path)) return AddMinari(path);
-    absl::StatusOr<Dataset> dataset = ReadDataset(path);
-    if (!dataset.ok()) return dataset.status();
-    std::vector<Episode> episodes = std::exchange(dataset->episodes, {});
+    ASSIGN_OR_RETURN(Dataset dataset, ReadDataset(path));
+    std::vector<Episode> episodes = std::exchange(dataset.episodes, {});
     files_.emplace_back(std::nullopt);
-    datasets_.push_back(*std::move(dataset));
+    datasets_.push_back(std::move(dataset));
     unsplittable_ = path;
     return Add(std::move(episodes));
   }
@@ -52,16 +52,14 @@ class Scan {
 
  private:
   absl::Status AddMinari(const std::string& path) {
-    absl::StatusOr<MinariEpisodes> file = MinariEpisodes::Open(path);
-    if (!file.ok()) return file.status();
-    files_.emplace_back(*std::move(file));
+    ASSIGN_OR_RETURN(MinariEpisodes file, MinariEpisodes::Open(path));
+    files_.emplace_back(std::move(file));
     const MinariEpisodes& opened = *files_.back();
     datasets_.push_back(opened.header());
     for (int first = 0; first < opened.count();) {
-      absl::StatusOr<std::vector<Episode>> episodes = opened.ReadFrom(first, kReadBytes);
-      if (!episodes.ok()) return episodes.status();
-      first += static_cast<int>(episodes->size());
-      if (auto status = Add(*std::move(episodes)); !status.ok()) return status;
+      ASSIGN_OR_RETURN(std::vector<Episode> episodes, opened.ReadFrom(first, kReadBytes));
+      first += static_cast<int>(episodes.size());
+      RETURN_IF_ERROR(Add(std::move(episodes)));
     }
     return absl::OkStatus();
   }
@@ -132,11 +130,10 @@ absl::StatusOr<EpisodeSource> EpisodeSource::Open(const std::vector<std::string>
                                                   int64_t memory) {
   Scan scan(memory);
   for (const std::string& path : paths) {
-    if (auto status = scan.AddFile(path); !status.ok()) return status;
+    RETURN_IF_ERROR(scan.AddFile(path));
   }
-  absl::StatusOr<Dataset> dataset = scan.TakeDataset();
-  if (!dataset.ok()) return dataset.status();
-  return EpisodeSource(*std::move(dataset), memory, scan.TakeStatistics(), scan.TakeEntries(),
+  ASSIGN_OR_RETURN(Dataset dataset, scan.TakeDataset());
+  return EpisodeSource(std::move(dataset), memory, scan.TakeStatistics(), scan.TakeEntries(),
                        scan.TakeFiles());
 }
 
@@ -155,9 +152,8 @@ absl::StatusOr<std::vector<Episode>> EpisodeSource::Read(absl::Span<const int> i
       of_file.push_back(entry.index);
       bytes += entry.memory;
     }
-    absl::StatusOr<std::vector<Episode>> read = files_[file].Read(of_file);
-    if (!read.ok()) return read.status();
-    std::move(read->begin(), read->end(), std::back_inserter(episodes));
+    ASSIGN_OR_RETURN(std::vector<Episode> read, files_[file].Read(of_file));
+    std::move(read.begin(), read.end(), std::back_inserter(episodes));
   }
   for (size_t i = 0; i < indices.size(); ++i) {
     const int expected = entries_[indices[i]].steps;

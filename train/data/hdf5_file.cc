@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -182,7 +183,7 @@ absl::Status Hdf5File::ReadNumber(const std::string& object, const std::string& 
 absl::StatusOr<int64_t> Hdf5File::ReadInteger(const std::string& object,
                                               const std::string& name) const {
   int64_t value = 0;
-  if (auto status = ReadNumber(object, name, H5T_NATIVE_INT64, &value); !status.ok()) return status;
+  RETURN_IF_ERROR(ReadNumber(object, name, H5T_NATIVE_INT64, &value));
   return value;
 }
 
@@ -244,13 +245,11 @@ absl::StatusOr<std::vector<bool>> Hdf5File::ReadBools(const std::string& name) c
   if (data < 0) return absl::NotFoundError(absl::StrCat(path_, ": no array ", name));
   const Handle stored(H5Dget_type(data), H5Tclose);
   if (H5Tget_class(stored) != H5T_ENUM) {
-    const auto integers = Read<int64_t>(name);
-    if (!integers.ok()) return integers.status();
-    return std::vector<bool>(integers->values.begin(), integers->values.end());
+    ASSIGN_OR_RETURN(const auto integers, Read<int64_t>(name));
+    return std::vector<bool>(integers.values.begin(), integers.values.end());
   }
-  const auto bytes = Read<uint8_t>(name);
-  if (!bytes.ok()) return bytes.status();
-  return std::vector<bool>(bytes->values.begin(), bytes->values.end());
+  ASSIGN_OR_RETURN(const auto bytes, Read<uint8_t>(name));
+  return std::vector<bool>(bytes.values.begin(), bytes.values.end());
 }
 
 absl::Status Hdf5File::Failed(absl::string_view action, const std::string& name) const {

@@ -10,6 +10,7 @@
 #include "core/base/json.h"
 #include "core/base/json_object.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "train/data/minari_layout.h"
 
 namespace spikeserve {
@@ -35,7 +36,7 @@ absl::Status AppendBounds(absl::string_view field, const nlohmann::json& json,
                           std::vector<float>* bounds) {
   if (json.is_array()) {
     for (const nlohmann::json& item : json) {
-      if (auto status = AppendBounds(field, item, bounds); !status.ok()) return status;
+      RETURN_IF_ERROR(AppendBounds(field, item, bounds));
     }
     return absl::OkStatus();
   }
@@ -50,7 +51,7 @@ absl::Status AppendIntegers(absl::string_view field, const nlohmann::json& json,
                             std::vector<int64_t>* values) {
   if (json.is_array()) {
     for (const nlohmann::json& item : json) {
-      if (auto status = AppendIntegers(field, item, values); !status.ok()) return status;
+      RETURN_IF_ERROR(AppendIntegers(field, item, values));
     }
     return absl::OkStatus();
   }
@@ -72,7 +73,7 @@ struct SpaceDescription {
   absl::StatusOr<std::vector<float>> Bounds(absl::string_view field,
                                             const nlohmann::json& json) const {
     std::vector<float> bounds;
-    if (auto status = AppendBounds(field, json, &bounds); !status.ok()) return status;
+    RETURN_IF_ERROR(AppendBounds(field, json, &bounds));
     if (bounds.size() == 1) bounds.resize(size, bounds[0]);
     return bounds;
   }
@@ -95,9 +96,9 @@ absl::StatusOr<int> SizeOf(absl::string_view field, const std::vector<int>& shap
 absl::StatusOr<IndexLayout> ReadIndexLayout(absl::string_view field, const nlohmann::json& counts,
                                             const nlohmann::json& starts) {
   IndexLayout layout;
-  if (auto status = AppendIntegers(field, counts, &layout.counts); !status.ok()) return status;
+  RETURN_IF_ERROR(AppendIntegers(field, counts, &layout.counts));
   if (!starts.is_null()) {
-    if (auto status = AppendIntegers(field, starts, &layout.starts); !status.ok()) return status;
+    RETURN_IF_ERROR(AppendIntegers(field, starts, &layout.starts));
   }
   for (const int64_t start : layout.starts) {
     if (start < -kLargestStart || start > kLargestStart) {
@@ -110,12 +111,11 @@ absl::StatusOr<IndexLayout> ReadIndexLayout(absl::string_view field, const nlohm
 }
 
 absl::StatusOr<SpaceDescription> ParseSpace(absl::string_view field, absl::string_view text) {
-  const auto parsed = ParsePython(field, text);
-  if (!parsed.ok()) return parsed.status();
+  ASSIGN_OR_RETURN(const auto parsed, ParsePython(field, text));
   SpaceDescription space;
   nlohmann::json counts, starts;
   std::vector<int> shape;
-  JsonObject object(field, *parsed);
+  JsonObject object(field, parsed);
   object.AllowOtherKeys();
   object.Required("type", &space.type);
   if (space.type == "Box") {
@@ -129,14 +129,10 @@ absl::StatusOr<SpaceDescription> ParseSpace(absl::string_view field, absl::strin
     object.Required("nvec", &counts);
     object.Optional("start", &starts);
   }
-  if (auto status = object.Finish(); !status.ok()) return status;
-  const auto size = SizeOf(field, shape);
-  if (!size.ok()) return size.status();
-  space.size = *size;
+  RETURN_IF_ERROR(object.Finish());
+  ASSIGN_OR_RETURN(space.size, SizeOf(field, shape));
   if (counts.is_null()) return space;
-  auto indices = ReadIndexLayout(field, counts, starts);
-  if (!indices.ok()) return indices.status();
-  space.indices = *std::move(indices);
+  ASSIGN_OR_RETURN(space.indices, ReadIndexLayout(field, counts, starts));
   return space;
 }
 
@@ -164,11 +160,9 @@ absl::StatusOr<ActionSpace> ToActionSpace(const SpaceDescription& description) {
     if (!joint.ok()) return joint;
     space = *std::move(joint);
   } else if (description.type == "Box") {
-    auto low = description.Bounds("action_space.low", description.low);
-    if (!low.ok()) return low.status();
-    auto high = description.Bounds("action_space.high", description.high);
-    if (!high.ok()) return high.status();
-    space = ActionSpace::Box(*std::move(low), *std::move(high));
+    ASSIGN_OR_RETURN(auto low, description.Bounds("action_space.low", description.low));
+    ASSIGN_OR_RETURN(auto high, description.Bounds("action_space.high", description.high));
+    space = ActionSpace::Box(std::move(low), std::move(high));
   } else {
     return absl::InvalidArgumentError(absl::StrCat(
         "action_space: expected Discrete, MultiDiscrete or Box, received ", description.type));
@@ -180,12 +174,11 @@ absl::StatusOr<ActionSpace> ToActionSpace(const SpaceDescription& description) {
 }  // namespace
 
 absl::StatusOr<MinariMetadata> ParseMinariMetadata(absl::string_view text) {
-  const auto metadata = ParseJsonObject("metadata", text);
-  if (!metadata.ok()) return metadata.status();
+  ASSIGN_OR_RETURN(const auto metadata, ParseJsonObject("metadata", text));
   MinariMetadata description;
   std::string id, observation_space, action_space;
   nlohmann::json own, environment;
-  JsonObject object("metadata", *metadata);
+  JsonObject object("metadata", metadata);
   object.AllowOtherKeys();
   object.Required("dataset_id", &id);
   object.Required("observation_space", &observation_space);
@@ -193,37 +186,34 @@ absl::StatusOr<MinariMetadata> ParseMinariMetadata(absl::string_view text) {
   object.Required("total_episodes", &description.episodes, 0);
   object.Optional("env_spec", &environment);
   object.Optional(kMinariExtension, &own);
-  if (auto status = object.Finish(); !status.ok()) return status;
-  const auto observations = ParseSpace("observation_space", observation_space);
-  if (!observations.ok()) return observations.status();
-  if (observations->type != "Box") {
+  RETURN_IF_ERROR(object.Finish());
+  ASSIGN_OR_RETURN(const auto observations, ParseSpace("observation_space", observation_space));
+  if (observations.type != "Box") {
     return absl::InvalidArgumentError(absl::StrCat("observation_space: expected Box, received ",
-                                                   observations->type,
+                                                   observations.type,
                                                    "; record with Gymnasium's FlattenObservation"));
   }
-  const auto actions = ParseSpace("action_space", action_space);
-  if (!actions.ok()) return actions.status();
-  auto space = ToActionSpace(*actions);
-  if (!space.ok()) return space.status();
+  ASSIGN_OR_RETURN(const auto actions, ParseSpace("action_space", action_space));
+  ASSIGN_OR_RETURN(auto space, ToActionSpace(actions));
   Dataset& dataset = description.dataset;
   dataset = {.environment = id,
-             .observation_size = observations->size,
-             .action_space = *std::move(space),
+             .observation_size = observations.size,
+             .action_space = std::move(space),
              .recipe = {{"minari", id}},
              .episodes = {}};
-  description.indices = actions->indices;
+  description.indices = actions.indices;
   if (!own.is_null()) {
     JsonObject ours(kMinariExtension, own);
     ours.Required("environment", &dataset.environment);
     ours.Required("recipe", &dataset.recipe);
-    if (auto status = ours.Finish(); !status.ok()) return status;
+    RETURN_IF_ERROR(ours.Finish());
   } else if (environment.is_string()) {
-    const auto spec = ParsePython("env_spec", environment.get_ref<const std::string&>());
-    if (!spec.ok()) return spec.status();
-    JsonObject of_gymnasium("env_spec", *spec);
+    ASSIGN_OR_RETURN(const auto spec,
+                     ParsePython("env_spec", environment.get_ref<const std::string&>()));
+    JsonObject of_gymnasium("env_spec", spec);
     of_gymnasium.AllowOtherKeys();
     of_gymnasium.Required("id", &dataset.environment);
-    if (auto status = of_gymnasium.Finish(); !status.ok()) return status;
+    RETURN_IF_ERROR(of_gymnasium.Finish());
   }
   return description;
 }

@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "train/data/child_reader.h"
 #include "train/data/hdf5_file.h"
@@ -26,22 +27,19 @@ class Reader {
   absl::Status Read(int index) {
     const std::string group = absl::StrCat("episode_", index);
     Episode episode;
-    const auto observations = file_.Read<float>(group + "/observations");
-    if (!observations.ok()) return observations.status();
-    episode.observations = observations->values;
-    const auto rewards = file_.Read<double>(group + "/rewards");
-    if (!rewards.ok()) return rewards.status();
-    episode.rewards = rewards->values;
+    ASSIGN_OR_RETURN(const auto observations, file_.Read<float>(group + "/observations"));
+    episode.observations = observations.values;
+    ASSIGN_OR_RETURN(const auto rewards, file_.Read<double>(group + "/rewards"));
+    episode.rewards = rewards.values;
     if (auto status = ReadActions(group + "/actions", &episode.actions); !status.ok()) {
       return status;
     }
     for (const auto& [name, ended] : {std::pair{"/terminations", &episode.terminated},
                                       std::pair{"/truncations", &episode.truncated}}) {
-      const auto values = file_.ReadBools(group + name);
-      if (!values.ok()) return values.status();
-      *ended = !values->empty() && values->back();
+      ASSIGN_OR_RETURN(const auto values, file_.ReadBools(group + name));
+      *ended = !values.empty() && values.back();
     }
-    if (auto status = ReadInfos(group + "/infos", &episode); !status.ok()) return status;
+    RETURN_IF_ERROR(ReadInfos(group + "/infos", &episode));
     episode.actor = file_.ReadString(group, "actor").value_or("unknown");
     episode.seed = static_cast<uint64_t>(file_.ReadInteger(group, "seed").value_or(0));
     if (const auto asked = file_.ReadDouble(group, "asked_return"); asked.ok()) {
@@ -57,14 +55,13 @@ class Reader {
  private:
   absl::Status ReadActions(const std::string& name, std::vector<Action>* actions) {
     if (dataset_.action_space.is_discrete()) return ReadIndices(name, actions);
-    const auto values = file_.Read<float>(name);
-    if (!values.ok()) return values.status();
-    const int64_t columns = values->shape.columns.value_or(1);
+    ASSIGN_OR_RETURN(const auto values, file_.Read<float>(name));
+    const int64_t columns = values.shape.columns.value_or(1);
     if (auto status = CheckColumns(name, dataset_.action_space.size(), columns); !status.ok()) {
       return status;
     }
-    for (int64_t row = 0; row < values->shape.rows; ++row) {
-      const auto begin = values->values.begin() + row * columns;
+    for (int64_t row = 0; row < values.shape.rows; ++row) {
+      const auto begin = values.values.begin() + row * columns;
       actions->push_back({.discrete = 0, .continuous = {begin, begin + columns}});
     }
     return absl::OkStatus();
@@ -73,17 +70,16 @@ class Reader {
   // Reads one index an action, or one for each element of a MultiDiscrete, which become the index
   // of their combination: the last element changes fastest.
   absl::Status ReadIndices(const std::string& name, std::vector<Action>* actions) {
-    const auto values = file_.Read<int64_t>(name);
-    if (!values.ok()) return values.status();
+    ASSIGN_OR_RETURN(const auto values, file_.Read<int64_t>(name));
     const auto elements = static_cast<int64_t>(space_.counts.size());
-    if (auto status = CheckColumns(name, elements, values->shape.columns.value_or(1));
+    if (auto status = CheckColumns(name, elements, values.shape.columns.value_or(1));
         !status.ok()) {
       return status;
     }
-    for (int64_t row = 0; row < values->shape.rows; ++row) {
+    for (int64_t row = 0; row < values.shape.rows; ++row) {
       int64_t joint = 0;
       for (int64_t i = 0; i < elements; ++i) {
-        const int64_t index = values->values[row * elements + i];
+        const int64_t index = values.values[row * elements + i];
         const int64_t last = space_.starts[i] + space_.counts[i] - 1;
         if (index < space_.starts[i] || index > last) {
           return absl::InvalidArgumentError(absl::StrCat(name, ": expected ", space_.starts[i],
@@ -115,9 +111,8 @@ class Reader {
       }
     }
     if (!file_.Exists(group + "/weight")) return absl::OkStatus();
-    const auto weights = file_.Read<float>(group + "/weight");
-    if (!weights.ok()) return weights.status();
-    episode->weights = weights->values;
+    ASSIGN_OR_RETURN(const auto weights, file_.Read<float>(group + "/weight"));
+    episode->weights = weights.values;
     return TrimInfos(group + "/weight", steps, &episode->weights);
   }
 
@@ -137,9 +132,8 @@ class Reader {
 };
 
 absl::StatusOr<MinariMetadata> ReadMetadata(const std::string& directory) {
-  const auto text = ReadFile(directory + kMinariMetadata);
-  if (!text.ok()) return text.status();
-  absl::StatusOr<MinariMetadata> metadata = ParseMinariMetadata(*text);
+  ASSIGN_OR_RETURN(const auto text, ReadFile(directory + kMinariMetadata));
+  absl::StatusOr<MinariMetadata> metadata = ParseMinariMetadata(text);
   if (metadata.ok() && metadata->episodes == 0) {
     return absl::InvalidArgumentError("total_episodes: expected at least 1, received 0");
   }
@@ -151,22 +145,20 @@ using NextIndex = absl::FunctionRef<int(const std::vector<Episode>& read)>;
 
 absl::StatusOr<Dataset> ReadEpisodes(const std::string& directory, const MinariMetadata& metadata,
                                      NextIndex next) {
-  const absl::StatusOr<Hdf5File> file = Hdf5File::Open(directory + kMinariData);
-  if (!file.ok()) return file.status();
+  ASSIGN_OR_RETURN(const Hdf5File file, Hdf5File::Open(directory + kMinariData));
   Dataset dataset = metadata.dataset;
-  Reader reader(*file, metadata.indices, &dataset);
+  Reader reader(file, metadata.indices, &dataset);
   for (int i = next(dataset.episodes); i >= 0; i = next(dataset.episodes)) {
-    if (auto status = reader.Read(i); !status.ok()) return status;
+    RETURN_IF_ERROR(reader.Read(i));
   }
   return dataset;
 }
 
 absl::StatusOr<Dataset> ReadAll(const std::string& directory) {
-  const absl::StatusOr<MinariMetadata> metadata = ReadMetadata(directory);
-  if (!metadata.ok()) return metadata.status();
-  return ReadEpisodes(directory, *metadata, [&](const std::vector<Episode>& read) {
+  ASSIGN_OR_RETURN(const MinariMetadata metadata, ReadMetadata(directory));
+  return ReadEpisodes(directory, metadata, [&](const std::vector<Episode>& read) {
     const auto next = static_cast<int>(read.size());
-    return next < metadata->episodes ? next : -1;
+    return next < metadata.episodes ? next : -1;
   });
 }
 

@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/file.h"
+#include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 #include "nlohmann/json.hpp"
 #include "train/data/hdf5_file.h"
@@ -181,18 +182,16 @@ class Writer {
 }  // namespace
 
 absl::Status WriteMinariDataset(const Dataset& dataset, const std::string& directory) {
-  const absl::StatusOr<std::string> id = DatasetId(directory);
-  if (!id.ok()) return id.status();
+  ASSIGN_OR_RETURN(const std::string id, DatasetId(directory));
   std::error_code error;
   std::filesystem::create_directories(directory + "/data", error);
   if (error) return absl::UnavailableError(absl::StrCat(directory, ": ", error.message()));
   const std::string path = directory + kMinariData, temporary = path + ".tmp";
-  absl::StatusOr<Hdf5File> file = Hdf5File::Create(temporary);
-  if (!file.ok()) return file.status();
-  if (auto status = Writer(dataset, &*file).Write(); !status.ok()) return status;
+  ASSIGN_OR_RETURN(Hdf5File file, Hdf5File::Create(temporary));
+  RETURN_IF_ERROR(Writer(dataset, &file).Write());
   std::filesystem::rename(temporary, path, error);
   if (error) return absl::UnavailableError(absl::StrCat(path, ": ", error.message()));
-  return WriteFileAtomically(directory + kMinariMetadata, {Metadata(dataset, *id).dump(2)});
+  return WriteFileAtomically(directory + kMinariMetadata, {Metadata(dataset, id).dump(2)});
 }
 
 }  // namespace spikeserve

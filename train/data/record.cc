@@ -10,6 +10,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/environment/pendulum.h"
@@ -234,17 +235,14 @@ std::string RecordOptions::ToFlags() const {
 }
 
 absl::StatusOr<Dataset> RecordDataset(const RecordOptions& options) {
-  if (auto status = options.Validate(); !status.ok()) return status;
-  absl::StatusOr<std::unique_ptr<Environment>> environment =
-      MakeEnvironment(options.expert.environment);
-  if (!environment.ok()) return environment.status();
+  RETURN_IF_ERROR(options.Validate());
+  ASSIGN_OR_RETURN(std::unique_ptr<Environment> environment,
+                   MakeEnvironment(options.expert.environment));
   if (options.student != nullptr) {
-    if (auto status = CheckSpacesMatch(*options.student, **environment); !status.ok())
-      return status;
+    if (auto status = CheckSpacesMatch(*options.student, *environment); !status.ok()) return status;
   }
-  absl::StatusOr<std::unique_ptr<Expert>> expert = MakeExpert(options.expert);
-  if (!expert.ok()) return expert.status();
-  return Recorder(options, *std::move(environment), *std::move(expert)).Run();
+  ASSIGN_OR_RETURN(std::unique_ptr<Expert> expert, MakeExpert(options.expert));
+  return Recorder(options, std::move(environment), std::move(expert)).Run();
 }
 
 }  // namespace spikeserve

@@ -5,6 +5,7 @@
 #include <memory>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/engine/spiking/integer_engine.h"
 #include "core/engine/token.h"
@@ -66,9 +67,8 @@ absl::StatusOr<float> LargestInput(const Policy& policy, absl::Span<const Episod
 }
 
 absl::StatusOr<std::vector<Episode>> PlayCalibrationEpisodes(const Policy& policy) {
-  absl::StatusOr<std::unique_ptr<Environment>> environment = MakeEnvironment(policy.environment);
-  if (!environment.ok()) return environment.status();
-  if (absl::Status status = CheckSpacesMatch(policy, **environment); !status.ok()) return status;
+  ASSIGN_OR_RETURN(std::unique_ptr<Environment> environment, MakeEnvironment(policy.environment));
+  RETURN_IF_ERROR(CheckSpacesMatch(policy, *environment));
   const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
   std::vector<Episode> episodes(kCalibrationEpisodes);
   for (Episode& episode : episodes) {
@@ -77,7 +77,7 @@ absl::StatusOr<std::vector<Episode>> PlayCalibrationEpisodes(const Policy& polic
     episode.target_return = policy.target_return;
     PolicyPlayer player(*engine, episode.seed, policy.target_return);
     StepResult result;
-    result.observation = (*environment)->Reset(episode.seed);
+    result.observation = environment->Reset(episode.seed);
     const auto observe = [&] {
       episode.observations.insert(episode.observations.end(), result.observation.begin(),
                                   result.observation.end());
@@ -85,7 +85,7 @@ absl::StatusOr<std::vector<Episode>> PlayCalibrationEpisodes(const Policy& polic
     observe();
     while (!result.done()) {
       episode.actions.push_back(player.Act(result.observation, result.reward));
-      result = (*environment)->Step(episode.actions.back());
+      result = environment->Step(episode.actions.back());
       episode.rewards.push_back(result.reward);
       observe();
     }

@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status_macros.h"
 #include "core/engine/energy.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
@@ -109,10 +110,9 @@ double Evaluation::spikes_per_decision() const {
 
 absl::StatusOr<Evaluation> Evaluate(std::shared_ptr<const Policy> policy,
                                     const EvaluationOptions& options) {
-  if (auto status = options.Validate(); !status.ok()) return status;
-  absl::StatusOr<std::unique_ptr<Environment>> environment = MakeEnvironment(policy->environment);
-  if (!environment.ok()) return environment.status();
-  if (auto status = CheckSpacesMatch(*policy, **environment); !status.ok()) return status;
+  RETURN_IF_ERROR(options.Validate());
+  ASSIGN_OR_RETURN(std::unique_ptr<Environment> environment, MakeEnvironment(policy->environment));
+  RETURN_IF_ERROR(CheckSpacesMatch(*policy, *environment));
   Evaluation evaluation = {.options = options,
                            .environment = policy->environment,
                            .returns = {},
@@ -122,7 +122,7 @@ absl::StatusOr<Evaluation> Evaluate(std::shared_ptr<const Policy> policy,
   for (int i = 0; i < options.episodes; ++i) {
     const int delay = options.delay.least + i % (options.delay.most - options.delay.least + 1);
     const uint64_t seed = options.first_seed + static_cast<uint64_t>(i);
-    evaluation.returns.push_back(PlayEpisode(*engine, **environment, seed, delay, &evaluation));
+    evaluation.returns.push_back(PlayEpisode(*engine, *environment, seed, delay, &evaluation));
   }
   return evaluation;
 }

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_format.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/math/vector_view.h"
 
@@ -35,11 +36,9 @@ MeanInterval MeanWithInterval(const std::vector<double>& values) {
 absl::StatusOr<PairedEvaluation> EvaluatePair(std::shared_ptr<const Policy> first,
                                               std::shared_ptr<const Policy> second,
                                               const EvaluationOptions& options) {
-  absl::StatusOr<Evaluation> a = Evaluate(std::move(first), options);
-  if (!a.ok()) return a.status();
-  absl::StatusOr<Evaluation> b = Evaluate(std::move(second), options);
-  if (!b.ok()) return b.status();
-  return PairedEvaluation{.first = *std::move(a), .second = *std::move(b)};
+  ASSIGN_OR_RETURN(Evaluation a, Evaluate(std::move(first), options));
+  ASSIGN_OR_RETURN(Evaluation b, Evaluate(std::move(second), options));
+  return PairedEvaluation{.first = std::move(a), .second = std::move(b)};
 }
 
 nlohmann::ordered_json ToJson(const PairedEvaluation& pair) {

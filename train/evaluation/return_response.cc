@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_format.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/math/vector_view.h"
 
@@ -71,9 +72,8 @@ absl::StatusOr<ReturnResponse> MeasureReturnResponse(const Policy& policy,
   for (const double target : asked) {
     auto asking = std::make_shared<Policy>(policy);
     asking->target_return = static_cast<float>(target);
-    absl::StatusOr<Evaluation> evaluation = Evaluate(std::move(asking), options);
-    if (!evaluation.ok()) return evaluation.status();
-    response.evaluations.push_back(*std::move(evaluation));
+    ASSIGN_OR_RETURN(Evaluation evaluation, Evaluate(std::move(asking), options));
+    response.evaluations.push_back(std::move(evaluation));
   }
   return response;
 }

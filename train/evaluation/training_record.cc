@@ -10,6 +10,7 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "train/data/minari_layout.h"
 #include "train/data/minari_reader.h"
 
@@ -51,15 +52,13 @@ absl::StatusOr<nlohmann::ordered_json> IdentifySources(const std::string& parent
                                                        const std::vector<std::string>& data) {
   nlohmann::ordered_json sources = {{"commit", BuildCommit()}};
   if (!parent.empty()) {
-    const absl::StatusOr<std::string> sha256 = FileSha256(parent);
-    if (!sha256.ok()) return sha256.status();
-    sources["parent_sha256"] = *sha256;
+    ASSIGN_OR_RETURN(const std::string sha256, FileSha256(parent));
+    sources["parent_sha256"] = sha256;
   }
   for (const std::string& path : data) {
-    const absl::StatusOr<std::string> sha256 =
-        FileSha256(IsMinariDataset(path) ? path + kMinariData : path);
-    if (!sha256.ok()) return sha256.status();
-    sources["data_sha256"][path] = *sha256;
+    ASSIGN_OR_RETURN(const std::string sha256,
+                     FileSha256(IsMinariDataset(path) ? path + kMinariData : path));
+    sources["data_sha256"][path] = sha256;
   }
   return sources;
 }

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/base/status_macros.h"
 #include "core/environment/acrobot.h"
 #include "train/expert/beam_search.h"
 #include "train/expert/experts.h"
@@ -73,14 +74,13 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeAcrobotExpert(const ExpertOptions& o
   // velocities do not occur on the way up.
   const Axes<4> axes = {
       {{-pi, pi, 72, true}, {-pi, pi, 72, true}, {-2 * pi, 2 * pi, 57}, {-4 * pi, 4 * pi, 57}}};
-  absl::StatusOr<ValueTable<4>> solved = LoadOrSolve<4>(options, "acrobot_swing_up", problem, axes,
+  ASSIGN_OR_RETURN(ValueTable<4> solved, LoadOrSolve<4>(options, "acrobot_swing_up", problem, axes,
                                                         {.tolerance = 0.05,
                                                          .coarsest = 2,
                                                          .evaluation_sweeps = 4,
                                                          .most_sweeps = 24,
-                                                         .keep_successors = true});
-  if (!solved.ok()) return solved.status();
-  auto table = std::make_shared<const ValueTable<4>>(*std::move(solved));
+                                                         .keep_successors = true}));
+  auto table = std::make_shared<const ValueTable<4>>(std::move(solved));
   if (beam) {
     return std::make_unique<BeamExpert>(std::move(problem), std::move(table), options.beam_width);
   }

@@ -1,6 +1,7 @@
 #include "train/expert/expert.h"
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/environment/position_only.h"
 #include "train/expert/experts.h"
 
@@ -24,7 +25,7 @@ absl::Status UnknownExpert(const ExpertOptions& options, absl::string_view expec
 }
 
 absl::StatusOr<std::unique_ptr<Expert>> MakeExpert(const ExpertOptions& options) {
-  if (auto status = options.Validate(); !status.ok()) return status;
+  RETURN_IF_ERROR(options.Validate());
   // Experts act on the full state, so an environment that hides velocities has the same experts.
   const absl::string_view environment = PositionOnly::InsideId(options.environment);
   if (environment == "CartPole-v1") return MakeCartPoleExpert(options);

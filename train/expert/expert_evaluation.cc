@@ -7,6 +7,7 @@
 #include <thread>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/environment/environment.h"
 #include "core/math/vector_view.h"
@@ -33,7 +34,7 @@ absl::StatusOr<std::vector<double>> EvaluateExpert(const Expert& expert,
     return absl::InvalidArgumentError(
         absl::StrCat("episodes: expected at least 1, received ", episodes));
   }
-  if (auto status = MakeEnvironment(environment).status(); !status.ok()) return status;
+  RETURN_IF_ERROR(MakeEnvironment(environment).status());
   std::vector<double> returns(episodes);
   std::atomic<int> next = 0;
   const auto play = [&] {

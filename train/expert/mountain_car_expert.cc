@@ -3,6 +3,7 @@
 #include <memory>
 #include <utility>
 
+#include "core/base/status_macros.h"
 #include "core/environment/mountain_car.h"
 #include "train/expert/experts.h"
 #include "train/expert/lookahead_expert.h"
@@ -20,12 +21,11 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeMountainCarExpert(const ExpertOption
   for (int push = 0; push < 3; ++push) {
     problem.choices.push_back(Choice::Of({.discrete = push, .continuous = {}}));
   }
-  absl::StatusOr<ValueTable<2>> table =
-      LoadOrSolve<2>(options, "mountain_car", problem, {{{-1.2, 0.6, 1801}, {-0.07, 0.07, 1401}}},
-                     {.tolerance = 1e-3});
-  if (!table.ok()) return table.status();
+  ASSIGN_OR_RETURN(ValueTable<2> table,
+                   LoadOrSolve<2>(options, "mountain_car", problem,
+                                  {{{-1.2, 0.6, 1801}, {-0.07, 0.07, 1401}}}, {.tolerance = 1e-3}));
   auto shortest = std::make_unique<LookaheadExpert<2>>(
-      problem, std::make_shared<const ValueTable<2>>(*std::move(table)), /*depth=*/1);
+      problem, std::make_shared<const ValueTable<2>>(std::move(table)), /*depth=*/1);
   if (!dial) return shortest;
   auto coast = std::make_unique<ConstantExpert>(Action{.discrete = 1, .continuous = {}});
   return std::make_unique<TargetLengthExpert>(problem.model, /*reward=*/-1.0, std::move(coast),

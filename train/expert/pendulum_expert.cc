@@ -12,6 +12,7 @@
 #include <string>
 #include <utility>
 
+#include "core/base/status_macros.h"
 #include "core/environment/pendulum.h"
 #include "train/expert/experts.h"
 #include "train/expert/lookahead_expert.h"
@@ -63,12 +64,12 @@ absl::StatusOr<std::unique_ptr<Expert>> MakePendulumExpert(const ExpertOptions& 
     problem.choices = Torques(41, {0.0f});
     axes = {{{-pi, pi, 1440, true}, {-8.0, 8.0, 1281}}};
   }
-  absl::StatusOr<ValueTable<2>> table =
+  ASSIGN_OR_RETURN(
+      ValueTable<2> table,
       LoadOrSolve<2>(options, name == "value_iteration" ? "pendulum" : "pendulum_" + name, problem,
-                     axes, {.tolerance = 1e-2});
-  if (!table.ok()) return table.status();
+                     axes, {.tolerance = 1e-2}));
   return std::make_unique<LookaheadExpert<2>>(
-      std::move(problem), std::make_shared<const ValueTable<2>>(*std::move(table)), /*depth=*/1);
+      std::move(problem), std::make_shared<const ValueTable<2>>(std::move(table)), /*depth=*/1);
 }
 
 }  // namespace spikeserve

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/quantize/quantize.h"
 #include "train/model/attention.h"
 #include "train/model/bernoulli_function.h"
@@ -227,9 +228,8 @@ ModelOutput TorchModel::Forward(const ClipTensors& clips) const {
 
 absl::Status TorchModel::Round() {
   if (arithmetic_ == Arithmetic::kFloat32) return absl::OkStatus();
-  absl::StatusOr<Policy> policy = Quantize(FloatPolicy());
-  if (!policy.ok()) return policy.status();
-  SetRounded(*std::move(policy));
+  ASSIGN_OR_RETURN(Policy policy, Quantize(FloatPolicy()));
+  SetRounded(std::move(policy));
   return absl::OkStatus();
 }
 

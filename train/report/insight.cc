@@ -4,6 +4,7 @@
 
 #include "core/agent/agent_session.h"
 #include "core/agent/explanation.h"
+#include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/session/session_value.h"
@@ -28,9 +29,8 @@ std::vector<std::vector<double>> MeanGates(const LayerTrace& layer, const ModelC
 }  // namespace
 
 absl::StatusOr<Insight> LookInside(std::shared_ptr<const Policy> policy, uint64_t seed) {
-  absl::StatusOr<std::unique_ptr<Environment>> environment = MakeEnvironment(policy->environment);
-  if (!environment.ok()) return environment.status();
-  if (auto status = CheckSpacesMatch(*policy, **environment); !status.ok()) return status;
+  ASSIGN_OR_RETURN(std::unique_ptr<Environment> environment, MakeEnvironment(policy->environment));
+  RETURN_IF_ERROR(CheckSpacesMatch(*policy, *environment));
   auto served = std::make_shared<ServedPolicy>();
   served->engine = MakeStreamingEngine(policy);
   served->observer = std::make_shared<SessionObserver>();
@@ -41,16 +41,14 @@ absl::StatusOr<Insight> LookInside(std::shared_ptr<const Policy> policy, uint64_
   AgentSession agent(served, NewSession("insight", std::move(options)), &clock);
 
   Insight insight;
-  StepResult result{.observation = (*environment)->Reset(seed)};
+  StepResult result{.observation = environment->Reset(seed)};
   for (int64_t step = 0; !result.done(); ++step) {
-    const absl::StatusOr<const Answer*> answer = agent.Act(step, result.observation, result.reward);
-    if (!answer.ok()) return answer.status();
-    insight.spikes.push_back(static_cast<int64_t>((*answer)->counts.total_spikes()));
-    result = (*environment)->Step((*answer)->action);
+    ASSIGN_OR_RETURN(const Answer* answer, agent.Act(step, result.observation, result.reward));
+    insight.spikes.push_back(static_cast<int64_t>(answer->counts.total_spikes()));
+    result = environment->Step(answer->action);
   }
-  const absl::StatusOr<Explanation> explanation = Explain(*policy, agent.session());
-  if (!explanation.ok()) return explanation.status();
-  insight.gates = MeanGates(explanation->trace.layers.front(), policy->config);
+  ASSIGN_OR_RETURN(const Explanation explanation, Explain(*policy, agent.session()));
+  insight.gates = MeanGates(explanation.trace.layers.front(), policy->config);
   return insight;
 }
 

@@ -10,6 +10,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
+#include "core/base/status_macros.h"
 #include "core/model/policy_file.h"
 #include "train/data/record.h"
 #include "train/evaluation/evaluation.h"
@@ -111,10 +112,9 @@ class Runner {
     ReportResult result;
     result.run = run;
     result.command = Command(options_, run);
-    absl::StatusOr<Policy> policy = Train(run, directory, &result.losses);
-    if (!policy.ok()) return policy.status();
-    if (auto status = Play(*policy, &result); !status.ok()) return status;
-    if (auto status = WritePolicyFile(*policy, directory + "/policy.safetensors"); !status.ok()) {
+    ASSIGN_OR_RETURN(Policy policy, Train(run, directory, &result.losses));
+    RETURN_IF_ERROR(Play(policy, &result));
+    if (auto status = WritePolicyFile(policy, directory + "/policy.safetensors"); !status.ok()) {
       return status;
     }
     if (auto status = WriteFileAtomically(path, {ResultToJson(result).dump(1)}); !status.ok()) {
@@ -128,24 +128,22 @@ class Runner {
   absl::StatusOr<const EpisodeSource*> Data(const ReportRun& run) {
     auto& dataset = datasets_[{run.environment, run.seed}];
     if (dataset == nullptr) {
-      absl::StatusOr<Dataset> recorded = RecordDataset(DataOptions(options_, run));
-      if (!recorded.ok()) return recorded.status();
-      dataset = std::make_unique<const EpisodeSource>(*std::move(recorded));
+      ASSIGN_OR_RETURN(Dataset recorded, RecordDataset(DataOptions(options_, run)));
+      dataset = std::make_unique<const EpisodeSource>(std::move(recorded));
     }
     return dataset.get();
   }
 
   absl::StatusOr<Policy> Train(const ReportRun& run, const std::string& directory,
                                std::vector<LossPoint>* losses) {
-    const absl::StatusOr<const EpisodeSource*> dataset = Data(run);
-    if (!dataset.ok()) return dataset.status();
+    ASSIGN_OR_RETURN(const EpisodeSource* dataset, Data(run));
     const TrainOptions options = TrainingOptions(options_, run);
-    if (auto status = options.Validate(); !status.ok()) return status;
-    Policy initial = InitialPolicy(run.config, **dataset, run.seed);
-    Trainer trainer(std::move(initial), **dataset, options);
+    RETURN_IF_ERROR(options.Validate());
+    Policy initial = InitialPolicy(run.config, *dataset, run.seed);
+    Trainer trainer(std::move(initial), *dataset, options);
     const std::string checkpoint = directory + "/checkpoint.pt", curve = directory + "/losses.json";
     if (std::filesystem::exists(checkpoint)) {
-      if (auto status = trainer.LoadCheckpoint(checkpoint); !status.ok()) return status;
+      RETURN_IF_ERROR(trainer.LoadCheckpoint(checkpoint));
       ReadLosses(curve, trainer.iteration(), losses);
     }
     const int interval = std::max(1, options.iterations / kValidations);
@@ -176,17 +174,16 @@ class Runner {
 
   absl::Status Play(const Policy& policy, ReportResult* result) const {
     auto shared = std::make_shared<const Policy>(policy);
-    absl::StatusOr<Insight> insight = LookInside(shared, kFirstUnseenSeed);
-    if (!insight.ok()) return insight.status();
+    ASSIGN_OR_RETURN(Insight insight, LookInside(shared, kFirstUnseenSeed));
     const auto begin = std::chrono::steady_clock::now();
-    const absl::StatusOr<Evaluation> evaluation = Evaluate(
-        std::move(shared), {.episodes = options_.episodes, .first_seed = kFirstUnseenSeed});
-    if (!evaluation.ok()) return evaluation.status();
+    ASSIGN_OR_RETURN(const Evaluation evaluation,
+                     Evaluate(std::move(shared),
+                              {.episodes = options_.episodes, .first_seed = kFirstUnseenSeed}));
     const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - begin;
-    result->insight = *std::move(insight);
-    result->evaluation = ToJson(*evaluation, policy.config);
-    result->returns = evaluation->returns;
-    result->seconds_per_decision = taken.count() / static_cast<double>(evaluation->decisions);
+    result->insight = std::move(insight);
+    result->evaluation = ToJson(evaluation, policy.config);
+    result->returns = evaluation.returns;
+    result->seconds_per_decision = taken.count() / static_cast<double>(evaluation.decisions);
     result->omega = policy.weights.phase_omega.values;
     result->phi = policy.weights.phase_phi.values;
     return absl::OkStatus();
@@ -246,9 +243,8 @@ absl::StatusOr<std::vector<ReportResult>> RunAll(
   Runner runner(options);
   std::vector<ReportResult> results;
   for (const ReportRun& run : runs) {
-    absl::StatusOr<ReportResult> result = runner.Run(run, log);
-    if (!result.ok()) return result.status();
-    results.push_back(*std::move(result));
+    ASSIGN_OR_RETURN(ReportResult result, runner.Run(run, log));
+    results.push_back(std::move(result));
   }
   return results;
 }

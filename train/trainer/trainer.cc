@@ -14,6 +14,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_replace.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
 #include "train/trainer/initial_policy.h"
@@ -173,16 +174,14 @@ Trainer::~Trainer() = default;
 
 absl::Status Trainer::ReadEpisodes() {
   if (source_.resident()) return absl::OkStatus();
-  if (auto status = ReadValidation(); !status.ok()) return status;
+  RETURN_IF_ERROR(ReadValidation());
   const bool held = clips_ != nullptr && iteration_ >= chunk_.begin && iteration_ < chunk_.end;
   if (held || done()) return absl::OkStatus();
   // Releases the last chunk before it reads the next one.
   clips_ = nullptr;
   resident_ = source_.dataset();
   chunk_ = plan_->At(iteration_);
-  absl::StatusOr<std::vector<Episode>> episodes = source_.Read(chunk_.episodes);
-  if (!episodes.ok()) return episodes.status();
-  resident_.episodes = *std::move(episodes);
+  ASSIGN_OR_RETURN(resident_.episodes, source_.Read(chunk_.episodes));
   std::vector<int> all(resident_.episodes.size());
   std::iota(all.begin(), all.end(), 0);
   clips_ = std::make_unique<ClipSampler>(resident_, std::move(all), clip_steps_, options_.delay);
@@ -193,10 +192,9 @@ absl::Status Trainer::ReadValidation() {
   if (!has_validation() || !validation_.empty()) return absl::OkStatus();
   std::vector<Clips> read;
   for (uint64_t i = 0; i < kValidationBatches; ++i) {
-    absl::StatusOr<Clips> clips = ReadClips(source_, split_.validation, clip_steps_,
-                                            ValidationKey(i), options_.batch, options_.delay);
-    if (!clips.ok()) return clips.status();
-    read.push_back(*std::move(clips));
+    ASSIGN_OR_RETURN(Clips clips, ReadClips(source_, split_.validation, clip_steps_,
+                                            ValidationKey(i), options_.batch, options_.delay));
+    read.push_back(std::move(clips));
   }
   validation_ = std::move(read);
   return absl::OkStatus();
@@ -263,7 +261,7 @@ absl::StatusOr<Trainer::StepReport> Trainer::Step() {
   SetLearningRate();
   optimizer_->adamw.step();
   ++iteration_;
-  if (absl::Status status = model_.Round(); !status.ok()) return status;
+  RETURN_IF_ERROR(model_.Round());
   return report;
 }
 

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/journal/journal_entry.h"
 #include "core/journal/session_export.h"
@@ -35,38 +36,32 @@ PlayedPolicy::PlayedPolicy(std::shared_ptr<const Engine> engine,
     : served_(Serve(std::move(engine))), source_(std::move(source)) {}
 
 absl::StatusOr<std::shared_ptr<const PlayedPolicy>> PlayedPolicy::Read(const std::string& path) {
-  absl::StatusOr<Policy> policy = ReadPolicyFile(path);
-  if (!policy.ok()) return policy.status();
-  auto engine = MakeStreamingEngine(std::make_shared<const Policy>(*std::move(policy)));
+  ASSIGN_OR_RETURN(Policy policy, ReadPolicyFile(path));
+  auto engine = MakeStreamingEngine(std::make_shared<const Policy>(std::move(policy)));
   return std::shared_ptr<const PlayedPolicy>(new PlayedPolicy(std::move(engine), nullptr));
 }
 
 absl::StatusOr<std::shared_ptr<const PlayedPolicy>> PlayedPolicy::ReadShared(
     const std::string& path, const std::string& folder) {
-  absl::StatusOr<std::unique_ptr<const PolicySource>> source = PolicySource::Open(path);
-  if (!source.ok()) return source.status();
-  absl::StatusOr<Policy> policy = (*source)->Read();
-  if (!policy.ok()) return policy.status();
-  auto engine = MakeSharedStreamingEngine(*std::move(policy), folder);
-  if (!engine.ok()) return engine.status();
+  ASSIGN_OR_RETURN(std::unique_ptr<const PolicySource> source, PolicySource::Open(path));
+  ASSIGN_OR_RETURN(Policy policy, source->Read());
+  ASSIGN_OR_RETURN(auto engine, MakeSharedStreamingEngine(std::move(policy), folder));
   // The allocator would keep the memory of the file's content and of the matrices.
   malloc_trim(0);
   return std::shared_ptr<const PlayedPolicy>(
-      new PlayedPolicy(*std::move(engine), *std::move(source)));
+      new PlayedPolicy(std::move(engine), std::move(source)));
 }
 
 absl::StatusOr<Explanation> PlayedPolicy::Explain(const Session& session) const {
   if (source_ == nullptr) return spikeserve::Explain(policy(), session);
-  const absl::StatusOr<Policy> complete = source_->Read();
-  if (!complete.ok()) return complete.status();
-  return spikeserve::Explain(*complete, session);
+  ASSIGN_OR_RETURN(const Policy complete, source_->Read());
+  return spikeserve::Explain(complete, session);
 }
 
 absl::StatusOr<std::shared_ptr<LocalSession>> LocalSession::Open(
     std::shared_ptr<const PlayedPolicy> played, SessionRequest request) {
-  absl::StatusOr<SessionOptions> options = ResolveSession(std::move(request), *played->served());
-  if (!options.ok()) return options.status();
-  return std::make_shared<LocalSession>(std::move(played), NewSession("", *std::move(options)));
+  ASSIGN_OR_RETURN(SessionOptions options, ResolveSession(std::move(request), *played->served()));
+  return std::make_shared<LocalSession>(std::move(played), NewSession("", std::move(options)));
 }
 
 absl::StatusOr<std::shared_ptr<LocalSession>> LocalSession::Resume(
@@ -105,10 +100,9 @@ class LocalSession::Locks {
 absl::StatusOr<Answer> LocalSession::Act(absl::Span<const float> observation, double reward,
                                          const std::optional<ReportedAction>& executed) {
   const absl::MutexLock lock(&mutex_);
-  const absl::StatusOr<const Answer*> answer =
-      agent_.Act(agent_.session().step, observation, reward, executed);
-  if (!answer.ok()) return answer.status();
-  return **answer;
+  ASSIGN_OR_RETURN(const Answer* answer,
+                   agent_.Act(agent_.session().step, observation, reward, executed));
+  return *answer;
 }
 
 absl::StatusOr<EpisodeSummary> LocalSession::EndEpisode(const EpisodeEnd& end) {
@@ -123,9 +117,7 @@ std::string LocalSession::Export() {
 absl::StatusOr<LocalSession::Explained> LocalSession::Explain() {
   Explained explained = {.session = With([](const AgentSession& agent) { return agent.session(); }),
                          .explanation = {}};
-  absl::StatusOr<Explanation> explanation = played_->Explain(explained.session);
-  if (!explanation.ok()) return explanation.status();
-  explained.explanation = *std::move(explanation);
+  ASSIGN_OR_RETURN(explained.explanation, played_->Explain(explained.session));
   return explained;
 }
 

@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/model/policy_file.h"
 #include "core/model/safetensors.h"
 
@@ -19,9 +20,8 @@ absl::StatusOr<std::unique_ptr<const PolicySource>> PolicySource::Open(const std
     return absl::NotFoundError(absl::StrCat(path, ": expected a file that can be read"));
   }
   std::unique_ptr<PolicySource> source(new PolicySource(path, descriptor));
-  const absl::StatusOr<std::string> bytes = source->ReadBytes();
-  if (!bytes.ok()) return bytes.status();
-  source->hash_ = std::hash<std::string>()(*bytes);
+  ASSIGN_OR_RETURN(const std::string bytes, source->ReadBytes());
+  source->hash_ = std::hash<std::string>()(bytes);
   return std::unique_ptr<const PolicySource>(std::move(source));
 }
 
@@ -31,13 +31,12 @@ PolicySource::PolicySource(std::string path, int descriptor)
 PolicySource::~PolicySource() { close(descriptor_); }
 
 absl::StatusOr<Policy> PolicySource::Read() const {
-  const absl::StatusOr<std::string> bytes = ReadBytes();
-  if (!bytes.ok()) return bytes.status();
-  if (std::hash<std::string>()(*bytes) != hash_) {
+  ASSIGN_OR_RETURN(const std::string bytes, ReadBytes());
+  if (std::hash<std::string>()(bytes) != hash_) {
     return absl::FailedPreconditionError(absl::StrCat(
         path_, ": expected the content that the engine plays, received other content"));
   }
-  absl::StatusOr<Policy> policy = ParsePolicyFile(*bytes);
+  absl::StatusOr<Policy> policy = ParsePolicyFile(bytes);
   if (!policy.ok()) return Annotate(policy.status(), path_);
   return policy;
 }

@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/src/steady_time.h"
+#include "core/base/status_macros.h"
 #include "spikeserve/status.h"
 
 namespace spikeserve::piloting {
@@ -61,7 +62,7 @@ Link::Link(Replicas* replicas, Crew* crew, Route* route, v1::OpenSessionRequest 
 Link::~Link() { Close(absl::ZeroDuration()); }
 
 absl::Status Link::Resume(const v1::ExportSessionResponse& exported) {
-  if (absl::Status status = local_.policy()->Resume(exported); !status.ok()) return status;
+  RETURN_IF_ERROR(local_.policy()->Resume(exported));
   absl::MutexLock lock(&facts_->mutex);
   const absl::Status status = local_.Resumed(exported, facts_->log);
   facts_->has_local = status.ok();

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/engine/spiking/drive_builder.h"
 #include "core/engine/spiking/head_bits.h"
@@ -394,7 +395,7 @@ std::unique_ptr<Engine> MakeCompactIntegerEngine(Policy policy) {
 absl::StatusOr<std::unique_ptr<Engine>> MakeSharedIntegerEngine(Policy policy,
                                                                 const std::string& folder) {
   PackedIntegerPolicy packed(policy);
-  if (absl::Status status = packed.ShareRows(folder); !status.ok()) return status;
+  RETURN_IF_ERROR(packed.ShareRows(folder));
   return MakeOf(std::move(packed), std::move(policy));
 }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/engine/spiking/arithmetic.h"
 #include "core/engine/spiking/attention_cache.h"
@@ -417,7 +418,7 @@ std::unique_ptr<Engine> MakeCompact(Policy policy) {
 template <class Arithmetic>
 absl::StatusOr<std::unique_ptr<Engine>> MakeShared(Policy policy, const std::string& folder) {
   PackedWeights<Arithmetic> packed(policy);
-  if (absl::Status status = packed.ShareRows(folder); !status.ok()) return status;
+  RETURN_IF_ERROR(packed.ShareRows(folder));
   return MakeOf(std::move(packed), std::move(policy));
 }
 
