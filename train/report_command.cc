@@ -9,7 +9,7 @@
 #include "core/base/status_macros.h"
 #include "train/commands.h"
 #include "train/record_flags.h"
-#include "train/report/report_page.h"
+#include "train/report/figure_data.h"
 #include "train/report/report_runs.h"
 #include "train/train_flags.h"
 
@@ -68,15 +68,15 @@ absl::Status MakeReport(const ReportFlags& flags, const std::string& command_lin
     std::fprintf(stderr, "spiketrain: training %s\n", name.c_str());
   };
   ASSIGN_OR_RETURN(const auto modes, RunAll(options, ModeRuns(options), log));
-  ASSIGN_OR_RETURN(const auto sweeps, RunAll(options, SweepRuns(options), log));
-  const Report report = WriteReport(options, command_line, modes, sweeps);
-  absl::Status status = WriteFileAtomically(options.directory + "/report.md", {report.markdown});
-  status.Update(
-      WriteFileAtomically(options.directory + "/figures.json", {report.figures.dump(), "\n"}));
+  RETURN_IF_ERROR(RunAll(options, SweepRuns(options), log).status());
+  const std::string plot = "python train/report/plot.py " + options.directory;
+  const auto pages = PageData(options, {command_line, plot});
+  const auto figures = FigureData(options, GroupRuns(modes));
+  absl::Status status = WriteFileAtomically(options.directory + "/runs.json", {pages.dump(), "\n"});
+  status.Update(WriteFileAtomically(options.directory + "/figures.json", {figures.dump(), "\n"}));
   if (!status.ok()) return status;
-  std::printf("%s/report.md\n%s/figures.json\nDraw the figures with: %s\n",
-              options.directory.c_str(), options.directory.c_str(),
-              PlotCommand(options.directory).c_str());
+  std::printf("%s/runs.json\n%s/figures.json\nWrite the page and draw its figures with: %s\n",
+              options.directory.c_str(), options.directory.c_str(), plot.c_str());
   return absl::OkStatus();
 }
 

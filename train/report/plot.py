@@ -1,6 +1,7 @@
-"""Draws the figures of a report from the figures.json that `spiketrain report` writes.
+"""Writes the page of a report and draws its figures from the files that `spiketrain report` writes.
 
-Writes one PNG file for each figure into the same directory. Needs matplotlib.
+Writes report.md from runs.json and the results of the runs, if there is a runs.json, and one PNG file for each figure of
+figures.json, all into the same directory. Needs matplotlib.
 """
 
 import argparse
@@ -11,6 +12,8 @@ import sys
 
 import matplotlib
 from matplotlib.figure import Figure
+
+import report_page
 
 DATA_FILE = "figures.json"
 PANEL_WIDTH, PANEL_HEIGHT = 4.8, 3.2  # inches
@@ -215,6 +218,17 @@ def draw(name, data):
         ) from error
 
 
+def write_page(report, figures):
+    """Writes report.md and returns its path. Raises ReportError if the report's files hold other data."""
+    try:
+        return report_page.write(report, figures)
+    except (AttributeError, LookupError, OSError, TypeError, ValueError) as error:
+        raise ReportError(
+            f"report: expected the runs of {report_page.RUNS_FILE} in {report}, received other data"
+            f" ({type(error).__name__}: {error})".replace("\n", " ")
+        ) from error
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("report", type=pathlib.Path, help=f"directory with {DATA_FILE}, written by spiketrain report")
@@ -226,6 +240,8 @@ def main():
                 path = report / f"{name}.png"
                 figure.savefig(path, dpi=DOTS_PER_INCH)
                 print(path)
+        if (report / report_page.RUNS_FILE).is_file():
+            print(write_page(report, figures))
     except ReportError as error:
         sys.exit(str(error))
 

@@ -237,6 +237,34 @@ ReportGroups GroupRuns(const std::vector<ReportResult>& results) {
   return groups;
 }
 
+Json PageData(const ReportOptions& options, const std::vector<std::string>& commands) {
+  const auto list = [](const std::vector<ReportRun>& runs) {
+    Json listed = Json::array();
+    for (const ReportRun& run : runs) {
+      listed.push_back({{"run", run.name()},
+                        {"task", run.environment},
+                        {"mode", ToString(run.config.mode)},
+                        {"ticks", run.config.ticks},
+                        {"context", run.config.context}});
+    }
+    return listed;
+  };
+  return {{"commands", commands},
+          {"settings",
+           {{"seeds", options.seeds},
+            {"steps", options.data.steps},
+            {"expert_fraction", options.data.expert_fraction},
+            {"disturbed_fraction", options.data.disturbed_fraction},
+            {"iterations", options.training.iterations},
+            {"batch", options.training.batch},
+            {"hidden_size", options.config.hidden_size},
+            {"ticks", options.config.ticks},
+            {"context", options.config.context},
+            {"episodes", options.episodes}}},
+          {"modes", list(ModeRuns(options))},
+          {"sweeps", list(SweepRuns(options))}};
+}
+
 absl::StatusOr<std::vector<ReportResult>> RunAll(
     const ReportOptions& options, const std::vector<ReportRun>& runs,
     const std::function<void(const std::string&)>& log) {

@@ -4,8 +4,8 @@
 // Each run has a directory of its own, which is kept. A finished run is read from its result.json,
 // and an interrupted run continues from its checkpoint.
 //
-// Thread-safety: ModeRuns, SweepRuns and GroupRuns are pure functions. RunAll may run at the same
-// time in several processes that share a directory, each with other environments.
+// Thread-safety: ModeRuns, SweepRuns, GroupRuns and PageData are pure functions. RunAll may run at
+// the same time in several processes that share a directory, each with other environments.
 #ifndef TRAIN_REPORT_REPORT_RUNS_H_
 #define TRAIN_REPORT_REPORT_RUNS_H_
 
@@ -80,6 +80,12 @@ std::vector<ReportRun> SweepRuns(const ReportOptions& options);
 
 // Groups the results of ModeRuns. The groups point into `results`.
 ReportGroups GroupRuns(const std::vector<ReportResult>& results);
+
+// Returns what train/report/report_page.py reads besides the runs' results: the commands that make
+// the report, its settings, and the names and shapes of ModeRuns ("modes") and SweepRuns
+// ("sweeps").
+nlohmann::ordered_json PageData(const ReportOptions& options,
+                                const std::vector<std::string>& commands);
 
 // Trains and plays every run of `runs` that has no result yet, and returns the results of all.
 // Calls `log` with the name of each run that it starts. Returns FAILED_PRECONDITION, naming the

@@ -215,7 +215,7 @@ refuses "--ablate: expected context, changes, attention, phase, routing or retur
 
 # Runs the paper's experiments with small sizes, then once more from the finished runs.
 "$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 >/dev/null 2>&1
-grep -q '| Pendulum-v1 | full | ' report/report.md || fail "report.md"
+grep -q '"run":"Pendulum-v1-full-T4-N4-seed2"' report/runs.json || fail "runs.json"
 grep -q '"membrane"' report/figures.json || fail "figures.json"
 rm report/CartPole-v1-full-T4-N4-seed1/result.json  # interrupted after training
 "$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 2>&1 |
