@@ -115,7 +115,9 @@ bench-beats: build setup
 	build/venv/bin/python loadtest/bench/beats_bench.py --bin=$(BIN) --docs=docs $(BEATS_FLAGS)
 
 # Measures parts that `make bench` does not: calls by thread, memory of connections, a neighbour during floods, traces that nobody
-# samples, and the engine in Python. A few minutes.
+# samples, the engine in Python, and online learning on the reversed CartPole. ADAPT_FLAGS selects another row of
+# docs/evidence/online-learning.md. A few minutes.
+ADAPT_FLAGS ?= --env=CartPole-v1 --perturb=force=-1 --episodes=60
 bench-parts: build setup
 	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
 	PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
@@ -124,6 +126,7 @@ bench-parts: build setup
 	build/venv/bin/python loadtest/bench/flood_bench.py --bin=$(BIN)
 	build/venv/bin/python loadtest/bench/trace_costs.py --server=$(BIN)/spikeserve
 	PYTHONPATH=$(BUILD)/python build/venv/bin/python loadtest/bench/binding_bench.py --bin=$(BIN)
+	python3 loadtest/bench/adapt_sweep.py --bin=$(BIN) $(ADAPT_FLAGS)
 
 # Runs each attack of tests/attacks for 10 seconds and prints a table: memory and processor time of the server, latency of
 # another client. ATTACKS_FLAGS="--seconds=60 rapid_reset" selects others.
