@@ -125,11 +125,6 @@ std::shared_ptr<Line> Connection::line() {
   return line_;
 }
 
-int Connection::renewals() {
-  absl::MutexLock lock(&mutex_);
-  return renewals_;
-}
-
 void Connection::Answered() {
   absl::MutexLock lock(&mutex_);
   answered_at_ = SteadyNow();
@@ -221,7 +216,6 @@ void Connection::Race() {
   is_asked_ = false;
   if (!fresh_won) return;
   line_ = fresh;
-  ++renewals_;
   for (Watched* call : calls_) {
     if (call->line_ == old) call->context_->TryCancel();
   }

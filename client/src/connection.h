@@ -80,8 +80,6 @@ class Connection {
 
   // Returns the line for a call that begins now.
   std::shared_ptr<Line> line() ABSL_LOCKS_EXCLUDED(mutex_);
-  // Returns how often a fresh line has replaced one that did not answer.
-  int renewals() ABSL_LOCKS_EXCLUDED(mutex_);
 
   // Notes an answer of the server, of whatever kind.
   void Answered() ABSL_LOCKS_EXCLUDED(mutex_);
@@ -118,8 +116,7 @@ class Connection {
   absl::Duration busy_at_ ABSL_GUARDED_BY(mutex_) = -absl::InfiniteDuration();
   absl::Duration next_race_ ABSL_GUARDED_BY(mutex_) = -absl::InfiniteDuration();
   absl::Duration pause_ ABSL_GUARDED_BY(mutex_);
-  int misses_ ABSL_GUARDED_BY(mutex_) = 0;  // in a row
-  int renewals_ ABSL_GUARDED_BY(mutex_) = 0;
+  int misses_ ABSL_GUARDED_BY(mutex_) = 0;          // in a row
   bool is_asked_ ABSL_GUARDED_BY(mutex_) = false;   // to try a fresh line
   bool is_parked_ ABSL_GUARDED_BY(mutex_) = false;  // the watch waits without a timeout
   bool is_stopping_ ABSL_GUARDED_BY(mutex_) = false;

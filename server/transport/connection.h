@@ -86,9 +86,6 @@ class Connection final : public EventLoop::Source,
   State state() const { return state_; }
   // Returns the connection's number in the table.
   uint64_t number() const { return slot_->number(); }
-  bool has_streams() const { return !streams_.empty(); }
-  // Returns true if bytes wait for the client to take them.
-  bool has_unsent() const { return !unsent_.empty(); }
 
   // GrpcStream::Owner
   EventLoop& loop() override { return *shared_->loop; }

@@ -39,7 +39,6 @@ class Replica:
         self.doubt = Doubt()  # of the line
         # Those on the line. A fresh line cancels them: grpc.aio does not when it closes a channel.
         self.streams: weakref.WeakSet[Cancellable] = weakref.WeakSet()
-        self.renewals = 0  # how often a fresh line has replaced one that did not answer
         self.is_away = False
         self.is_probed = False  # a probe is under way
         self.probe_at = 0.0  # of time.monotonic()
@@ -48,7 +47,6 @@ class Replica:
     def renew(self, line: Line) -> None:
         """Replaces the line by a fresh one. Calls that begin from now on go there."""
         self.line = line
-        self.renewals += 1
         for stream in list(self.streams):
             stream.cancel()
 
