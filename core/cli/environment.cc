@@ -14,10 +14,9 @@ namespace spikeserve {
 namespace {
 
 // What the tests and benchmarks of this repository set beside flags.
-constexpr absl::string_view kOfTests[] = {
-    "PROGRAM",   "SERVER_FLAGS",    "INTEROP",     "VERSION",      "SHARE",
-    "BUILD_DIR", "LISTED_SESSIONS", "SCREENSHOTS", "ALERT_REPLAY", "ENVIRONMENT_STEPPER",
-    "TORCH"};
+constexpr absl::string_view kOfTests[] = {"PROGRAM",         "SERVER_FLAGS", "INTEROP",
+                                          "VERSION",         "SHARE",        "BUILD_DIR",
+                                          "LISTED_SESSIONS", "SCREENSHOTS",  "TORCH"};
 
 void AddVariables(const CLI::App& app, std::set<std::string>* names) {
   for (const CLI::Option* option : app.get_options({})) names->insert(option->get_envname());

@@ -95,7 +95,7 @@ def replay(samples, interval, end):
         {"time": time, "metrics": metrics_at(samples, int(time // interval))} for time in range(0, end + 1, 60)
     ]
     answer = subprocess.run(
-        [os.environ["SPIKESERVE_ALERT_REPLAY"]],
+        [os.environ["ALERT_REPLAY_PROGRAM"]],
         input=json.dumps({"ticks": ticks}),
         capture_output=True,
         text=True,

@@ -25,7 +25,7 @@ class Stepper:
 
     def __init__(self, environment_id):
         self._process = subprocess.Popen(
-            [os.environ["SPIKESERVE_ENVIRONMENT_STEPPER"], environment_id],
+            [os.environ["ENVIRONMENT_STEPPER_PROGRAM"], environment_id],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
