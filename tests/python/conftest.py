@@ -4,9 +4,12 @@ import json
 import pathlib
 import re
 
+import grpc
 import pytest
-from security import TOKENS, make_authority, make_certificate
-from serving import running_server
+from links import Link
+from redis_servers import DURABLE, PASSWORD, Redis, stopping
+from security import POLICY, TOKENS, make_authority, make_certificate
+from serving import Service, running_server
 
 
 @pytest.fixture(scope="module")
@@ -14,6 +17,51 @@ def address():
     """Starts a server with the shipped policies and yields its gRPC address."""
     with running_server() as addresses:
         yield addresses.grpc
+
+
+@pytest.fixture(scope="module")
+def server():
+    """Starts a server with the shipped policies and yields its Addresses."""
+    with running_server() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def service(address):
+    """Yields PolicyService of the server at `address`."""
+    with grpc.insecure_channel(address) as channel:
+        yield Service(channel, POLICY)
+
+
+@pytest.fixture(scope="module")
+def client(address):
+    """Yields the Python client, connected to `address`."""
+    import spikeserve  # tests that do not use it run without it
+
+    with spikeserve.Client(address) as opened:
+        yield opened
+
+
+@pytest.fixture
+def link(address):
+    """Yields a Link to the server at `address`."""
+    with Link(address) as opened:
+        yield opened
+
+
+@pytest.fixture
+def redis():
+    """Starts a Redis server that keeps what it has acknowledged."""
+    with stopping([Redis(*DURABLE, password="")]) as [started]:
+        yield started
+
+
+@pytest.fixture
+def password(tmp_path):
+    """Writes redis_servers.PASSWORD to a file and returns the flag for it."""
+    path = tmp_path / "password"
+    path.write_text(PASSWORD)
+    return f"--store_password_file={path}"
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,13 @@
 """Starts a real server. Provides a client that uses reflection and no file of this repository."""
 
 import contextlib
+import json
 import os
 import pathlib
 import shlex
 import subprocess
 import typing
+import urllib.request
 
 from google.protobuf import descriptor_pool, message_factory
 from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
@@ -66,6 +68,24 @@ def running_server(policies=SHIPPED_POLICIES, flags=(), log=None, prefix=(), sta
         server.kill()
         server.wait()
         server.stdout.close()
+
+
+def page_of(server, path):
+    """Returns the text of a page. `server` has the address `http`."""
+    with urllib.request.urlopen(f"http://{server.http}{path}", timeout=DEADLINE_SECONDS) as page:
+        return page.read().decode()
+
+
+def status_of(server, query=""):
+    return json.loads(page_of(server, f"/status.json{query}"))
+
+
+def metric(server, name, **labels):
+    """Returns the sum of the series of this name that have the labels. There has to be one."""
+    lines = [line for line in page_of(server, "/metrics").splitlines() if line.startswith((name + "{", name + " "))]
+    found = [line for line in lines if all(f'{label}="{value}"' in line for label, value in labels.items())]
+    assert found, f"{name} {labels}"
+    return sum(float(line.rsplit(" ", 1)[1]) for line in found)
 
 
 def message_class(channel, name):

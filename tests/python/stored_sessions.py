@@ -5,6 +5,8 @@ import math
 import signal
 
 import grpc
+import pytest
+from security import until
 from serving import SHIPPED_POLICIES, Service, message_class, running_server
 
 SESSIONS = 64
@@ -96,6 +98,10 @@ class Restartable:
         self.channel = self.stack.enter_context(grpc.insecure_channel(self.addresses.grpc))
         self.service = Service(self.channel, "spikeserve.v1.PolicyService")
 
+    @property
+    def http(self):
+        return self.addresses.http
+
     def kill(self):
         self.addresses.process.kill()
         self.addresses.process.wait()
@@ -160,6 +166,45 @@ def expected_decision(channel, error):
     assert detail.Unpack(info)
     assert (info.reason, info.domain) == ("OUT_OF_ORDER", "spikeserve")
     return int(info.metadata["expected_decision"])
+
+
+def until_answered(call):
+    """Repeats a call while its outcome is UNAVAILABLE, as the client libraries do, and returns the answer."""
+    answers = []
+
+    def is_answered():
+        try:
+            answers.append(call())
+        except grpc.RpcError as error:
+            assert error.code() == grpc.StatusCode.UNAVAILABLE, error
+        return answers != []
+
+    until(is_answered)
+    return answers[0]
+
+
+def decide(server, i, decision):
+    """Returns what session i answers in the end."""
+    return comparable(until_answered(lambda: server.Act(**acting(i, 0, decision))))
+
+
+def decisions(server, i, begin, end):
+    return [decide(server, i, decision) for decision in range(begin, end)]
+
+
+def decision_instead_of(server, i, decision):
+    """Returns the decision that the server expects in the place of one that it refuses in the end."""
+    errors = []
+
+    def is_refused():
+        with pytest.raises(grpc.RpcError) as error:
+            server.Act(**acting(i, 0, decision))
+        errors.append(error.value)
+        return error.value.code() != grpc.StatusCode.UNAVAILABLE
+
+    until(is_refused)
+    assert errors[-1].code() == grpc.StatusCode.FAILED_PRECONDITION
+    return expected_decision(server.channel, errors[-1])
 
 
 def undisturbed_answers(sessions):

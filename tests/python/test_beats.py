@@ -2,13 +2,12 @@
 
 import json
 import random
-import re
 
 import grpc
 import pytest
 from beating import KINDS, Robot, answers_on_stream, as_fields, observation
 from security import POLICY, TOKENS, code_of, http_body, service_with, until
-from serving import Service, running_server
+from serving import Service, metric, running_server, status_of
 from stored_sessions import Restartable
 
 STEPS = 60
@@ -267,18 +266,8 @@ def test_a_session_is_exported_within_its_tenant_and_recorded(tmp_path):
     assert "agent action" in logged and "operator action" not in logged
 
 
-def metric(addresses, name, **labels):
-    """Returns the sum of the series that have the labels."""
-    total = 0.0
-    for line in http_body(addresses.http, "/metrics", None).decode().splitlines():
-        if re.match(rf"{name}(\{{| )", line) and all(f'{k}="{v}"' in line for k, v in labels.items()):
-            total += float(line.rsplit(" ", 1)[1])
-    return total
-
-
 def alerts(addresses):
-    status = json.loads(http_body(addresses.http, "/status.json", None))
-    return {alert["name"] for alert in status["alerts"] if alert["state"] == "firing"}
+    return {alert["name"] for alert in status_of(addresses)["alerts"] if alert["state"] == "firing"}
 
 
 def test_the_server_sees_its_robots():

@@ -192,6 +192,16 @@ def test_a_batch_is_decided_in_the_order_of_its_requests(addresses):
         assert [result.response.session_id for result in results] == sessions * 30
 
 
+def start_batch(agent, channel):
+    """Opens a session and sends it the largest batch. Returns its id and the future of the answer."""
+    session = agent.OpenSession(policy="cartpole").session_id
+    request_class = message_class(channel, "spikeserve.v1.ActBatchRequest")
+    call = channel.unary_unary(f"/{POLICY}/ActBatch", request_serializer=request_class.SerializeToString)
+    items = [{"session_id": session, "step": i, "observation": OBSERVATION} for i in range(ITEMS_MOST)]
+    metadata = [("authorization", "Bearer agent")]
+    return session, call.future(request_class(requests=items), metadata=metadata, timeout=DEADLINE_SECONDS)
+
+
 def test_other_calls_are_answered_while_a_batch_is_decided(addresses):
     with (
         service_with(addresses, "agent") as agent,
@@ -200,22 +210,9 @@ def test_other_calls_are_answered_while_a_batch_is_decided(addresses):
     ):
         neighbour = rival.OpenSession(policy="cartpole").session_id
         step = 0
-        request_class = message_class(channel, "spikeserve.v1.ActBatchRequest")
-        batch_call = channel.unary_unary(
-            f"/{POLICY}/ActBatch", request_serializer=request_class.SerializeToString
-        )
         answered = []
         for _ in range(5):  # the machine may stop one of the programs for a while
-            session = agent.OpenSession(policy="cartpole").session_id
-            items = [
-                {"session_id": session, "step": i, "observation": OBSERVATION}
-                for i in range(ITEMS_MOST)
-            ]
-            batch = batch_call.future(
-                request_class(requests=items),
-                metadata=[("authorization", "Bearer agent")],
-                timeout=DEADLINE_SECONDS,
-            )
+            _, batch = start_batch(agent, channel)
             first = step
             while not batch.done():
                 rival.Act(session_id=neighbour, step=step, observation=OBSERVATION)
@@ -231,22 +228,9 @@ def test_a_cancelled_batch_is_decided_no_further(addresses):
         service_with(addresses, "agent") as agent,
         grpc.insecure_channel(addresses.grpc) as channel,
     ):
-        request_class = message_class(channel, "spikeserve.v1.ActBatchRequest")
-        batch_call = channel.unary_unary(
-            f"/{POLICY}/ActBatch", request_serializer=request_class.SerializeToString
-        )
         decided = []
         for _ in range(5):  # as above
-            session = agent.OpenSession(policy="cartpole").session_id
-            items = [
-                {"session_id": session, "step": i, "observation": OBSERVATION}
-                for i in range(ITEMS_MOST)
-            ]
-            batch = batch_call.future(
-                request_class(requests=items),
-                metadata=[("authorization", "Bearer agent")],
-                timeout=DEADLINE_SECONDS,
-            )
+            session, batch = start_batch(agent, channel)
             while agent.GetSession(session_id=session).decisions == 0 and not batch.done():
                 pass
             batch.cancel()

@@ -10,16 +10,10 @@ import numpy as np
 import pytest
 import tritonclient.http
 from security import POLICY
-from serving import DEADLINE_SECONDS, Service, running_server
+from serving import DEADLINE_SECONDS, Service
 
 LIMIT = 64 << 10  # bytes of a compressed message of gRPC, once it is decompressed
 OBSERVATION = [0.01, -0.02, 0.03, 0.04]
-
-
-@pytest.fixture(scope="module")
-def server():
-    with running_server() as started:
-        yield started
 
 
 def test_grpcs_client_compresses(server):

@@ -4,7 +4,7 @@ import pathlib
 import shutil
 
 import pytest
-from redis_servers import DURABLE, WITHOUT_REDIS, Redis, stopping
+from redis_servers import WITHOUT_REDIS
 from security import ADMIN, code_of, until
 from serving import SHIPPED_POLICIES, Service
 from stored_sessions import Restartable
@@ -14,12 +14,6 @@ pytestmark = WITHOUT_REDIS
 LEARNERS = 8
 STEPS = 3
 FLEET = {"scope": "FLEET", "learning_rate": 0.3}
-
-
-@pytest.fixture
-def redis():
-    with stopping([Redis(*DURABLE, password="")]) as [started]:
-        yield started
 
 
 @pytest.fixture

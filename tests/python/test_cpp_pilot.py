@@ -11,7 +11,6 @@ from serving import SHIPPED_POLICIES, running_server
 from test_pilot import (  # noqa: F401
     PERIOD,
     client,
-    link,
     test_a_cable_that_is_pulled_costs_nothing,
     test_a_connection_that_a_nat_has_forgotten_is_replaced,
     test_a_pilot_that_closes_fails_what_the_server_does_not_have,

@@ -40,12 +40,6 @@ class Parted(gymnasium.Wrapper):
         return self._parted(observation), *rest
 
 
-@pytest.fixture(scope="module")
-def client(address):
-    with spikeserve.Client(address) as opened:
-        yield opened
-
-
 @pytest.mark.parametrize("kind", [dict, tuple])
 def test_dict_and_tuple_observations_name_the_wrapper_that_helps(client, kind):
     environment = Parted(gymnasium.make("CartPole-v1"), kind)

@@ -1,14 +1,12 @@
 """Each energy model shows what it counts, and has figures only for the policies to which it applies."""
 
-import json
-import urllib.request
 
 import gymnasium
 import grpc
 import pytest
 from documentation import page_of
 from random_policy import SMALL, export_random
-from serving import Service, running_server
+from serving import Service, running_server, status_of
 
 STEPS = 7
 MULTIPLY_ACCUMULATE = 4.6e-12  # joules, of horowitz_45nm
@@ -53,11 +51,6 @@ def stats(addresses):
         yield played
 
 
-def status(addresses):
-    with urllib.request.urlopen(f"http://{addresses.http}/status.json", timeout=30) as page:
-        return json.load(page)
-
-
 @pytest.mark.parametrize("policy", APPLYING)
 def test_an_answer_has_a_figure_for_each_model_that_applies(stats, policy):
     for answer in stats[policy]:
@@ -70,7 +63,7 @@ def test_an_answer_has_a_figure_for_each_model_that_applies(stats, policy):
 def test_the_metrics_have_the_same_figures_and_no_others(addresses, stats, policy):
     series = {
         entry["labels"]["energy_model"]: entry["value"]
-        for entry in status(addresses)["metrics"]["spikeserve_energy_joules_total"]
+        for entry in status_of(addresses)["metrics"]["spikeserve_energy_joules_total"]
         if entry["labels"]["policy"] == policy
     }
     assert set(series) == APPLYING[policy]
@@ -88,7 +81,7 @@ def test_a_policy_has_the_energy_of_its_dense_twin_beside_it(addresses):
         for step in range(SMALL["context"] + 1):
             answer = service.Act(session_id=session, step=step, observation=[0.1 * step, 0.2, -0.1 * step, 0.3], reward=1.0)
     found = {}
-    for entry in status(addresses)["metrics"]["spikeserve_dense_energy_joules"]:
+    for entry in status_of(addresses)["metrics"]["spikeserve_dense_energy_joules"]:
         found.setdefault(entry["labels"]["policy"], {})[entry["labels"]["energy_model"]] = entry["value"]
     assert set(found) == {"integers", "floats"}
     assert set(found["integers"]) == {"horowitz_45nm", "int_45nm", "int_sram_45nm"}
@@ -108,7 +101,7 @@ def test_membranes_depend_on_the_sizes_only(stats):
 
 
 def test_the_page_of_the_documentation_is_that_of_the_program(addresses):
-    models = status(addresses)["energy_models"]
+    models = status_of(addresses)["energy_models"]
     assert [model["name"] for model in models if model["default"]] == ["horowitz_45nm"]
     table = page_of("energy.md").read_text().split("<!-- energy models -->\n")[1].split("<!--")[0]
     _, _, *rows = table.splitlines()

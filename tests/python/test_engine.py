@@ -31,12 +31,6 @@ ENVIRONMENTS = {"discrete": "CartPole-v1", "box": "Pendulum-v1"}
 
 
 @pytest.fixture(scope="module")
-def client(address):
-    with spikeserve.Client(address) as opened:
-        yield opened
-
-
-@pytest.fixture(scope="module")
 def random_policies(tmp_path_factory):
     """Writes a random policy of every kind for either action space. Returns their folder."""
     folder = tmp_path_factory.mktemp("policies")

@@ -3,15 +3,8 @@
 import grpc
 import pytest
 from beating import KINDS, Robot, answers_on_stream
-from security import POLICY, code_of
-from serving import Service
+from security import code_of
 from stored_sessions import Restartable
-
-
-@pytest.fixture(scope="module")
-def service(address):
-    with grpc.insecure_channel(address) as channel:
-        yield Service(channel, POLICY)
 
 
 def end_of(robot, episode=0, **fields):

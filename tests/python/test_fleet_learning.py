@@ -4,14 +4,13 @@ import concurrent.futures
 import json
 import pathlib
 import shutil
-import urllib.request
 
 import grpc
 import numpy as np
 import pytest
 from fleet_roles import new_session_id
 from policy_file import read_policy
-from serving import SHIPPED_POLICIES, Service, running_server
+from serving import SHIPPED_POLICIES, Service, metric, running_server
 
 FLEET = {"scope": "FLEET", "learning_rate": 0.3}
 SAMPLING = {"action_selection": "SAMPLE", "temperature": 4.0}
@@ -206,13 +205,6 @@ def test_the_fleets_head_does_not_depend_on_who_ends_first(serve):
 
 @pytest.mark.parametrize("scope", ["session", "fleet"])
 def test_the_guard_rolls_back_and_says_so(folder, tmp_path_factory, scope):
-    def metric(addresses, name):
-        with urllib.request.urlopen(f"http://{addresses.http}/metrics") as page:
-            lines = page.read().decode().splitlines()
-        of = [line for line in lines if line.startswith(name + "{") and f'scope="{scope}"' in line]
-        assert len(of) == 1
-        return float(of[0].rsplit(" ", 1)[1])
-
     path = tmp_path_factory.mktemp("log") / "stderr"
     with path.open("w") as log, running_server(folder, log=log) as addresses:
         with grpc.insecure_channel(addresses.grpc) as channel:
@@ -226,9 +218,9 @@ def test_the_guard_rolls_back_and_says_so(folder, tmp_path_factory, scope):
             assert ended.learning.watched_return == pytest.approx(6)
             assert server.policy.GetSession(session_id=session_id).rollbacks == 1
             assert server.admin.GetHead(policy="cartpole").rollbacks == (scope == "fleet")
-            assert metric(addresses, "spikeserve_learning_rollbacks_total") == 1
-            assert metric(addresses, "spikeserve_learning_return") == pytest.approx(6)
-            assert metric(addresses, "spikeserve_head_drift_ratio") == 0
+            assert metric(addresses, "spikeserve_learning_rollbacks_total", scope=scope) == 1
+            assert metric(addresses, "spikeserve_learning_return", scope=scope) == pytest.approx(6)
+            assert metric(addresses, "spikeserve_head_drift_ratio", scope=scope) == 0
     logged = f'warning action head rolled back policy="cartpole/1" scope="{scope}" watched_return="6"\n'
     assert path.read_text().count(logged) == 1
 

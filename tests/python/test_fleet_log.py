@@ -2,7 +2,6 @@
 
 import shutil
 import threading
-import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 
 import grpc
@@ -12,7 +11,7 @@ from fleet_roles import new_session_id
 from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, start_cluster, stopping
 from replicated import running_fleet
 from security import ADMIN, HEALTH, SERVING, code_of, until
-from serving import SHIPPED_POLICIES, Service
+from serving import SHIPPED_POLICIES, Service, metric
 from stored_sessions import Restartable
 
 pytestmark = WITHOUT_REDIS
@@ -78,15 +77,6 @@ def weights(replica):
     """Returns all of a shared head that replicas must agree on."""
     head = head_of(replica)
     return head.delta[:], head.updates, head.rejected_updates, head.rollbacks, head.watched_return
-
-
-def metric(replica, name, **labels):
-    """Returns the sum of a counter over all series with these labels."""
-    with urllib.request.urlopen(f"http://{replica.addresses.http}/metrics") as page:
-        lines = page.read().decode().splitlines()
-    wanted = [f'{key}="{value}"' for key, value in labels.items()]
-    found = [line for line in lines if line.startswith(name + "{") and all(each in line for each in wanted)]
-    return sum(float(line.rsplit(" ", 1)[1]) for line in found)
 
 
 def logged(replica):

@@ -16,12 +16,6 @@ from serving import DEADLINE_SECONDS, message_class, running_server
 BINARY, TEXT = "application/grpc-web+proto", "application/grpc-web-text+proto"
 
 
-@pytest.fixture(scope="module")
-def server():
-    with running_server() as started:
-        yield started
-
-
 def framed(message, flag=0):
     return bytes([flag]) + len(message).to_bytes(4, "big") + message
 

@@ -21,12 +21,6 @@ OBSERVATION = [0.01, -0.02, 0.03, 0.04]
 LIMIT = 4 << 20  # bytes of a body
 
 
-@pytest.fixture(scope="module")
-def server():
-    with running_server() as started:
-        yield started
-
-
 def call(server, method, path, body=None, token=None, **headers):
     """Returns the code, the headers and the body, parsed if it is JSON, of a request."""
     connection = http.client.HTTPConnection(server.http, timeout=30)

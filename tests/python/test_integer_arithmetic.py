@@ -20,12 +20,6 @@ def shipped(name, version):
     return SHIPPED_POLICIES / name / str(version) / "policy.safetensors"
 
 
-@pytest.fixture(scope="module")
-def client(address):
-    with spikeserve.Client(address) as opened:
-        yield opened
-
-
 def encode(space, action):
     if isinstance(space, spikeserve.Discrete):
         return np.eye(space.n)[action]

@@ -5,11 +5,10 @@ import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
-import grpc
 import pytest
-from redis_servers import DURABLE, WITHOUT_REDIS, Redis, stopping
+from redis_servers import WITHOUT_REDIS
 from security import until
-from stored_sessions import Restartable, acting, comparable, opening
+from stored_sessions import Restartable, decide, opening
 
 pytestmark = WITHOUT_REDIS
 
@@ -99,21 +98,6 @@ class LateRoute:
             client.shutdown(socket.SHUT_RDWR)
 
 
-def decide(server, i, decision):
-    """Returns what session i answers, which must come in the end, with no other error than UNAVAILABLE before."""
-    answers = []
-
-    def is_answered():
-        try:
-            answers.append(server.Act(**acting(i, 0, decision)))
-        except grpc.RpcError as error:
-            assert error.code() == grpc.StatusCode.UNAVAILABLE, error
-        return answers != []
-
-    until(is_answered)
-    return comparable(answers[0])
-
-
 def decide_all(server, decision):
     """Lets all sessions decide at once, so that the server claims and writes them together."""
     with ThreadPoolExecutor(len(SESSIONS)) as pool:
@@ -128,12 +112,6 @@ def undisturbed():
         answers = [decide_all(server, decision) for decision in range(ALL)]
         server.close()
         return answers
-
-
-@pytest.fixture
-def redis():
-    with stopping([Redis(*DURABLE, password="")]) as [started]:
-        yield started
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -8,7 +8,7 @@ import threading
 
 import grpc
 import pytest
-from redis_servers import DURABLE, WITHOUT_REDIS, Redis, stopping
+from redis_servers import WITHOUT_REDIS
 from security import code_of, until
 from stored_sessions import Restartable, acting, comparable, opening
 
@@ -111,12 +111,6 @@ def undisturbed():
         answers = [decide(server, decision) for decision in range(2 * TAKEN)]
         server.close()
         return answers
-
-
-@pytest.fixture
-def redis():
-    with stopping([Redis(*DURABLE, password="")]) as [started]:
-        yield started
 
 
 @contextlib.contextmanager

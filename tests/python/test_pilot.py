@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import spikeserve
 import spikeserve.piloting.link
-from links import Link
 from restartable_server import RestartableServer, restartable_server
 from spikeserve.wire import METHODS
 
@@ -111,12 +110,6 @@ def exported(client, session_id):
     """Returns the value of a session at the server."""
     request = METHODS["ExportSession"].request(session_id=session_id)
     return client.call("ExportSession", request).value
-
-
-@pytest.fixture
-def link(address):
-    with Link(address) as link:
-        yield link
 
 
 @pytest.fixture

@@ -2,22 +2,9 @@
 
 import pytest
 import spikeserve
-from links import Link
 from security import until
 from serving import SHIPPED_POLICIES, running_server
-from test_pilot import LEARNING, MAX_AGE, Flight, exported, fly, fly_through_cuts, fly_through_five_seconds  # noqa: F401
-
-
-@pytest.fixture
-def link(address):
-    with Link(address) as link:
-        yield link
-
-
-@pytest.fixture
-def client(link):
-    with spikeserve.Client(link.address) as client:
-        yield client
+from test_pilot import LEARNING, MAX_AGE, Flight, client, exported, fly, fly_through_cuts, fly_through_five_seconds  # noqa: F401
 
 
 @pytest.mark.parametrize(

@@ -11,12 +11,6 @@ FIRST_UNSEEN_SEED = 1_000_000  # training uses smaller seeds
 OBSERVATION = [0.01, -0.02, 0.03, 0.1]
 
 
-@pytest.fixture(scope="module")
-def client(address):
-    with spikeserve.Client(address) as opened:
-        yield opened
-
-
 @pytest.fixture
 def session(client):
     with client.open_session("cartpole") as opened:

@@ -42,12 +42,6 @@ def address(tmp_path_factory):
         yield server.grpc
 
 
-@pytest.fixture(scope="module")
-def client(address):
-    with spikeserve.Client(address) as opened:
-        yield opened
-
-
 def make(env_id):
     return gymnasium.make(env_id, max_episode_steps=MAX_EPISODE_STEPS)
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import spikeserve
-from serving import SHIPPED_POLICIES
 
 UNSEEN = 2_000_000  # the first seed of the recorded evaluations
 

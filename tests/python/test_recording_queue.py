@@ -1,12 +1,11 @@
 """What EndEpisode says about a recording is true, on a full disk, too."""
 
 import subprocess
-import urllib.request
 
 import grpc
 import pytest
 from security import OBSERVATION, until
-from serving import Service, message_class, running_server
+from serving import Service, message_class, metric, running_server
 
 STEPS = 200
 LONGEST_FILE = 8192  # bytes; shorter than an episode of STEPS, longer than the log
@@ -37,13 +36,6 @@ class Player:
         """Ends the episode, or asks again about the last one."""
         ended = self._policy.EndEpisode(session_id=self._session, terminated=True)
         return self._states[ended.recording].name
-
-
-def metric(addresses, name):
-    with urllib.request.urlopen(f"http://{addresses.http}/metrics") as page:
-        lines = page.read().decode().splitlines()
-    (line,) = [line for line in lines if line.startswith(f"{name} ")]
-    return float(line.split()[1])
 
 
 def test_stored_means_that_the_file_is_there(tmp_path):

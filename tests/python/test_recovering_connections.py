@@ -9,19 +9,12 @@ import time
 
 import pytest
 import spikeserve
-from links import Link
 from security import until
 from spikeserve.wire import message_class
 from restartable_server import restartable_server
 
 OBSERVATION = [0.01, -0.02, 0.03, 0.04]
 PERIOD = 0.02
-
-
-@pytest.fixture
-def link(address):
-    with Link(address) as link:
-        yield link
 
 
 async def finish(result):

@@ -7,7 +7,6 @@ import threading
 import grpc
 import pytest
 from redis_servers import (
-    PASSWORD,
     WITHOUT_REDIS,
     Redis,
     Sentinel,
@@ -30,6 +29,7 @@ from stored_sessions import (
     opening,
     play,
     undisturbed_play,
+    until_answered,
 )
 
 pytestmark = WITHOUT_REDIS
@@ -38,28 +38,6 @@ pytestmark = WITHOUT_REDIS
 @pytest.fixture(scope="module")
 def undisturbed():
     return undisturbed_play()
-
-
-@pytest.fixture
-def password(tmp_path):
-    path = tmp_path / "password"
-    path.write_text(PASSWORD)
-    return f"--store_password_file={path}"
-
-
-def until_answered(call):
-    """Repeats a call while its outcome is UNAVAILABLE, as the client libraries do."""
-    answers = []
-
-    def answered():
-        try:
-            answers.append(call())
-        except grpc.RpcError as error:
-            assert error.code() == grpc.StatusCode.UNAVAILABLE, error
-        return answers != []
-
-    until(answered)
-    return answers[0]
 
 
 def play_patiently(service, disturb):

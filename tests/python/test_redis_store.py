@@ -8,13 +8,12 @@ import shutil
 import signal
 import subprocess
 import time
-import urllib.request
 
 import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis
 from security import ADMIN, TOKENS, code_of, service_with, until
-from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, message_class, running_server
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, message_class, metric, running_server
 from stored_sessions import (
     SESSIONS,
     Restartable,
@@ -51,12 +50,6 @@ def replicas(redis, tmp_path):
         redis.process.send_signal(signal.SIGCONT)
         first.close()
         second.close()
-
-
-def metric(server, name):
-    with urllib.request.urlopen(f"http://{server.addresses.http}/metrics") as page:
-        lines = page.read().decode().splitlines()
-    return float(next(line for line in lines if line.startswith(name + " ")).split()[-1])
 
 
 def act(server, i, step, session=None):

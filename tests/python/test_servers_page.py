@@ -1,12 +1,10 @@
 """The status page of a server shows the others that share its store in Redis."""
 
-import json
-import urllib.request
 
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis, stopping
 from security import POLICY, until
-from serving import Service, running_server
+from serving import Service, running_server, status_of
 from stored_sessions import Restartable
 from test_status_json import validate
 
@@ -28,11 +26,6 @@ def servers():
         for server in started:
             server.close()
             server.stack.close()
-
-
-def status_of(server):
-    with urllib.request.urlopen(f"http://{server.addresses.http}/status.json") as page:
-        return json.load(page)
 
 
 def told(server):

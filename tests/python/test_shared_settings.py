@@ -10,7 +10,7 @@ import grpc
 import pytest
 from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, stopping
 from security import ADMIN, HEALTH, SERVING, code_of, entry, service_with, until
-from serving import SHIPPED_POLICIES, Service
+from serving import SHIPPED_POLICIES, Service, status_of
 from stored_sessions import Restartable, comparable
 
 pytestmark = WITHOUT_REDIS
@@ -52,11 +52,6 @@ def admin(replica):
 
 def opened_version(replica, **fields):
     return replica.OpenSession(policy="cartpole", **fields).version
-
-
-def status_of(replica):
-    with urllib.request.urlopen(f"http://{replica.addresses.http}/status.json") as page:
-        return json.load(page)
 
 
 def health_of(replica):

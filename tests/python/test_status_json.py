@@ -1,7 +1,6 @@
 """Checks every JSON document of the HTTP port against the schema that the server publishes."""
 
 import json
-import pathlib
 import shutil
 
 import grpc

@@ -1,16 +1,14 @@
 """Opens the status page of a server with 1,000 sessions in a browser. Uses only the keyboard, by day and by night."""
 
 import itertools
-import json
 import shutil
 import threading
-import urllib.request
 
 import grpc
 import pytest
 from security import ADMIN, until
 from selenium.webdriver.common.keys import Keys
-from serving import SHIPPED_POLICIES, Service, running_server
+from serving import SHIPPED_POLICIES, Service, running_server, status_of
 
 SESSIONS = 1000
 OBSERVATION = [0.01, -0.02, 0.03, 0.1]
@@ -87,8 +85,7 @@ def test_which_policy_costs_the_most_energy_is_said_in_words_and_on_top(page):
 
 def test_energy_stands_beside_that_of_a_dense_policy(page, server):
     addresses, _ = server
-    with urllib.request.urlopen(f"http://{addresses.http}/status.json?metrics=false") as document:
-        [row, _] = json.load(document)["versions"]
+    [row, _] = status_of(addresses, "?metrics=false")["versions"]
     dense = row["dense_energy_joules_per_decision"]["horowitz_45nm"]
     energy, note, _ = page.tiles()["Energy / decision"]
     assert energy.endswith(" nJ") and note == f"dense: {dense * 1e6:.3g} µJ"

@@ -7,7 +7,7 @@ import subprocess
 
 import grpc
 import pytest
-from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, start_cluster, stopping
+from redis_servers import WITHOUT_REDIS, Redis, start_cluster, stopping
 from security import until
 from serving import DEADLINE_SECONDS, SHIPPED_POLICIES
 from stored_sessions import Restartable, acting, comparable, expected_decision, opening
@@ -137,13 +137,6 @@ def test_no_store(tmp_path):
     assert "--session_store: expected a folder with a session store, received" in error
     status, error = check("disk")
     assert "--session_store: expected file:DIR, redis://" in error
-
-
-@pytest.fixture
-def password(tmp_path):
-    path = tmp_path / "password"
-    path.write_text(PASSWORD)
-    return f"--store_password_file={path}"
 
 
 @WITHOUT_REDIS

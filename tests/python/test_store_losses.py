@@ -8,13 +8,15 @@ import subprocess
 
 import grpc
 import pytest
-from redis_servers import DURABLE, WITHOUT_REDIS, Redis, stopping
+from redis_servers import WITHOUT_REDIS
 from security import code_of, until
 from stored_sessions import (
     STEPS,
     Restartable,
     acting,
-    comparable,
+    decide,
+    decision_instead_of,
+    decisions,
     ending,
     expected_decision,
     opening,
@@ -24,12 +26,6 @@ from stored_sessions import (
 pytestmark = WITHOUT_REDIS
 
 KINDS = [0, 4]  # a session that is frozen, and one that learns by itself; both SYNC
-
-
-@pytest.fixture
-def redis():
-    with stopping([Redis(*DURABLE, password="")]) as [started]:
-        yield started
 
 
 @pytest.fixture
@@ -45,25 +41,6 @@ def replicas(redis):
 @pytest.fixture(scope="module")
 def undisturbed():
     return undisturbed_answers(KINDS)
-
-
-def decide(server, i, decision):
-    """Returns an answer, which must come in the end."""
-    answers = []
-
-    def answered():
-        try:
-            answers.append(comparable(server.Act(**acting(i, 0, decision))))
-        except grpc.RpcError as error:
-            assert error.code() == grpc.StatusCode.UNAVAILABLE, error
-        return answers != []
-
-    until(answered)
-    return answers[0]
-
-
-def play(server, i, begin, end):
-    return [decide(server, i, decision) for decision in range(begin, end)]
 
 
 def hash_of(i):
@@ -95,14 +72,14 @@ def test_a_full_redis_refuses_whole_writes(redis, replicas, undisturbed, i):
     """The sixteenth decision writes a snapshot, for which there is no room."""
     first, second = replicas
     first.OpenSession(**opening(i))
-    assert play(first, i, 0, 15) == undisturbed[i][:15]
+    assert decisions(first, i, 0, 15) == undisturbed[i][:15]
     redis.command("CONFIG SET maxmemory 1")
     for _ in range(3):
         assert code_of(first.Act, **acting(i, 0, 15)) == grpc.StatusCode.UNAVAILABLE
     assert redis.command(f"LLEN {list_of(redis, i)}") == 16
     first.kill()
     redis.command("CONFIG SET maxmemory 0")
-    assert play(second, i, 15, 20) == undisturbed[i][15:20]
+    assert decisions(second, i, 15, 20) == undisturbed[i][15:20]
 
 
 @pytest.mark.parametrize("more", [3, 16, 20])  # decisions that Redis loses: also a snapshot, or lists of equal length
@@ -110,13 +87,13 @@ def test_a_full_redis_refuses_whole_writes(redis, replicas, undisturbed, i):
 def test_an_owner_writes_again_what_redis_has_lost(redis, replicas, undisturbed, i, more):
     first, second = replicas
     first.OpenSession(**opening(i))
-    answers = play(first, i, 0, 4)
+    answers = decisions(first, i, 0, 4)
     files = Files(redis)
-    answers += play(first, i, 4, 4 + more)
+    answers += decisions(first, i, 4, 4 + more)
     files.restore()
-    answers += play(first, i, 4 + more, 6 + more)
+    answers += decisions(first, i, 4 + more, 6 + more)
     first.kill()
-    answers += play(second, i, 6 + more, 8 + more)
+    answers += decisions(second, i, 6 + more, 8 + more)
     assert answers == undisturbed[i][: 8 + more]
 
 
@@ -124,9 +101,9 @@ def test_an_owner_writes_again_what_redis_has_lost(redis, replicas, undisturbed,
 def test_an_owner_without_requests_writes_again_what_redis_has_lost(redis, replicas, undisturbed, i):
     first, second = replicas
     first.OpenSession(**opening(i))
-    play(first, i, 0, 4)
+    decisions(first, i, 0, 4)
     files = Files(redis)
-    play(first, i, 4, 8)
+    decisions(first, i, 4, 8)
     files.restore()
     until(lambda: redis.command(f"LLEN {list_of(redis, i)}") == 1)  # one snapshot
     first.kill()
@@ -138,24 +115,13 @@ def test_the_next_owner_goes_on_from_what_redis_has(redis, replicas, undisturbed
     """It expects an older decision, and gives the same answers. The former owner does not replace them."""
     first, second = replicas
     first.OpenSession(**opening(i))
-    play(first, i, 0, 4)
+    decisions(first, i, 0, 4)
     files = Files(redis)
-    play(first, i, 4, 8)
+    decisions(first, i, 4, 8)
     first.addresses.process.send_signal(signal.SIGSTOP)
     files.restore()
-    codes = []
-
-    def is_behind():
-        try:
-            second.Act(**acting(i, 0, 8))
-        except grpc.RpcError as error:
-            codes.append(error)
-            return error.code() == grpc.StatusCode.FAILED_PRECONDITION
-        return False
-
-    until(is_behind)
-    assert expected_decision(second.channel, codes[-1]) == 4
-    assert play(second, i, 4, 9) == undisturbed[i][4:9]
+    assert decision_instead_of(second, i, 8) == 4
+    assert decisions(second, i, 4, 9) == undisturbed[i][4:9]
     first.addresses.process.send_signal(signal.SIGCONT)
     assert decide(first, i, 9) == undisturbed[i][9]
     assert decide(second, i, 10) == undisturbed[i][10]
@@ -166,7 +132,7 @@ def test_a_journal_is_read_up_to_its_gap(redis, replicas, undisturbed, i):
     """A record stands behind a gap, as a server leaves it that found out too late."""
     first, second = replicas
     first.OpenSession(**opening(i))
-    play(first, i, 0, 6)
+    decisions(first, i, 0, 6)
     key = list_of(redis, i)
     first.kill()
     redis.command(f"LSET {key} 4 gone")
@@ -174,7 +140,7 @@ def test_a_journal_is_read_up_to_its_gap(redis, replicas, undisturbed, i):
     with pytest.raises(grpc.RpcError) as error:
         second.Act(**acting(i, 0, 6))
     assert expected_decision(second.channel, error.value) == 3
-    assert play(second, i, 3, 9) == undisturbed[i][3:9]
+    assert decisions(second, i, 3, 9) == undisturbed[i][3:9]
 
 
 @pytest.mark.parametrize("part", ["hash", "list", "both"])
@@ -183,12 +149,12 @@ def test_the_loss_of_a_part_of_a_session_is_noticed(redis, replicas, undisturbed
     """An acknowledged decision is never in a journal that nobody can find."""
     first, second = replicas
     first.OpenSession(**opening(i))
-    play(first, i, 0, 5)
+    decisions(first, i, 0, 5)
     keys = {"hash": hash_of(i), "list": list_of(redis, i)}
     redis.command("DEL " + " ".join(keys.values() if part == "both" else [keys[part]]))
     assert decide(first, i, 5) == undisturbed[i][5]
     first.kill()
-    assert play(second, i, 6, 10) == undisturbed[i][6:10]
+    assert decisions(second, i, 6, 10) == undisturbed[i][6:10]
 
 
 @pytest.mark.parametrize("policy", ["allkeys-random", "volatile-lru"])
@@ -196,7 +162,7 @@ def test_the_loss_of_a_part_of_a_session_is_noticed(redis, replicas, undisturbed
 def test_a_redis_that_evicts_everything_refuses_and_loses_nothing(redis, replicas, undisturbed, i, policy):
     first, second = replicas
     first.OpenSession(**opening(i))
-    answers = play(first, i, 0, 5)
+    answers = decisions(first, i, 0, 5)
     hash_, list_ = hash_of(i), list_of(redis, i)
     redis.command(f"CONFIG SET maxmemory-policy {policy}")
     redis.command("CONFIG SET maxmemory 1")
@@ -204,9 +170,9 @@ def test_a_redis_that_evicts_everything_refuses_and_loses_nothing(redis, replica
     for _ in range(3):
         assert code_of(first.Act, **acting(i, 0, 5)) == grpc.StatusCode.UNAVAILABLE
     redis.command("CONFIG SET maxmemory 0")
-    answers += play(first, i, 5, 10)
+    answers += decisions(first, i, 5, 10)
     first.kill()
-    answers += play(second, i, 10, 15)
+    answers += decisions(second, i, 10, 15)
     assert answers == undisturbed[i][:15]
 
 
@@ -312,7 +278,7 @@ def test_a_closed_session_leaves_a_small_tombstone_for_a_while(redis, replicas):
 def test_an_end_of_an_episode_that_redis_has_lost(redis, replicas):
     first, second = replicas
     first.OpenSession(**opening(0))
-    play(first, 0, 0, STEPS)
+    decisions(first, 0, 0, STEPS)
     files = Files(redis)
     summary = first.EndEpisode(**ending(0, 0)).SerializeToString()
     files.restore()
@@ -327,7 +293,7 @@ def take_over(replicas, i):
     """The session moves to the second replica, behind the back of the first one. Returns its answers."""
     first, second = replicas
     first.OpenSession(**opening(i))
-    return play(first, i, 0, 4) + play(second, i, 4, 8)
+    return decisions(first, i, 0, 4) + decisions(second, i, 4, 8)
 
 
 def lose(redis, i):
@@ -341,18 +307,8 @@ def test_the_last_copy_of_a_session_is_not_given_up(redis, replicas, undisturbed
     answers = take_over(replicas, i)
     second.kill()
     lose(redis, i)
-    errors = []
-
-    def is_behind():
-        with pytest.raises(grpc.RpcError) as error:
-            first.Act(**acting(i, 0, 8))
-        errors.append(error.value)
-        return error.value.code() != grpc.StatusCode.UNAVAILABLE
-
-    until(is_behind)
-    assert errors[-1].code() == grpc.StatusCode.FAILED_PRECONDITION
-    assert expected_decision(first.channel, errors[-1]) == 4
-    assert answers[:4] + play(first, i, 4, 10) == undisturbed[i][:10]
+    assert decision_instead_of(first, i, 8) == 4
+    assert answers[:4] + decisions(first, i, 4, 10) == undisturbed[i][:10]
 
 
 @pytest.mark.parametrize("i", KINDS)
@@ -361,8 +317,8 @@ def test_a_former_owner_leaves_a_lost_session_to_a_newer_copy(redis, replicas, u
     answers = take_over(replicas, i)
     lose(redis, i)
     assert code_of(first.Act, **acting(i, 0, 8)) == grpc.StatusCode.UNAVAILABLE  # and not NOT_FOUND
-    answers += play(second, i, 8, 10)  # writes the session again
-    answers += play(first, i, 10, 12)
+    answers += decisions(second, i, 8, 10)  # writes the session again
+    answers += decisions(first, i, 10, 12)
     assert answers == undisturbed[i][:12]
 
 
@@ -375,8 +331,8 @@ def test_a_newer_copy_that_comes_late_replaces_the_one_that_was_taken_back(redis
     until(lambda: code_of(first.Act, **acting(i, 0, 8)) == grpc.StatusCode.FAILED_PRECONDITION)
     assert redis.command(f"EXISTS {hash_of(i)}") == 1
     second.addresses.process.send_signal(signal.SIGCONT)
-    answers += play(second, i, 8, 10)
-    answers += play(first, i, 10, 12)
+    answers += decisions(second, i, 8, 10)
+    answers += decisions(first, i, 10, 12)
     assert answers == undisturbed[i][:12]
 
 

@@ -14,7 +14,7 @@ from redis_servers import WITHOUT_REDIS, free_port
 from replicated import running_fleet
 from security import until
 from serving import SHIPPED_POLICIES, Service, running_server
-from traces import Collector, collecting, environment
+from traces import collecting, environment
 
 SERVICE = "spikeserve.v1.PolicyService"
 ACT, OPEN, END = (f"{SERVICE}/{method}" for method in ("Act", "OpenSession", "EndEpisode"))

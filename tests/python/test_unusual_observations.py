@@ -1,14 +1,13 @@
 """The server counts observations that lie far from the training data of the policy."""
 
 import re
-import urllib.request
 
 import gymnasium
 import numpy as np
 import pytest
 import spikeserve
 from policy_file import read_policy, write_policy
-from serving import DEPLOY, running_server
+from serving import DEPLOY, page_of, running_server
 
 CARTPOLE = DEPLOY / "policies/cartpole/2/policy.safetensors"
 LONG = 200  # elements, more than there are time series
@@ -23,8 +22,7 @@ def moments():
 
 def counted(server, policy):
     """Returns the counters of one policy by element."""
-    with urllib.request.urlopen(f"http://{server.http}/metrics", timeout=30) as response:
-        text = response.read().decode()
+    text = page_of(server, "/metrics")
     pattern = rf'spikeserve_unusual_observations_total\{{element="([^"]*)",policy="{policy}",version="\d+"\}} (\S+)'
     found = re.findall(pattern, text)
     assert found
@@ -43,7 +41,7 @@ def test_elements_far_from_the_training_data_are_counted(moments):
             assert again.act(mean, 1.0).stats.unusual_observations == 2  # the stored answer
             assert session.act(np.full(4, 1e30), 1.0).stats.unusual_observations == 4
         # The versions of cartpole that have not decided have their own series, which stay at 0.
-        text = urllib.request.urlopen(f"http://{server.http}/metrics", timeout=30).read().decode()
+        text = page_of(server, "/metrics")
         series = dict(
             re.findall(
                 r'spikeserve_unusual_observations_total\{element="(\d+)",policy="cartpole",version="3"\} (\d+)',
