@@ -3,8 +3,8 @@
     python train/recipes/integer_version.py LunarLander-v3 --out=FOLDER --spiketrain=PROGRAM [--flags=--mode=baseline]
 
 FOLDER is that of the run. The float32 version plays from seed 1,500,000 on, which neither training nor evaluation uses;
-these episodes are the calibration set of `spiketrain quantize --to=integer --prune`. Then both versions play the unseen
-starts from seed 2,000,000 on, and the file records the comparison. Needs what docs/guides/imitation.md installs.
+these episodes are the calibration set of `spiketrain quantize --to=integer --prune`. Then version 3 plays the unseen starts
+that version 1 played, and the file records the comparison. Needs what docs/guides/imitation.md installs.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from spikeserve.imitation.actors import StudentActor
 from spikeserve.imitation.datasets import write_dataset
 from spikeserve.imitation.environments import EnvironmentFactory, load_object
 from spikeserve.imitation.episodes import play
-from spikeserve.imitation.figures import Evaluator
+from spikeserve.imitation.figures import Evaluator, Figures
 from spikeserve.imitation.policy_record import write_with_record
 from spikeserve.imitation.training import find_spiketrain
 
@@ -27,7 +27,6 @@ CALIBRATION_SEED, CALIBRATION_EPISODES = (
     1_500_000,
     200,
 )  # as of the episodes that spiketrain plays itself
-UNSEEN_SEED = 2_000_000
 ENVIRONMENTS = 16  # played at once
 NORMAL_95 = 1.959964
 
@@ -53,7 +52,7 @@ def paired_returns(environment, first, second):
     return {
         "environment": environment,
         "episodes": len(differences),
-        "first_seed": UNSEEN_SEED,
+        "first_seed": first.first_seed,
         "mean_returns": [first.mean, second.mean],
         "mean_difference": differences.mean(),
         "difference_95_percent": [
@@ -85,12 +84,6 @@ def main():
         default="",
         help="further flags of `spiketrain quantize`, in one string",
     )
-    parser.add_argument(
-        "--episodes",
-        default=1000,
-        type=int,
-        help="unseen starts that both versions play",
-    )
     arguments = parser.parse_args()
     factory = EnvironmentFactory(arguments.env_id, [load_object(path, "--wrapper") for path in arguments.wrapper])
     out = arguments.out.resolve()
@@ -112,10 +105,9 @@ def main():
         *shlex.split(arguments.flags),
     ]
     subprocess.run([*command, *files], cwd=out, check=True)
+    before = Figures.from_json(json.loads((out / "evaluations/version-1.json").read_text()))
     evaluator = Evaluator(factory, ENVIRONMENTS)
-    before, after = (
-        evaluator.evaluate_policy(out / policy, UNSEEN_SEED, arguments.episodes, f"{policy} plays") for policy in (first, stage)
-    )
+    after = evaluator.evaluate_policy(out / stage, before.first_seed, len(before.returns), "version 3 plays unseen starts")
     evaluation = after.to_json()
     del evaluation["returns"]
     comparison = paired_returns(factory.name, before, after)
