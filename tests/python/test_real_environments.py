@@ -27,6 +27,19 @@ def test_double_pendulum(address, version):
     assert played.mean_return > 9300
 
 
+@pytest.mark.parametrize(
+    ("name", "environment"), [("hopper", "Hopper-v5"), ("half-cheetah", "HalfCheetah-v5")]
+)
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_robots_that_run(address, name, environment, version, tmp_path, monkeypatch):
+    """The experts return 2992 and 3148, random actions 20 and -280."""
+    pytest.importorskip("mujoco", reason="gymnasium[mujoco] is not installed: its packages are 30 MB")
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to MUJOCO_LOG.TXT
+    played = evaluate(address, name, environment, 5, version)
+    assert np.median(played.returns) > 2000
+    assert played.spikes_per_decision < 1000
+
+
 @pytest.mark.parametrize("size", ["Easy", "Medium", "Hard"])
 @pytest.mark.parametrize("version", [1, 2, 3])
 def test_repeat_first(address, size, version):
