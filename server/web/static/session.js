@@ -134,7 +134,9 @@ export class SessionView {
   }
 
   showFigures(session) {
+    const isFirst = !this.shown;
     this.shown = session;
+    if (isFirst) this.drawScene();
     const decisions = Number(session.decisions);
     if (!this.live && this.frames.length === 0) this.showObservation(session.observation);
     const labels = Object.entries(session.labels).map(([key, value]) => `${key}=${value}`).join(' ');
@@ -237,9 +239,9 @@ export class SessionView {
   drawScene() {
     const playing = pressed(this.playButton);
     const decision = (!playing && this.live) || this.frames[Number(this.frame.value)];
-    if (!decision) return;
-    this.scene.show(decision, this.shown?.environment ?? '');
-    const ranges = this.shown?.observation ?? [];
+    if (!decision || !this.shown) return;  // the session says which task it is
+    this.scene.show(decision, this.shown.environment);
+    const ranges = this.shown.observation;
     if (ranges.length !== decision.observation.length) return;
     this.showObservation(ranges.map((range, i) => {
       const value = decision.observation[i];
