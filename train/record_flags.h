@@ -7,7 +7,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/cli/flag_group.h"
-#include "train/data/record.h"
+#include "train/recording/record.h"
 
 namespace spikeserve {
 

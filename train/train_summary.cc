@@ -8,7 +8,7 @@
 #include "absl/types/span.h"
 #include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
-#include "train/data/policy_player.h"
+#include "train/recording/policy_player.h"
 
 namespace spikeserve {
 namespace {

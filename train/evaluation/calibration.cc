@@ -11,7 +11,7 @@
 #include "core/engine/token.h"
 #include "core/environment/environment.h"
 #include "train/data/dataset.h"
-#include "train/data/policy_player.h"
+#include "train/recording/policy_player.h"
 
 namespace spikeserve {
 namespace {

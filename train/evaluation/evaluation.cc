@@ -12,7 +12,7 @@
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/math/vector_view.h"
-#include "train/data/policy_player.h"
+#include "train/recording/policy_player.h"
 
 namespace spikeserve {
 namespace {

@@ -8,7 +8,7 @@
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/session/session_value.h"
-#include "train/data/policy_player.h"
+#include "train/recording/policy_player.h"
 
 namespace spikeserve {
 namespace {

@@ -12,8 +12,8 @@
 #include "core/base/file.h"
 #include "core/base/status_macros.h"
 #include "core/model/policy_file.h"
-#include "train/data/record.h"
 #include "train/evaluation/evaluation.h"
+#include "train/recording/record.h"
 #include "train/trainer/initial_policy.h"
 #include "train/trainer/trainer.h"
 

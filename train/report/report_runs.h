@@ -19,7 +19,7 @@
 #include "absl/status/statusor.h"
 #include "core/model/config.h"
 #include "nlohmann/json.hpp"
-#include "train/data/record.h"
+#include "train/recording/record.h"
 #include "train/report/insight.h"
 #include "train/trainer/trainer.h"
 

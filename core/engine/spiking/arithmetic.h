@@ -7,8 +7,8 @@
 #include <cstdint>
 #include <initializer_list>
 
+#include "core/engine/spiking/packed/packed_linear.h"
 #include "core/engine/spiking/packed_integers.h"
-#include "core/engine/spiking/packed_linear.h"
 #include "core/model/policy.h"
 #include "core/neuron/integer_lif.h"
 #include "core/neuron/lif.h"

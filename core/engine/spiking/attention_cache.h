@@ -9,8 +9,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/engine/spiking/aligned_vector.h"
 #include "core/engine/spiking/kernels/attention_kernels.h"
+#include "core/engine/spiking/packed/aligned_vector.h"
 #include "core/engine/token.h"
 #include "core/model/config.h"
 

@@ -5,8 +5,8 @@
 
 #include "core/engine/spiking/kernels/integer_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 #include "core/engine/spiking/packed_integers.h"
-#include "core/engine/spiking/packed_linear.h"
 
 namespace spikeserve {
 namespace {

@@ -12,8 +12,8 @@
 
 #include <vector>
 
-#include "core/engine/spiking/aligned_vector.h"
 #include "core/engine/spiking/kernels/drive.h"
+#include "core/engine/spiking/packed/aligned_vector.h"
 #include "core/engine/spiking/spike_input.h"
 
 namespace spikeserve {

@@ -2,7 +2,7 @@
 
 #include <numeric>
 
-#include "core/engine/spiking/packed_linear.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 
 namespace spikeserve {
 

@@ -8,9 +8,9 @@
 #include <vector>
 
 #include "core/engine/counts.h"
-#include "core/engine/spiking/aligned_vector.h"
 #include "core/engine/spiking/integer_cache.h"
 #include "core/engine/spiking/kernels/integer_attention_kernels.h"
+#include "core/engine/spiking/packed/aligned_vector.h"
 #include "core/model/config.h"
 
 namespace spikeserve {

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "core/engine/spiking/packed_linear.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 #include "core/engine/token.h"
 
 namespace spikeserve {

@@ -8,7 +8,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/engine/spiking/aligned_vector.h"
+#include "core/engine/spiking/packed/aligned_vector.h"
 #include "core/model/config.h"
 
 namespace spikeserve {

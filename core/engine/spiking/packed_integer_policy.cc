@@ -2,8 +2,8 @@
 
 #include <utility>
 
-#include "core/engine/spiking/packed_linear.h"
-#include "core/engine/spiking/packed_rows.h"
+#include "core/engine/spiking/packed/packed_linear.h"
+#include "core/engine/spiking/packed/packed_rows.h"
 
 namespace spikeserve {
 namespace {

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "core/engine/spiking/packed_fixed_point.h"
+#include "core/engine/spiking/packed/packed_fixed_point.h"
 #include "core/engine/spiking/packed_integers.h"
 #include "core/engine/token.h"
 #include "core/model/policy.h"

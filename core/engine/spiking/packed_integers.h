@@ -9,8 +9,8 @@
 #include <cstdint>
 #include <initializer_list>
 
-#include "core/engine/spiking/aligned_vector.h"
-#include "core/engine/spiking/constant_array.h"
+#include "core/engine/spiking/packed/aligned_vector.h"
+#include "core/engine/spiking/packed/constant_array.h"
 #include "core/model/integer_weights.h"
 
 namespace spikeserve {

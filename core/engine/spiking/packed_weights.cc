@@ -9,7 +9,7 @@
 #include "core/engine/spiking/kernels/integer_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
 #include "core/engine/spiking/kernels/linear_kernels.h"
-#include "core/engine/spiking/packed_rows.h"
+#include "core/engine/spiking/packed/packed_rows.h"
 #include "core/math/exp.h"
 
 namespace spikeserve {

@@ -9,9 +9,9 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "core/engine/spiking/aligned_vector.h"
 #include "core/engine/spiking/arithmetic.h"
-#include "core/engine/spiking/packed_linear.h"
+#include "core/engine/spiking/packed/aligned_vector.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 #include "core/model/policy.h"
 #include "core/neuron/period_table.h"
 

@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "absl/types/span.h"
-#include "core/engine/spiking/packed_fixed_point.h"
+#include "core/engine/spiking/packed/packed_fixed_point.h"
 #include "core/model/policy.h"
 #include "core/neuron/coder.h"
 #include "core/neuron/period_table.h"

@@ -10,7 +10,7 @@
 
 #include "core/engine/spiking/kernels/active_inputs.h"
 #include "core/engine/spiking/kernels/drive.h"
-#include "core/engine/spiking/packed_fixed_point.h"
+#include "core/engine/spiking/packed/packed_fixed_point.h"
 #include "core/engine/spiking/packed_integers.h"
 #include "core/neuron/shift_lif.h"
 

@@ -8,7 +8,7 @@
 #include <cstdint>
 
 #include "core/engine/spiking/kernels/drive.h"
-#include "core/engine/spiking/packed_linear.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 #include "core/neuron/lif.h"
 #include "core/neuron/period_table.h"
 

@@ -8,7 +8,7 @@
 #include <cstdint>
 
 #include "core/engine/spiking/kernels/active_inputs.h"
-#include "core/engine/spiking/packed_linear.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 
 namespace spikeserve::kernels {
 

@@ -6,7 +6,7 @@
 
 #include <cstdint>
 
-#include "core/engine/spiking/packed_fixed_point.h"
+#include "core/engine/spiking/packed/packed_fixed_point.h"
 
 namespace spikeserve::kernels {
 

@@ -7,7 +7,7 @@
 
 #include <cstddef>
 
-#include "core/engine/spiking/packed_linear.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 
 namespace spikeserve::kernels {
 

@@ -5,7 +5,7 @@
 #include <cstring>
 #include <type_traits>
 
-#include "core/engine/spiking/packed_linear.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 #include "hwy/highway.h"
 
 // Highway's include guard, which admits this file once per target.

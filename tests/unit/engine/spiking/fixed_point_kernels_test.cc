@@ -9,7 +9,7 @@
 
 #include "core/engine/spiking/kernels/integer_attention_kernels.h"
 #include "core/engine/spiking/kernels/norm_kernel.h"
-#include "core/engine/spiking/packed_linear.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 #include "core/math/counter_random.h"
 #include "core/math/fixed_point.h"
 #include "tests/support/simd_targets.h"

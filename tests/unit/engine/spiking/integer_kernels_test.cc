@@ -7,7 +7,7 @@
 #include <limits>
 #include <vector>
 
-#include "core/engine/spiking/packed_linear.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 #include "core/math/counter_random.h"
 #include "core/model/config.h"
 #include "tests/support/simd_targets.h"

@@ -5,7 +5,7 @@
 #include <gtest/gtest.h>
 
 #include "core/engine/spiking/drive_builder.h"
-#include "core/engine/spiking/packed_linear.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 #include "core/math/counter_random.h"
 #include "core/neuron/lif.h"
 #include "core/neuron/phase.h"

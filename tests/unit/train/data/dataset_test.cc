@@ -14,7 +14,7 @@
 #include "tests/support/small_policy.h"
 #include "train/data/chunk_plan.h"
 #include "train/data/clip_sampler.h"
-#include "train/data/record.h"
+#include "train/recording/record.h"
 
 namespace spikeserve {
 namespace {

@@ -18,7 +18,7 @@
 #include "train/data/hdf5_file.h"
 #include "train/data/minari_reader.h"
 #include "train/data/minari_writer.h"
-#include "train/data/record.h"
+#include "train/recording/record.h"
 
 namespace spikeserve {
 namespace {

@@ -12,7 +12,7 @@
 #include "core/neuron/phase.h"
 #include "tests/support/small_policy.h"
 #include "train/data/minari_writer.h"
-#include "train/data/record.h"
+#include "train/recording/record.h"
 #include "train/trainer/lookback.h"
 
 namespace spikeserve {

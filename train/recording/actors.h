@@ -3,8 +3,8 @@
 //
 // An actor plays one episode. It keeps references to the objects it was made from, which must
 // outlive it.
-#ifndef TRAIN_DATA_ACTORS_H_
-#define TRAIN_DATA_ACTORS_H_
+#ifndef TRAIN_RECORDING_ACTORS_H_
+#define TRAIN_RECORDING_ACTORS_H_
 
 #include <cstdint>
 #include <functional>
@@ -58,4 +58,4 @@ Actor RandomActor(const ActionSpace& space, Draws draws);
 
 }  // namespace spikeserve
 
-#endif  // TRAIN_DATA_ACTORS_H_
+#endif  // TRAIN_RECORDING_ACTORS_H_

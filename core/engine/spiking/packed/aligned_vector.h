@@ -1,7 +1,7 @@
 // Defines a vector that starts on a cache line. If the length of a row is a multiple of a cache
 // line, no SIMD load of the row crosses a line boundary.
-#ifndef CORE_ENGINE_SPIKING_ALIGNED_VECTOR_H_
-#define CORE_ENGINE_SPIKING_ALIGNED_VECTOR_H_
+#ifndef CORE_ENGINE_SPIKING_PACKED_ALIGNED_VECTOR_H_
+#define CORE_ENGINE_SPIKING_PACKED_ALIGNED_VECTOR_H_
 
 #include <cstddef>
 #include <new>
@@ -33,4 +33,4 @@ using AlignedVector = std::vector<T, CacheLineAllocator<T>>;
 
 }  // namespace spikeserve
 
-#endif  // CORE_ENGINE_SPIKING_ALIGNED_VECTOR_H_
+#endif  // CORE_ENGINE_SPIKING_PACKED_ALIGNED_VECTOR_H_

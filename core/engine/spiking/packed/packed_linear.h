@@ -2,16 +2,16 @@
 // each lane is an output neuron.
 //
 // Immutable once built, and thread-safe.
-#ifndef CORE_ENGINE_SPIKING_PACKED_LINEAR_H_
-#define CORE_ENGINE_SPIKING_PACKED_LINEAR_H_
+#ifndef CORE_ENGINE_SPIKING_PACKED_PACKED_LINEAR_H_
+#define CORE_ENGINE_SPIKING_PACKED_PACKED_LINEAR_H_
 
 #include <cstddef>
 #include <cstdint>
 #include <initializer_list>
 #include <vector>
 
-#include "core/engine/spiking/aligned_vector.h"
-#include "core/engine/spiking/constant_array.h"
+#include "core/engine/spiking/packed/aligned_vector.h"
+#include "core/engine/spiking/packed/constant_array.h"
 #include "core/math/tensor.h"
 
 namespace spikeserve {
@@ -58,4 +58,4 @@ PackedLinear Pack(std::initializer_list<const Linear*> linears, int lanes = kLan
 
 }  // namespace spikeserve
 
-#endif  // CORE_ENGINE_SPIKING_PACKED_LINEAR_H_
+#endif  // CORE_ENGINE_SPIKING_PACKED_PACKED_LINEAR_H_

@@ -1,4 +1,4 @@
-#include "core/engine/spiking/packed_linear.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 
 #include <utility>
 

@@ -8,8 +8,8 @@
 //
 // Student episodes implement DAgger (S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). In disturbed
 // and student episodes the expert's action is the label of every step.
-#ifndef TRAIN_DATA_RECORD_H_
-#define TRAIN_DATA_RECORD_H_
+#ifndef TRAIN_RECORDING_RECORD_H_
+#define TRAIN_RECORDING_RECORD_H_
 
 #include <cstdint>
 #include <memory>
@@ -65,4 +65,4 @@ absl::StatusOr<Dataset> RecordDataset(const RecordOptions& options);
 
 }  // namespace spikeserve
 
-#endif  // TRAIN_DATA_RECORD_H_
+#endif  // TRAIN_RECORDING_RECORD_H_

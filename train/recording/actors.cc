@@ -1,11 +1,11 @@
-#include "train/data/actors.h"
+#include "train/recording/actors.h"
 
 #include <memory>
 #include <utility>
 #include <vector>
 
 #include "core/math/counter_random.h"
-#include "train/data/policy_player.h"
+#include "train/recording/policy_player.h"
 
 namespace spikeserve {
 namespace {

@@ -1,8 +1,8 @@
 // Shares the rows of packed maps between processes, and restores maps from packed ones.
 //
 // All functions are thread-safe on distinct objects.
-#ifndef CORE_ENGINE_SPIKING_PACKED_ROWS_H_
-#define CORE_ENGINE_SPIKING_PACKED_ROWS_H_
+#ifndef CORE_ENGINE_SPIKING_PACKED_PACKED_ROWS_H_
+#define CORE_ENGINE_SPIKING_PACKED_PACKED_ROWS_H_
 
 #include <cstddef>
 #include <cstdint>
@@ -14,7 +14,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/base/shared_bytes.h"
-#include "core/engine/spiking/aligned_vector.h"
+#include "core/engine/spiking/packed/aligned_vector.h"
 #include "core/math/tensor.h"
 
 namespace spikeserve {
@@ -65,4 +65,4 @@ void UnpackWeights(const Packed& packed, int lane, Weight* weight) {
 
 }  // namespace spikeserve
 
-#endif  // CORE_ENGINE_SPIKING_PACKED_ROWS_H_
+#endif  // CORE_ENGINE_SPIKING_PACKED_PACKED_ROWS_H_

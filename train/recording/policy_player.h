@@ -1,8 +1,8 @@
 // Plays one episode with a policy, greedily.
 //
 // Not thread-safe. Several players on different threads may share an engine.
-#ifndef TRAIN_DATA_POLICY_PLAYER_H_
-#define TRAIN_DATA_POLICY_PLAYER_H_
+#ifndef TRAIN_RECORDING_POLICY_PLAYER_H_
+#define TRAIN_RECORDING_POLICY_PLAYER_H_
 
 #include <cstdint>
 #include <memory>
@@ -45,4 +45,4 @@ class PolicyPlayer {
 
 }  // namespace spikeserve
 
-#endif  // TRAIN_DATA_POLICY_PLAYER_H_
+#endif  // TRAIN_RECORDING_POLICY_PLAYER_H_

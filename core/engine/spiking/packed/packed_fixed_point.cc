@@ -1,9 +1,9 @@
-#include "core/engine/spiking/packed_fixed_point.h"
+#include "core/engine/spiking/packed/packed_fixed_point.h"
 
 #include <algorithm>
 #include <utility>
 
-#include "core/engine/spiking/packed_linear.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 
 namespace spikeserve {
 

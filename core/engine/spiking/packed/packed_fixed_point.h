@@ -2,14 +2,14 @@
 // the streaming engine: each lane is an output neuron, and rows start on cache lines.
 //
 // Immutable once built, and thread-safe.
-#ifndef CORE_ENGINE_SPIKING_PACKED_FIXED_POINT_H_
-#define CORE_ENGINE_SPIKING_PACKED_FIXED_POINT_H_
+#ifndef CORE_ENGINE_SPIKING_PACKED_PACKED_FIXED_POINT_H_
+#define CORE_ENGINE_SPIKING_PACKED_PACKED_FIXED_POINT_H_
 
 #include <cstddef>
 #include <cstdint>
 
-#include "core/engine/spiking/aligned_vector.h"
-#include "core/engine/spiking/constant_array.h"
+#include "core/engine/spiking/packed/aligned_vector.h"
+#include "core/engine/spiking/packed/constant_array.h"
 #include "core/model/fixed_point_weights.h"
 
 namespace spikeserve {
@@ -55,4 +55,4 @@ PackedPeriodCoder Pack(const PeriodCoder& coder);
 
 }  // namespace spikeserve
 
-#endif  // CORE_ENGINE_SPIKING_PACKED_FIXED_POINT_H_
+#endif  // CORE_ENGINE_SPIKING_PACKED_PACKED_FIXED_POINT_H_

@@ -1,4 +1,4 @@
-#include "train/data/record.h"
+#include "train/recording/record.h"
 
 #include <algorithm>
 #include <cmath>
@@ -16,8 +16,8 @@
 #include "core/environment/pendulum.h"
 #include "core/environment/position_only.h"
 #include "core/math/counter_random.h"
-#include "train/data/actors.h"
-#include "train/data/policy_player.h"
+#include "train/recording/actors.h"
+#include "train/recording/policy_player.h"
 
 namespace spikeserve {
 namespace {

@@ -1,13 +1,13 @@
 // Defines an array of weights that never changes once it is built, in memory of its own or in
 // memory that processes share.
-#ifndef CORE_ENGINE_SPIKING_CONSTANT_ARRAY_H_
-#define CORE_ENGINE_SPIKING_CONSTANT_ARRAY_H_
+#ifndef CORE_ENGINE_SPIKING_PACKED_CONSTANT_ARRAY_H_
+#define CORE_ENGINE_SPIKING_PACKED_CONSTANT_ARRAY_H_
 
 #include <cstddef>
 #include <memory>
 #include <utility>
 
-#include "core/engine/spiking/aligned_vector.h"
+#include "core/engine/spiking/packed/aligned_vector.h"
 
 namespace spikeserve {
 
@@ -35,4 +35,4 @@ class ConstantArray {
 
 }  // namespace spikeserve
 
-#endif  // CORE_ENGINE_SPIKING_CONSTANT_ARRAY_H_
+#endif  // CORE_ENGINE_SPIKING_PACKED_CONSTANT_ARRAY_H_

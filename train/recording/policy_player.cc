@@ -1,4 +1,4 @@
-#include "train/data/policy_player.h"
+#include "train/recording/policy_player.h"
 
 #include <utility>
 
