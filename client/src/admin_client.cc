@@ -3,7 +3,6 @@
 #include <utility>
 
 #include "absl/memory/memory.h"
-#include "core/base/status_macros.h"
 #include "google/protobuf/descriptor.h"
 #include "google/protobuf/descriptor.pb.h"
 
@@ -12,8 +11,9 @@ namespace spikeserve {
 absl::StatusOr<std::unique_ptr<AdminClient>> AdminClient::Connect(const std::string& servers,
                                                                   ClientOptions options,
                                                                   absl::Duration patience) {
-  ASSIGN_OR_RETURN(auto client, Client::Connect(servers, std::move(options), patience));
-  return absl::WrapUnique(new AdminClient(std::move(client)));
+  auto client = Client::Connect(servers, std::move(options), patience);
+  if (!client.ok()) return client.status();
+  return absl::WrapUnique(new AdminClient(*std::move(client)));
 }
 
 bool AdminClient::IsRepeatable(const google::protobuf::Descriptor& request) {

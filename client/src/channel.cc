@@ -15,7 +15,6 @@
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
-#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -78,8 +77,9 @@ absl::StatusOr<std::shared_ptr<grpc::ChannelCredentials>> MakeCredentials(
       {&security.key, &options.pem_private_key}};
   for (const auto& [path, pem] : files) {
     if (path->empty()) continue;
-    ASSIGN_OR_RETURN(auto text, ReadTextFile(*path));
-    *pem = std::move(text);
+    auto text = ReadTextFile(*path);
+    if (!text.ok()) return text.status();
+    *pem = *std::move(text);
   }
   return grpc::SslCredentials(options);
 }
@@ -91,13 +91,15 @@ int Milliseconds(absl::Duration duration) {
 }  // namespace
 
 absl::StatusOr<std::string> ReadTokenFile(const std::string& path) {
-  ASSIGN_OR_RETURN(const auto text, ReadTextFile(path));
-  return std::string(absl::StripAsciiWhitespace(text));
+  const auto text = ReadTextFile(path);
+  if (!text.ok()) return text.status();
+  return std::string(absl::StripAsciiWhitespace(*text));
 }
 
 absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(const std::string& server,
                                                            const SecurityOptions& security) {
-  ASSIGN_OR_RETURN(const auto credentials, MakeCredentials(security));
+  const auto credentials = MakeCredentials(security);
+  if (!credentials.ok()) return credentials.status();
   grpc::ChannelArguments arguments;
   // By default gRPC shares one connection between all channels to the same server.
   arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
@@ -116,10 +118,10 @@ absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(const std::string& se
   arguments.SetInt("grpc.http2.ping_timeout_ms", Milliseconds(security.keepalive_timeout));
   arguments.SetInt(GRPC_ARG_HTTP2_MAX_PINGS_WITHOUT_DATA, 0);
   arguments.SetMaxReceiveMessageSize(kLargestMessage);
-  if (security.token.empty()) return grpc::CreateCustomChannel(server, credentials, arguments);
+  if (security.token.empty()) return grpc::CreateCustomChannel(server, *credentials, arguments);
   std::vector<std::unique_ptr<interception::ClientInterceptorFactoryInterface>> interceptors;
   interceptors.push_back(std::make_unique<TokenInterceptorFactory>(security.token));
-  return interception::CreateCustomChannelWithInterceptors(server, credentials, arguments,
+  return interception::CreateCustomChannelWithInterceptors(server, *credentials, arguments,
                                                            std::move(interceptors));
 }
 

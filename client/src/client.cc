@@ -16,7 +16,6 @@
 #include "client/src/pilot/crew.h"
 #include "client/src/replicas.h"
 #include "client/src/steady_time.h"
-#include "core/base/status_macros.h"
 #include "spikeserve/status.h"
 
 namespace spikeserve {
@@ -64,17 +63,19 @@ absl::Status ClientOptions::Validate() const {
 
 absl::StatusOr<std::unique_ptr<Client>> Client::Create(const std::string& servers,
                                                        ClientOptions options) {
-  RETURN_IF_ERROR(options.Validate());
-  ASSIGN_OR_RETURN(const auto addresses, ParseServers(servers));
+  if (absl::Status status = options.Validate(); !status.ok()) return status;
+  const auto addresses = ParseServers(servers);
+  if (!addresses.ok()) return addresses.status();
   std::vector<std::unique_ptr<Replica>> replicas;
-  for (const std::string& address : addresses) {
-    ASSIGN_OR_RETURN(auto channel, MakeChannel(address, options.security));
+  for (const std::string& address : *addresses) {
+    auto channel = MakeChannel(address, options.security);
+    if (!channel.ok()) return channel.status();
     // The credentials were read from files that may be new ones by now.
     Connector connect = [address, security = options.security] {
       auto fresh = MakeChannel(address, security);
       return fresh.ok() ? *std::move(fresh) : nullptr;
     };
-    replicas.push_back(std::make_unique<Replica>(address, std::move(channel), std::move(connect)));
+    replicas.push_back(std::make_unique<Replica>(address, *std::move(channel), std::move(connect)));
   }
   auto all = MakeReplicas(std::move(replicas), options.retry);
   return absl::WrapUnique(new Client(std::move(all), std::move(options)));
@@ -82,7 +83,7 @@ absl::StatusOr<std::unique_ptr<Client>> Client::Create(const std::string& server
 
 absl::StatusOr<std::unique_ptr<Client>> Client::Create(std::shared_ptr<grpc::Channel> channel,
                                                        ClientOptions options) {
-  RETURN_IF_ERROR(options.Validate());
+  if (absl::Status status = options.Validate(); !status.ok()) return status;
   std::vector<std::unique_ptr<Replica>> replicas;
   replicas.push_back(std::make_unique<Replica>("", std::move(channel), nullptr));
   auto all = MakeReplicas(std::move(replicas), options.retry);
@@ -92,19 +93,20 @@ absl::StatusOr<std::unique_ptr<Client>> Client::Create(std::shared_ptr<grpc::Cha
 absl::StatusOr<std::unique_ptr<Client>> Client::Connect(const std::string& servers,
                                                         ClientOptions options,
                                                         absl::Duration patience) {
-  ASSIGN_OR_RETURN(auto client, Create(servers, std::move(options)));
-  Replicas& replicas = *client->replicas_;
+  auto client = Create(servers, std::move(options));
+  if (!client.ok()) return client.status();
+  Replicas& replicas = *(*client)->replicas_;
   if (replicas.AwaitConnection(patience)) return client;
   std::string causes;
   replicas.ForEach([&](Replica& replica) {
     // The status of a call has gRPC's own words for the cause.
     grpc::ClientContext context;
-    Prepare(Route(""), client->options_.call_timeout, &context);
+    Prepare(Route(""), (*client)->options_.call_timeout, &context);
     v1::ListPoliciesResponse ignored;
     const grpc::Status status =
         replica.connection.line()->stub->ListPolicies(&context, {}, &ignored);
     const std::string cause = DiagnoseConnection(
-        replica.address, client->options_.security.use_tls(), status.error_message());
+        replica.address, (*client)->options_.security.use_tls(), status.error_message());
     if (cause.empty()) return;
     const std::string which = replicas.size() == 1 ? "" : absl::StrCat(replica.address, ": ");
     absl::StrAppend(&causes, causes.empty() ? ": " : "; ", which, cause);
@@ -169,11 +171,12 @@ absl::StatusOr<Response> Client::CallOfSession(
 
 absl::StatusOr<v1::ListPoliciesResponse> Client::ListPolicies() {
   v1::ListPoliciesResponse response;
-  RETURN_IF_ERROR(
+  const absl::Status status =
       CallOther(options_.call_timeout, /*repeatable=*/true,
                 [&](const std::shared_ptr<grpc::Channel>& channel, grpc::ClientContext* context) {
                   return v1::PolicyService::NewStub(channel)->ListPolicies(context, {}, &response);
-                }));
+                });
+  if (!status.ok()) return status;
   return response;
 }
 
@@ -185,10 +188,11 @@ absl::StatusOr<v1::OpenSessionResponse> Client::OpenSession(const v1::OpenSessio
   // NOT_FOUND is about the policy.
   Attempts attempts(replicas_.get(), &route_of_call.get(), options_.retry);
   v1::OpenSessionResponse response;
-  RETURN_IF_ERROR(Run({.timeout = options_.call_timeout}, attempts,
-                      [&](Line& line, grpc::ClientContext* context) {
-                        return line.stub->OpenSession(context, named, &response);
-                      }));
+  const absl::Status status = Run({.timeout = options_.call_timeout}, attempts,
+                                  [&](Line& line, grpc::ClientContext* context) {
+                                    return line.stub->OpenSession(context, named, &response);
+                                  });
+  if (!status.ok()) return status;
   return response;
 }
 
@@ -246,10 +250,11 @@ absl::StatusOr<Client::BatchResults> Client::ActBatchOnce(absl::Span<const v1::A
   v1::ActBatchRequest batch;
   batch.mutable_requests()->Add(requests.begin(), requests.end());
   v1::ActBatchResponse answer;
-  RETURN_IF_ERROR(Run({.timeout = options_.call_timeout, .names_session = true}, attempts,
-                      [&](Line& line, grpc::ClientContext* context) {
-                        return line.stub->ActBatch(context, batch, &answer);
-                      }));
+  const absl::Status status = Run({.timeout = options_.call_timeout, .names_session = true},
+                                  attempts, [&](Line& line, grpc::ClientContext* context) {
+                                    return line.stub->ActBatch(context, batch, &answer);
+                                  });
+  if (!status.ok()) return status;
   if (answer.results_size() != batch.requests_size()) {
     return absl::InternalError(absl::StrCat("results: expected ", batch.requests_size(),
                                             " of them, received ", answer.results_size()));
@@ -295,8 +300,9 @@ absl::StatusOr<Client::BatchResults> Client::ActBatchOn(absl::Span<const v1::Act
     const auto delay = attempts.DelayAfter(longest, options_.call_timeout, all_elsewhere);
     if (!delay.has_value()) break;
     options_.retry.sleep(*delay);
-    ASSIGN_OR_RETURN(auto part, ActBatchOnce(again, attempts));
-    for (size_t i = 0; i < failed.size(); ++i) (*results)[failed[i]] = std::move(part[i]);
+    auto part = ActBatchOnce(again, attempts);
+    if (!part.ok()) return part.status();
+    for (size_t i = 0; i < failed.size(); ++i) (*results)[failed[i]] = std::move((*part)[i]);
   }
   return results;
 }
@@ -318,8 +324,9 @@ absl::StatusOr<Client::BatchResults> Client::ActBatch(absl::Span<const v1::ActRe
     std::vector<v1::ActRequest> part;
     for (const size_t row : group) part.push_back(requests[row]);
     Route own(part.front().session_id());
-    ASSIGN_OR_RETURN(auto answers, ActBatchOn(part, own));
-    for (size_t i = 0; i < group.size(); ++i) results[group[i]] = std::move(answers[i]);
+    auto answers = ActBatchOn(part, own);
+    if (!answers.ok()) return answers.status();
+    for (size_t i = 0; i < group.size(); ++i) results[group[i]] = std::move((*answers)[i]);
   }
   return results;
 }

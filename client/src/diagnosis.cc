@@ -18,7 +18,6 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
-#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -123,11 +122,12 @@ absl::StatusOr<Socket> ConnectTo(const std::string& server) {
 // server closed the connection, or nothing within kMilliseconds.
 absl::StatusOr<std::string> FirstBytes(const std::string& server, absl::string_view request,
                                        bool* closed) {
-  ASSIGN_OR_RETURN(auto connection, ConnectTo(server));
-  (void)send(connection.get(), request.data(), request.size(), MSG_NOSIGNAL);
+  auto connection = ConnectTo(server);
+  if (!connection.ok()) return connection.status();
+  (void)send(connection->get(), request.data(), request.size(), MSG_NOSIGNAL);
   char buffer[16];
-  const bool readable = Await(connection.get(), POLLIN);
-  const ssize_t size = readable ? recv(connection.get(), buffer, sizeof(buffer), 0) : 0;
+  const bool readable = Await(connection->get(), POLLIN);
+  const ssize_t size = readable ? recv(connection->get(), buffer, sizeof(buffer), 0) : 0;
   *closed = readable && size <= 0;
   return std::string(buffer, static_cast<size_t>(size > 0 ? size : 0));
 }

@@ -4,7 +4,6 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/src/replicas.h"
-#include "core/base/status_macros.h"
 #include "spikeserve/status.h"
 
 namespace spikeserve {
@@ -24,7 +23,7 @@ absl::StatusOr<RemoteSession> RemoteSession::Open(Client* client, v1::OpenSessio
   RemoteSession session(client, "", 0);
   session.reopening_ = std::move(request);
   session.route_ = std::move(route);
-  RETURN_IF_ERROR(session.OpenAgain());
+  if (absl::Status status = session.OpenAgain(); !status.ok()) return status;
   session.reopened_ = 0;
   session.reopening_->clear_session_id();  // the next session has another one
   if (!reopens) {
@@ -45,7 +44,9 @@ absl::Status RemoteSession::OpenAgain() {
   auto route = route_ != nullptr && route_->key != session_id_
                    ? route_
                    : std::make_shared<Route>(request.session_id());
-  ASSIGN_OR_RETURN(opening_, client_->OpenSession(request, route));
+  auto opened = client_->OpenSession(request, route);
+  if (!opened.ok()) return opened.status();
+  opening_ = *std::move(opened);
   session_id_ = opening_.session_id();
   route_ = std::move(route);
   step_ = 0;
@@ -71,7 +72,7 @@ absl::StatusOr<Response> RemoteSession::CallUpToDate(
       if (!delay.has_value()) return response;
       client_->options().retry.sleep(*delay);
     }
-    RETURN_IF_ERROR(CatchUp(response.status(), reads));
+    if (absl::Status status = CatchUp(response.status(), reads); !status.ok()) return status;
   }
 }
 
@@ -98,12 +99,12 @@ absl::StatusOr<v1::ActResponse> RemoteSession::Act(
 absl::StatusOr<v1::ActResponse> RemoteSession::Decide(const v1::ActRequest& request) {
   auto response = CallUpToDate<v1::ActResponse>([&] { return client_->Act(request, route_); });
   if (reopening_.has_value() && IsSessionLost(response.status())) {
-    RETURN_IF_ERROR(OpenAgain());
+    if (absl::Status status = OpenAgain(); !status.ok()) return status;
     const v1::ActRequest first = MakeRequest(request.observation(), 0.0);
     response = CallUpToDate<v1::ActResponse>([&] { return client_->Act(first, route_); });
   }
   if (!response.ok()) return response;
-  RETURN_IF_ERROR(Accept(*response));
+  if (absl::Status status = Accept(*response); !status.ok()) return status;
   return response;
 }
 
@@ -160,7 +161,7 @@ absl::StatusOr<v1::EndEpisodeResponse> RemoteSession::EndEpisode(const EpisodeOu
     if (episode_.has_value()) ++*episode_;
   }
   if (reopening_.has_value() && IsSessionLost(response.status())) {
-    RETURN_IF_ERROR(OpenAgain());
+    if (absl::Status status = OpenAgain(); !status.ok()) return status;
   }
   return response;
 }

@@ -10,7 +10,6 @@
 #include "client/src/replicas.h"
 #include "client/src/steady_time.h"
 #include "client/src/stream_call.h"
-#include "core/base/status_macros.h"
 #include "spikeserve/client.h"
 #include "spikeserve/remote_session.h"
 
@@ -167,7 +166,7 @@ absl::StatusOr<ActReply> RemoteStream::Receive(absl::Duration timeout) {
       return absl::DeadlineExceededError("no reply within " + absl::FormatDuration(timeout));
     }
     if (!incoming->ok()) {
-      RETURN_IF_ERROR(TakeEnd(incoming->status()));
+      if (absl::Status ended = TakeEnd(incoming->status()); !ended.ok()) return ended;
       continue;
     }
     v1::ActRequest find;

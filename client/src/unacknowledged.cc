@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
-#include "core/base/status_macros.h"
 #include "spikeserve/client.h"
 #include "spikeserve/retry.h"
 #include "spikeserve/status.h"
@@ -108,10 +107,11 @@ absl::Status Unacknowledged::ActAgain(Iterator begin, Iterator end, Client* clie
                                       const std::shared_ptr<Route>& route) {
   std::vector<v1::ActRequest> requests;
   for (auto i = begin; i != end; ++i) requests.push_back(Parsed<v1::ActRequest>(i->request));
-  ASSIGN_OR_RETURN(auto results, client->ActBatch(requests, route));
+  auto results = client->ActBatch(requests, route);
+  if (!results.ok()) return results.status();
   absl::Status diverged;
-  for (size_t i = 0; i < results.size(); ++i, ++begin) {
-    const auto& result = results[i];
+  for (size_t i = 0; i < results->size(); ++i, ++begin) {
+    const auto& result = (*results)[i];
     if (!result.ok()) return diverged.ok() ? result.status() : diverged;
     diverged.Update(Take(*result, requests[i].session_id(), begin->decision, &begin->answer));
   }

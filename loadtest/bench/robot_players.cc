@@ -6,7 +6,6 @@
 #include <utility>
 
 #include "absl/time/clock.h"
-#include "core/base/status_macros.h"
 #include "spikeserve/client.h"
 #include "spikeserve/local_engine.h"
 #include "spikeserve/pilot.h"
@@ -110,13 +109,16 @@ class PilotPlayer final : public RobotPlayer {
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<RobotPlayer>> MakeCaller(const PlayerOptions& options) {
-  ASSIGN_OR_RETURN(auto patient, Client::Connect(options.servers, {}, kPatience));
-  ASSIGN_OR_RETURN(const auto opened, patient->OpenSession(Opening(options)));
+  auto patient = Client::Connect(options.servers, {}, kPatience);
+  if (!patient.ok()) return patient.status();
+  const auto opened = (*patient)->OpenSession(Opening(options));
+  if (!opened.ok()) return opened.status();
   ClientOptions settings;
   settings.call_timeout = 0.9 * options.period;
   settings.retry.max_attempts = 1;
-  ASSIGN_OR_RETURN(auto quick, Client::Connect(options.servers, settings, kPatience));
-  return std::make_unique<Caller>(std::move(patient), std::move(quick), opened.session_id());
+  auto quick = Client::Connect(options.servers, settings, kPatience);
+  if (!quick.ok()) return quick.status();
+  return std::make_unique<Caller>(*std::move(patient), *std::move(quick), opened->session_id());
 }
 
 absl::StatusOr<std::shared_ptr<Client>> Connect(const PlayerOptions& options) {
@@ -129,8 +131,9 @@ absl::StatusOr<std::unique_ptr<RobotPlayer>> MakePilot(const PlayerOptions& opti
   settings.close_timeout = kPatience;
   settings.log = nullptr;
   if (options.has_engine) settings.local = LocalEngine::FromServer();
-  ASSIGN_OR_RETURN(auto pilot, Pilot::Create(client.get(), Opening(options), std::move(settings)));
-  return std::make_unique<PilotPlayer>(std::move(client), std::move(pilot));
+  auto pilot = Pilot::Create(client.get(), Opening(options), std::move(settings));
+  if (!pilot.ok()) return pilot.status();
+  return std::make_unique<PilotPlayer>(std::move(client), *std::move(pilot));
 }
 
 }  // namespace spikeserve

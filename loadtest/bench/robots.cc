@@ -13,7 +13,6 @@
 #include <vector>
 
 #include "absl/time/clock.h"
-#include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 #include "loadtest/bench/robot_players.h"
 #include "nlohmann/json.hpp"
@@ -172,8 +171,9 @@ absl::StatusOr<std::vector<std::unique_ptr<Robot>>> MakeRobots(const Flags& flag
       player = MakeCaller(options);
     } else {
       if (i < flags.connections) {
-        ASSIGN_OR_RETURN(auto client, Connect(options));
-        clients.push_back(std::move(client));
+        auto client = Connect(options);
+        if (!client.ok()) return client.status();
+        clients.push_back(*std::move(client));
       }
       player = MakePilot(options, clients[static_cast<size_t>(i % flags.connections)]);
     }
@@ -184,14 +184,15 @@ absl::StatusOr<std::vector<std::unique_ptr<Robot>>> MakeRobots(const Flags& flag
 }
 
 absl::Status Run(const Flags& flags) {
-  ASSIGN_OR_RETURN(auto robots, MakeRobots(flags));
+  auto robots = MakeRobots(flags);
+  if (!robots.ok()) return robots.status();
   std::cout << "playing" << std::endl;
   const absl::Time began = absl::Now();
   std::vector<std::thread> threads;
-  for (size_t i = 0; i < robots.size(); ++i) {
+  for (size_t i = 0; i < robots->size(); ++i) {
     // The beats of the robots are spread evenly over a period.
     const absl::Duration offset = absl::Seconds(static_cast<double>(i) / flags.robots / flags.rate);
-    threads.emplace_back([&flags, robot = robots[i].get(), offset] {
+    threads.emplace_back([&flags, robot = (*robots)[i].get(), offset] {
       absl::SleepFor(offset);
       robot->Play(absl::Seconds(flags.seconds));
     });
@@ -199,7 +200,7 @@ absl::Status Run(const Flags& flags) {
   for (std::thread& thread : threads) thread.join();
   const double seconds = absl::ToDoubleSeconds(absl::Now() - began);
   Log log;
-  for (const auto& robot : robots) log.Add(robot->Finish());
+  for (const auto& robot : *robots) log.Add(robot->Finish());
   std::cout << JsonOf(std::move(log), seconds) << std::endl;
   return absl::OkStatus();
 }

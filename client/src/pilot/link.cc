@@ -5,7 +5,6 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/src/steady_time.h"
-#include "core/base/status_macros.h"
 #include "spikeserve/status.h"
 
 namespace spikeserve::piloting {
@@ -62,7 +61,7 @@ Link::Link(Replicas* replicas, Crew* crew, Route* route, v1::OpenSessionRequest 
 Link::~Link() { Close(absl::ZeroDuration()); }
 
 absl::Status Link::Resume(const v1::ExportSessionResponse& exported) {
-  RETURN_IF_ERROR(local_.policy()->Resume(exported));
+  if (absl::Status status = local_.policy()->Resume(exported); !status.ok()) return status;
   absl::MutexLock lock(&facts_->mutex);
   const absl::Status status = local_.Resumed(exported, facts_->log);
   facts_->has_local = status.ok();

@@ -1,7 +1,6 @@
 #include "client/src/pilot/local_copy.h"
 
 #include "absl/strings/str_cat.h"
-#include "core/base/status_macros.h"
 
 namespace spikeserve::piloting {
 
@@ -49,7 +48,9 @@ bool LocalCopy::Prepare(const BeatLog& log) {
 absl::Status LocalCopy::Play() {
   if (work_.is_end) return policy_->EndEpisode(work_.outcome, work_.executed.view());
   const auto executed = work_.has_executed ? std::optional(work_.executed.view()) : std::nullopt;
-  ASSIGN_OR_RETURN(action_, policy_->Act(work_.step, work_.observation, work_.reward, executed));
+  const auto action = policy_->Act(work_.step, work_.observation, work_.reward, executed);
+  if (!action.ok()) return action.status();
+  action_ = *action;
   return absl::OkStatus();
 }
 

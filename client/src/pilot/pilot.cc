@@ -5,7 +5,6 @@
 #include "absl/strings/str_cat.h"
 #include "client/src/pilot/cockpit.h"
 #include "client/src/replicas.h"
-#include "core/base/status_macros.h"
 #include "spikeserve/retry.h"
 
 namespace spikeserve {
@@ -39,25 +38,26 @@ absl::StatusOr<piloting::ActionValue> NeutralOf(const PilotOptions& options,
 
 absl::StatusOr<std::unique_ptr<Pilot>> Pilot::Create(Client* client, v1::OpenSessionRequest request,
                                                      PilotOptions options) {
-  RETURN_IF_ERROR(options.Validate());
+  if (absl::Status status = options.Validate(); !status.ok()) return status;
   request.set_period_seconds(absl::ToDoubleSeconds(options.period));
   const std::shared_ptr<Route> route = MakeRoute();
-  ASSIGN_OR_RETURN(const auto opened, client->OpenSession(request, route));
-  const std::string& id = opened.session_id();
+  const auto opened = client->OpenSession(request, route);
+  if (!opened.ok()) return opened.status();
+  const std::string& id = opened->session_id();
   const auto close_after = [&](absl::Status status) {
     (void)client->CloseSession(id, route);  // otherwise the session ends by itself
     return status;
   };
-  if (opened.history_limit() == 0) {
+  if (opened->history_limit() == 0) {
     return close_after(absl::UnimplementedError(
         "server: expected a release that appends beats, received an older one"));
   }
-  const auto neutral = NeutralOf(options, opened);
+  const auto neutral = NeutralOf(options, *opened);
   if (!neutral.ok()) return close_after(neutral.status());
   LocalPolicy* const local = options.local.get();
   auto cockpit =
       std::make_unique<Cockpit>(client->replicas_.get(), client->crew_.get(), route,
-                                std::move(request), opened, *neutral, std::move(options));
+                                std::move(request), *opened, *neutral, std::move(options));
   if (local != nullptr) {
     const absl::Status status = ResumeLocal(client, id, route, local, &cockpit->link());
     if (!status.ok()) return close_after(status);
