@@ -42,6 +42,36 @@ int64_t CatalogPolicy::DefaultVersion() const {
   return settings.default_version != 0 ? settings.default_version : versions.rbegin()->first;
 }
 
+absl::Status CatalogPolicy::CheckVersion(const PolicyVersion& version) const {
+  if (versions.contains(version.version)) return absl::OkStatus();
+  return absl::NotFoundError(absl::StrCat("version: expected a served version of policy ",
+                                          version.policy, ", received ", version.version));
+}
+
+absl::Status CatalogPolicy::CheckShadow(const std::string& name, std::vector<TrafficShare> shadowed,
+                                        int64_t shadow_version) const {
+  if (shadow_version == 0) return absl::OkStatus();
+  if (auto status = CheckVersion({name, shadow_version}); !status.ok()) return status;
+  if (shadowed.empty()) shadowed = {{.version = DefaultVersion(), .percent = 100}};
+  for (const TrafficShare& share : shadowed) {
+    if (SameSpaces(*versions.at(share.version), *versions.at(shadow_version))) continue;
+    return absl::FailedPreconditionError(
+        absl::StrCat("shadow_version: expected the observations and actions of version ",
+                     share.version, ", received version ", shadow_version));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CatalogPolicy::CheckTraffic(const std::string& name,
+                                         const std::vector<TrafficShare>& shares,
+                                         int64_t shadow_version) const {
+  if (auto status = CheckShares(shares); !status.ok()) return status;
+  for (const TrafficShare& share : shares) {
+    if (auto status = CheckVersion({name, share.version}); !status.ok()) return status;
+  }
+  return CheckShadow(name, shares, shadow_version);
+}
+
 absl::StatusOr<const CatalogPolicy*> PolicyCatalog::FindPolicy(const std::string& name) const {
   const auto policy = policies_.find(name);
   if (policy != policies_.end()) return &policy->second;

@@ -11,6 +11,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -42,6 +43,18 @@ struct CatalogPolicy {
 
   // Returns settings.default_version, or the highest version if it is 0.
   int64_t DefaultVersion() const;
+
+  // Returns NOT_FOUND unless this version of the policy is served.
+  absl::Status CheckVersion(const PolicyVersion& version) const;
+  // Returns NOT_FOUND unless the shadow is 0 or a served version, and FAILED_PRECONDITION unless it
+  // has the spaces of every version that sessions can be routed to without naming a version.
+  // `name` is the policy's.
+  absl::Status CheckShadow(const std::string& name, std::vector<TrafficShare> shadowed,
+                           int64_t shadow_version) const;
+  // Returns the error of CheckShares, NOT_FOUND if a version is not served, or the error of
+  // CheckShadow.
+  absl::Status CheckTraffic(const std::string& name, const std::vector<TrafficShare>& shares,
+                            int64_t shadow_version) const;
 };
 
 class PolicyCatalog {

@@ -14,45 +14,6 @@
 #include "server/trace/tracer.h"
 
 namespace spikeserve {
-namespace {
-
-// Returns NOT_FOUND unless the policy has this version.
-absl::Status CheckVersion(const CatalogPolicy& policy, const std::string& name, int64_t version) {
-  if (policy.versions.contains(version)) return absl::OkStatus();
-  return absl::NotFoundError(
-      absl::StrCat("version: expected a served version of policy ", name, ", received ", version));
-}
-
-// Returns FAILED_PRECONDITION unless the shadow has the spaces of every version that sessions can
-// be routed to without naming a version.
-absl::Status CheckShadow(const CatalogPolicy& policy, const std::string& name,
-                         std::vector<TrafficShare> shadowed, int64_t shadow_version) {
-  if (shadow_version == 0) return absl::OkStatus();
-  RETURN_IF_ERROR(CheckVersion(policy, name, shadow_version));
-  if (shadowed.empty()) shadowed = {{.version = policy.DefaultVersion(), .percent = 100}};
-  for (const TrafficShare& share : shadowed) {
-    if (SameSpaces(*policy.versions.at(share.version), *policy.versions.at(shadow_version))) {
-      continue;
-    }
-    return absl::FailedPreconditionError(
-        absl::StrCat("shadow_version: expected the observations and actions of version ",
-                     share.version, ", received version ", shadow_version));
-  }
-  return absl::OkStatus();
-}
-
-// Returns the error of CheckShares, NOT_FOUND if a version is not served, or the error of
-// CheckShadow.
-absl::Status CheckTraffic(const CatalogPolicy& policy, const std::string& name,
-                          const std::vector<TrafficShare>& shares, int64_t shadow_version) {
-  RETURN_IF_ERROR(CheckShares(shares));
-  for (const TrafficShare& share : shares) {
-    RETURN_IF_ERROR(CheckVersion(policy, name, share.version));
-  }
-  return CheckShadow(policy, name, shares, shadow_version);
-}
-
-}  // namespace
 
 absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(RegistryOptions options,
                                                                      NewObserver new_observer,
@@ -357,9 +318,7 @@ absl::Status PolicyRegistry::UnloadOnce(const PolicyVersion& version) {
   PolicyCatalog catalog = *this->catalog();
   RETURN_IF_ERROR(catalog.FindPolicy(version.policy).status());
   CatalogPolicy& policy = catalog.policies()[version.policy];
-  if (auto status = CheckVersion(policy, version.policy, version.version); !status.ok()) {
-    return status;
-  }
+  RETURN_IF_ERROR(policy.CheckVersion(version));
   const bool is_last = policy.versions.size() == 1;
   const std::string use = is_last ? policy.settings.DescribeUseBesideDefault(version.version)
                                   : policy.settings.DescribeUse(version.version);
@@ -411,7 +370,7 @@ absl::StatusOr<int64_t> PolicyRegistry::SetDefault(const std::string& policy, in
     RETURN_IF_ERROR(CheckNoRollout(*settings));
     if (version == 0) {
       result = served.versions.rbegin()->first;
-    } else if (auto known = CheckVersion(served, policy, version); !known.ok()) {
+    } else if (auto known = served.CheckVersion({policy, version}); !known.ok()) {
       return known;
     }
     settings->default_version = version;
@@ -429,7 +388,7 @@ absl::Status PolicyRegistry::SetLabel(const PolicyVersion& version, const std::s
                                                    Quoted(label)));
   }
   const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
-    auto status = CheckVersion(served, version.policy, version.version);
+    auto status = served.CheckVersion(version);
     if (status.ok()) settings->labels[label] = version.version;
     return status;
   };
@@ -449,7 +408,7 @@ absl::Status PolicyRegistry::SetTraffic(const std::string& policy,
                                         int64_t shadow_version) {
   return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
     RETURN_IF_ERROR(CheckNoRollout(*settings));
-    auto status = CheckTraffic(served, policy, shares, shadow_version);
+    auto status = served.CheckTraffic(policy, shares, shadow_version);
     if (!status.ok()) return status;
     settings->shares = shares;
     settings->shadow_version = shadow_version;
@@ -461,7 +420,7 @@ absl::Status PolicyRegistry::SetShares(const std::string& policy,
                                        const std::vector<TrafficShare>& shares) {
   return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
     RETURN_IF_ERROR(CheckNoRollout(*settings));
-    auto status = CheckTraffic(served, policy, shares, served.settings.shadow_version);
+    auto status = served.CheckTraffic(policy, shares, served.settings.shadow_version);
     if (status.ok()) settings->shares = shares;
     return status;
   });
@@ -469,7 +428,7 @@ absl::Status PolicyRegistry::SetShares(const std::string& policy,
 
 absl::Status PolicyRegistry::SetShadow(const std::string& policy, int64_t shadow_version) {
   return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
-    auto status = CheckShadow(served, policy, served.settings.shares, shadow_version);
+    auto status = served.CheckShadow(policy, served.settings.shares, shadow_version);
     if (status.ok()) settings->shadow_version = shadow_version;
     return status;
   });
