@@ -12,16 +12,13 @@ import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-import grpc
-
 from spikeserve.async_connection import AsyncConnection
 from spikeserve.calls import Call
-from spikeserve.channels import ClientOptions
 from spikeserve.connection import Connection
 from spikeserve.wire import ADMIN_METHODS, ADMIN_SERVICE, Message, comment_of
 
 # Loading a version reads files and tries the policy, which takes longer than a decision.
-DEFAULT_OPTIONS = ClientOptions(timeout=60.0)
+TIMEOUT = 60.0
 
 
 class AdminClient(Connection):
@@ -32,14 +29,7 @@ class AdminClient(Connection):
     """
 
     _table = ADMIN_METHODS
-
-    def __init__(
-        self,
-        server: str | None = None,
-        options: ClientOptions | None = None,
-        credentials: grpc.ChannelCredentials | None = None,
-    ) -> None:
-        super().__init__(server, options or DEFAULT_OPTIONS, credentials)
+    _default_timeout = TIMEOUT
 
     if TYPE_CHECKING:
 
@@ -50,14 +40,7 @@ class AsyncAdminClient(AsyncConnection):
     """Asyncio form of AdminClient. Its methods are coroutines."""
 
     _table = ADMIN_METHODS
-
-    def __init__(
-        self,
-        server: str | None = None,
-        options: ClientOptions | None = None,
-        credentials: grpc.ChannelCredentials | None = None,
-    ) -> None:
-        super().__init__(server, options or DEFAULT_OPTIONS, credentials)
+    _default_timeout = TIMEOUT
 
     if TYPE_CHECKING:
 

@@ -59,6 +59,7 @@ class Channels:
 
     _transport: ClassVar[Any]  # grpc or grpc.aio, whose functions have the same names
     _table: ClassVar[dict[str, Method]] = METHODS  # the methods of the service by name
+    _default_timeout: ClassVar[float] = ClientOptions.timeout
 
     def __init__(
         self,
@@ -66,7 +67,7 @@ class Channels:
         options: ClientOptions | None = None,
         credentials: grpc.ChannelCredentials | None = None,
     ) -> None:
-        self._options = options or ClientOptions()
+        self._options = options or ClientOptions(timeout=self._default_timeout)
         self.server = default_server() if server is None else server
         self._credentials = credentials
         self._reached = False  # whether a server has answered a call
