@@ -95,9 +95,15 @@ def is_kept(document):
     return document["kind"] not in ("PrometheusRule", "ConfigMap")
 
 
+def name_of(document):
+    return f"{document['kind']}/{document['metadata']['name']}"
+
+
 def rendered(case):
-    """Returns the objects of the rendered file of `case`."""
-    return list(yaml.safe_load_all((RENDERED / f"{case}.yaml").read_text()))
+    """Returns the objects of the rendered file of `case`. Those that are as in the default case have only their name there."""
+    documents = list(yaml.safe_load_all((RENDERED / f"{case}.yaml").read_text()))
+    default = {} if case == "default" else {name_of(document): document for document in rendered("default")}
+    return [default[document] if isinstance(document, str) else document for document in documents]
 
 
 def find(documents, kind):
@@ -112,9 +118,12 @@ def workload(documents):
 
 def write_rendered(helm):
     RENDERED.mkdir(exist_ok=True)
+    default = list(filter(is_kept, render(helm, "default")))
     for case in CASES:
         documents = filter(is_kept, render(helm, case))
-        text = yaml.safe_dump_all(documents, sort_keys=False, width=118)
+        if case != "default":
+            documents = (name_of(document) if document in default else document for document in documents)
+        text = yaml.safe_dump_all(documents, sort_keys=False, width=118, default_flow_style=None)
         (RENDERED / f"{case}.yaml").write_text(text)
     (RENDERED / "source.sha256").write_text(source_digest() + "\n")
 
