@@ -51,7 +51,7 @@ absl::Status CatalogPolicy::CheckVersion(const PolicyVersion& version) const {
 absl::Status CatalogPolicy::CheckShadow(const std::string& name, std::vector<TrafficShare> shadowed,
                                         int64_t shadow_version) const {
   if (shadow_version == 0) return absl::OkStatus();
-  if (auto status = CheckVersion({name, shadow_version}); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckVersion({name, shadow_version}));
   if (shadowed.empty()) shadowed = {{.version = DefaultVersion(), .percent = 100}};
   for (const TrafficShare& share : shadowed) {
     if (SameSpaces(*versions.at(share.version), *versions.at(shadow_version))) continue;
@@ -65,9 +65,9 @@ absl::Status CatalogPolicy::CheckShadow(const std::string& name, std::vector<Tra
 absl::Status CatalogPolicy::CheckTraffic(const std::string& name,
                                          const std::vector<TrafficShare>& shares,
                                          int64_t shadow_version) const {
-  if (auto status = CheckShares(shares); !status.ok()) return status;
+  RETURN_IF_ERROR(CheckShares(shares));
   for (const TrafficShare& share : shares) {
-    if (auto status = CheckVersion({name, share.version}); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckVersion({name, share.version}));
   }
   return CheckShadow(name, shares, shadow_version);
 }

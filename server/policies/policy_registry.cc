@@ -408,11 +408,10 @@ absl::Status PolicyRegistry::SetTraffic(const std::string& policy,
                                         int64_t shadow_version) {
   return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
     RETURN_IF_ERROR(CheckNoRollout(*settings));
-    auto status = served.CheckTraffic(policy, shares, shadow_version);
-    if (!status.ok()) return status;
+    RETURN_IF_ERROR(served.CheckTraffic(policy, shares, shadow_version));
     settings->shares = shares;
     settings->shadow_version = shadow_version;
-    return status;
+    return absl::OkStatus();
   });
 }
 
