@@ -2,18 +2,16 @@
 
 import asyncio
 import contextlib
-import os
 import pathlib
-import shutil
-import subprocess
 
 import grpc
 import pytest
 import spikeserve
+from deployed_proxies import PROXIES, installed, running
 from redis_servers import free_port
 from replicated import EPISODES, SESSIONS, STEPS, options_of, policy_of, running_fleet
 from security import until
-from serving import DEADLINE_SECONDS, DEPLOY
+from serving import DEADLINE_SECONDS
 from test_cpp_replicas import CppCalls, CppStreams
 from test_replicas import AsyncCalls, AsyncStreams, Calls, Streams, answers_of, undisturbed  # noqa: F401
 
@@ -21,84 +19,28 @@ OPTIONS = spikeserve.ClientOptions(
     timeout=2.0, connect_timeout=DEADLINE_SECONDS, retry=spikeserve.RetryOptions(max_elapsed=60)
 )
 
-NGINX = """
-daemon off;
-pid {path}/nginx.pid;
-events {{}}
-http {{
-  access_log off;
-  client_body_temp_path {path};
-  proxy_temp_path {path};
-  fastcgi_temp_path {path};
-  uwsgi_temp_path {path};
-  scgi_temp_path {path};
-  include {path}/site.conf;
-}}
-"""
 
-
-def configuration(file, certificates, replacements):
-    """Returns a configuration of deploy/ with the addresses of a test. Each part must occur once."""
-    text = (DEPLOY / file).read_text()
-    for part, value in replacements.items():
-        assert text.count(part) == 1, part
-        text = text.replace(part, str(value))
-    for part in ("server.pem", "server.key"):
-        text = text.replace(f"/etc/spikeserve/{part}", str(certificates / part))
-    assert "10.0.0." not in text
-    return text
-
-
-def nginx(path, port, certificates, replicas):
-    parts = {"listen 443": f"listen 127.0.0.1:{port}"}
-    parts |= {f"10.0.0.{i + 1}:50051": replica.address for i, replica in enumerate(replicas)}
-    site = configuration("nginx/spikeserve-replicas.conf", certificates, parts)
-    (path / "site.conf").write_text(site)
-    (path / "nginx.conf").write_text(NGINX.format(path=path))
-    return ["nginx", "-p", path, "-e", "stderr", "-c", path / "nginx.conf"]
-
-
-def haproxy(path, port, certificates, replicas):
-    both = (certificates / "server.pem").read_text() + (certificates / "server.key").read_text()
-    (path / "spikeserve.pem").write_text(both)
-    parts = {"bind :443": f"bind 127.0.0.1:{port}", "/etc/haproxy/spikeserve.pem": path / "spikeserve.pem"}
-    for i, replica in enumerate(replicas):
-        http_port = replica.http_address.rpartition(":")[2]
+def in_front(name, path, port, certificates, replicas):
+    """Runs a proxy that listens on localhost and asks the replicas."""
+    parts = {}
+    if name == "nginx":
+        file = "spikeserve-replicas.conf"
+        parts = {f"10.0.0.{i + 1}:50051": replica.address for i, replica in enumerate(replicas)}
+        parts["listen 443"] = f"listen 127.0.0.1:{port}"
+    elif name == "haproxy":
+        file = "haproxy-replicas.cfg"
         server = "{} proto h2 check check-proto h1 port {}".format
-        parts[server(f"10.0.0.{i + 1}:50051", 9464)] = server(replica.address, http_port)
-    text = configuration("haproxy/haproxy-replicas.cfg", certificates, parts)
-    (path / "haproxy.cfg").write_text(text)
-    return ["haproxy", "-q", "-db", "-f", path / "haproxy.cfg"]
-
-
-def envoy(path, port, certificates, replicas):
-    address = "address: {}, port_value: {}".format
-    parts = {address("0.0.0.0", 443): address("127.0.0.1", port)}
-    for i, replica in enumerate(replicas):
-        parts[address(f"10.0.0.{i + 1}", 50051)] = address(*replica.address.rsplit(":", 1))
-    (path / "envoy.yaml").write_text(configuration("envoy/envoy-replicas.yaml", certificates, parts))
-    flags = ["--concurrency", "1", "--use-dynamic-base-id", "--log-level", "error"]
-    return ["envoy", "-c", path / "envoy.yaml", *flags]
-
-
-def installed(name):
-    """Returns the path of a program. Skips the test if it is not installed, and fails it in CI."""
-    path = shutil.which(
-        name, path=f"{os.environ['SPIKESERVE_INTEROP']}/bin:{os.environ['PATH']}:/usr/sbin"
-    )
-    if path is None:
-        (pytest.fail if os.environ.get("CI") else pytest.skip)(f"without {name}")
-    return path
-
-
-@contextlib.contextmanager
-def running(command):
-    process = subprocess.Popen(command)
-    try:
-        yield
-    finally:
-        process.terminate()
-        process.wait(timeout=DEADLINE_SECONDS)
+        for i, replica in enumerate(replicas):
+            http_port = replica.http_address.rpartition(":")[2]
+            parts[server(f"10.0.0.{i + 1}:50051", 9464)] = server(replica.address, http_port)
+        parts["bind :443"] = f"bind 127.0.0.1:{port}"
+    else:
+        file = "envoy-replicas.yaml"
+        address = "address: {}, port_value: {}".format
+        for i, replica in enumerate(replicas):
+            parts[address(f"10.0.0.{i + 1}", 50051)] = address(*replica.address.rsplit(":", 1))
+        parts[address("0.0.0.0", 443)] = address("127.0.0.1", port)
+    return running(name, file, path, certificates, parts)
 
 
 @pytest.fixture(scope="module")
@@ -113,14 +55,12 @@ def root(certificates):
     return certificates / "ca.pem"
 
 
-@pytest.fixture(scope="module", params=[nginx, haproxy, envoy], ids=lambda proxy: proxy.__name__)
+@pytest.fixture(scope="module", params=PROXIES)
 def address(fleet, certificates, request, tmp_path_factory):
     """Starts a proxy in front of the replicas, all of which it has found, and yields its address."""
-    program = installed(request.param.__name__)
     port = free_port()
     path = tmp_path_factory.mktemp("proxy")
-    _, *arguments = request.param(path, port, certificates, fleet.replicas)
-    with running([program, *arguments]):
+    with in_front(request.param, path, port, certificates, fleet.replicas):
         yield f"localhost:{port}"
 
 

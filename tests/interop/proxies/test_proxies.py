@@ -2,112 +2,44 @@
 
 import contextlib
 import pathlib
-import subprocess
 import threading
 
 import grpc
 import pytest
 from contract import call, message_class, v1
-from programs import require
+from deployed_proxies import PROXIES, running
 from security import OBSERVATION, POLICY, SERVING, credentials, until
-from serving import DEADLINE_SECONDS, DEPLOY, running_server
-
-NGINX = """
-daemon off;
-pid {path}/nginx.pid;
-events {{}}
-http {{
-  access_log off;
-  client_body_temp_path {path};
-  proxy_temp_path {path};
-  fastcgi_temp_path {path};
-  uwsgi_temp_path {path};
-  scgi_temp_path {path};
-  include {path}/spikeserve.conf;
-}}
-"""
+from serving import DEADLINE_SECONDS, running_server
 
 
-def replaced(text, **parts):
-    """Returns the text of a configuration with each part replaced, which must occur exactly once."""
-    for part, value in parts.items():
-        assert text.count(part) == 1, f"{part}: expected once, received {text.count(part)} times"
-        text = text.replace(part, str(value))
-    return text
-
-
-@contextlib.contextmanager
-def running(command):
-    process = subprocess.Popen(command)
-    try:
-        yield
-    finally:
-        process.terminate()
-        process.wait(timeout=DEADLINE_SECONDS)
-
-
-@contextlib.contextmanager
-def nginx(path, server, certificates):
-    program = require("nginx")
-    site = replaced(
-        (DEPLOY / "nginx" / "spikeserve.conf").read_text(),
-        **{
-            "127.0.0.1:50051": server.grpc,
-            "listen 443": f"listen unix:{path}/proxy.sock",
-            "/etc/spikeserve/server.pem": certificates / "server.pem",
-            "/etc/spikeserve/server.key": certificates / "server.key",
-        },
-    )
-    (path / "spikeserve.conf").write_text(site)
-    (path / "nginx.conf").write_text(NGINX.format(path=path))
-    with running([program, "-p", path, "-e", "stderr", "-c", path / "nginx.conf"]):
-        yield
-
-
-@contextlib.contextmanager
-def haproxy(path, server, certificates):
-    program = require("haproxy")
-    both = (certificates / "server.pem").read_text() + (certificates / "server.key").read_text()
-    (path / "spikeserve.pem").write_text(both)
-    configuration = replaced(
-        (DEPLOY / "haproxy" / "haproxy.cfg").read_text(),
-        **{
-            "127.0.0.1:50051": server.grpc,
-            "port 9464": f"port {server.http.rpartition(':')[2]}",
-            "bind :443": f"bind unix@{path}/proxy.sock",
-            "/etc/haproxy/spikeserve.pem": path / "spikeserve.pem",
-        },
-    )
-    (path / "haproxy.cfg").write_text(configuration)
-    with running([program, "-q", "-db", "-f", path / "haproxy.cfg"]):
-        yield
-
-
-@contextlib.contextmanager
-def envoy(path, server, certificates):
-    program = require("envoy")
+def in_front(name, path, server, certificates):
+    """Runs a proxy that listens on path/proxy.sock and asks the server."""
     host, _, port = server.grpc.rpartition(":")
-    configuration = replaced(
-        (DEPLOY / "envoy" / "envoy.yaml").read_text(),
-        **{
-            "socket_address: {address: 127.0.0.1, port_value: 50051}": (
-                f"socket_address: {{address: {host}, port_value: {port}}}"
-            ),
-            "socket_address: {address: 0.0.0.0, port_value: 443}": f"pipe: {{path: {path}/proxy.sock}}",
-            "/etc/spikeserve/server.pem": certificates / "server.pem",
-            "/etc/spikeserve/server.key": certificates / "server.key",
-        },
-    )
-    (path / "envoy.yaml").write_text(configuration)
-    flags = ["--concurrency", "1", "--use-dynamic-base-id", "--log-level", "error"]
-    with running([program, "-c", path / "envoy.yaml", *flags]):
-        yield
+    file, parts = {
+        "nginx": (
+            "spikeserve.conf",
+            {"127.0.0.1:50051": server.grpc, "listen 443": f"listen unix:{path}/proxy.sock"},
+        ),
+        "haproxy": (
+            "haproxy.cfg",
+            {
+                "127.0.0.1:50051": server.grpc,
+                "port 9464": f"port {server.http.rpartition(':')[2]}",
+                "bind :443": f"bind unix@{path}/proxy.sock",
+            },
+        ),
+        "envoy": (
+            "envoy.yaml",
+            {
+                "address: 127.0.0.1, port_value: 50051": f"address: {host}, port_value: {port}",
+                "socket_address: {address: 0.0.0.0, port_value: 443}": f"pipe: {{path: {path}/proxy.sock}}",
+            },
+        ),
+    }[name]
+    return running(name, file, path, certificates, parts)
 
 
-PROXIES = {"params": [nginx, haproxy, envoy], "ids": ["nginx", "haproxy", "envoy"]}
-
-
-@pytest.fixture(scope="module", **PROXIES)
+@pytest.fixture(scope="module", params=PROXIES)
 def channel(request, server, certificates, tmp_path_factory):
     """A channel to the server through a proxy, over TLS."""
     path: pathlib.Path = tmp_path_factory.mktemp("proxy")
@@ -117,7 +49,7 @@ def channel(request, server, certificates, tmp_path_factory):
         ("grpc.max_receive_message_length", -1),
         ("grpc.use_local_subchannel_pool", 1),
     ]
-    with request.param(path, server, certificates):
+    with in_front(request.param, path, server, certificates):
         until((path / "proxy.sock").exists)
         target = f"unix:{path}/proxy.sock"
         with grpc.secure_channel(target, credentials(certificates), options) as opened:
@@ -208,11 +140,11 @@ def test_a_deadline_passes_through(channel):
     assert late.value.code() == grpc.StatusCode.DEADLINE_EXCEEDED
 
 
-@pytest.mark.parametrize("proxy", PROXIES["params"], ids=PROXIES["ids"])
+@pytest.mark.parametrize("proxy", PROXIES)
 def test_a_server_that_has_stopped_is_unavailable(proxy, certificates, tmp_path):
     with contextlib.ExitStack() as stack:
         with running_server() as server:
-            stack.enter_context(proxy(tmp_path, server, certificates))
+            stack.enter_context(in_front(proxy, tmp_path, server, certificates))
             until((tmp_path / "proxy.sock").exists)
             options = [
                 ("grpc.ssl_target_name_override", "localhost"),
