@@ -4,7 +4,7 @@ import contextlib
 
 import grpc
 from security import POLICY
-from serving import DEADLINE_SECONDS, message_class
+from serving import DEADLINE_SECONDS, method_of
 
 SESSION = "0" * 31 + "a"
 KINDS = {
@@ -78,10 +78,5 @@ class Robot:
 
 def answers_on_stream(channel, requests):
     """Sends requests, which are dicts of fields, on one ActStream. Returns their answers."""
-    request, response = (message_class(channel, f"spikeserve.v1.{name}") for name in ("ActRequest", "ActResponse"))
-    stream = channel.stream_stream(
-        f"/{POLICY}/ActStream",
-        request_serializer=request.SerializeToString,
-        response_deserializer=response.FromString,
-    )
+    request, stream = method_of(channel, POLICY, "ActStream")
     return list(stream(iter([request(**fields) for fields in requests]), timeout=DEADLINE_SECONDS))

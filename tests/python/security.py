@@ -66,9 +66,9 @@ def service_with(addresses, token, name=POLICY):
         yield described
 
 
-def code_of(call, **fields):
+def code_of(call, *arguments, **fields):
     try:
-        call(**fields)
+        call(*arguments, **fields)
     except grpc.RpcError as error:
         return error.code()
     return grpc.StatusCode.OK

@@ -94,6 +94,26 @@ def message_class(channel, name):
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
 
 
+def _bound(channel, method):
+    kind = "_".join("stream" if each else "unary" for each in (method.client_streaming, method.server_streaming))
+    request_class = message_factory.GetMessageClass(method.input_type)
+    call = getattr(channel, kind)(
+        f"/{method.containing_service.full_name}/{method.name}",
+        request_serializer=request_class.SerializeToString,
+        response_deserializer=message_factory.GetMessageClass(method.output_type).FromString,
+    )
+    return request_class, call
+
+
+def method_of(channel, service, name, calls=None):
+    """Returns the class of a method's requests, and the method, which takes and returns messages.
+
+    They come from the reflection of the server on `channel`. The calls use the channel `calls`, or `channel` if it is None.
+    """
+    pool = descriptor_pool.DescriptorPool(ProtoReflectionDescriptorDatabase(channel))
+    return _bound(calls or channel, pool.FindServiceByName(service).methods_by_name[name])
+
+
 class Service:
     """Has one Python method for each unary method of a service.
 
@@ -105,15 +125,9 @@ class Service:
         pool = descriptor_pool.DescriptorPool(ProtoReflectionDescriptorDatabase(channel))
         for method in pool.FindServiceByName(name).methods:
             if not method.client_streaming and not method.server_streaming:
-                setattr(self, method.name, self._unary(calls or channel, name, method))
+                setattr(self, method.name, self._unary(calls or channel, method))
 
     @staticmethod
-    def _unary(channel, service, method):
-        request_class = message_factory.GetMessageClass(method.input_type)
-        response_class = message_factory.GetMessageClass(method.output_type)
-        call = channel.unary_unary(
-            f"/{service}/{method.name}",
-            request_serializer=request_class.SerializeToString,
-            response_deserializer=response_class.FromString,
-        )
+    def _unary(channel, method):
+        request_class, call = _bound(channel, method)
         return lambda **fields: call(request_class(**fields), timeout=DEADLINE_SECONDS)

@@ -118,6 +118,18 @@ class Restartable:
         self.kill()
 
 
+@contextlib.contextmanager
+def replicas_on(redis, count=2, **options):
+    """Starts servers that share one store. A test may stop or kill them."""
+    with contextlib.ExitStack() as stack:
+        store = f"redis://127.0.0.1:{redis.port}"
+        started = tuple(stack.enter_context(Restartable(store, **options)) for _ in range(count))
+        yield started
+        for server in started:
+            server.addresses.process.send_signal(signal.SIGCONT)
+            server.close()
+
+
 def play(service, disturb=lambda episode, step: None, batch=None):
     """Plays all sessions and returns everything that the server answered, by session."""
     batch = batch or (lambda requests: service().ActBatch(requests=requests))

@@ -5,9 +5,9 @@ import contextlib
 import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis, stopping
-from security import until
-from serving import message_class
-from stored_sessions import Restartable, acting, comparable, opening
+from security import POLICY, until
+from serving import method_of
+from stored_sessions import Restartable, acting, comparable, opening, replicas_on
 
 pytestmark = WITHOUT_REDIS
 
@@ -26,11 +26,8 @@ def redis():
 
 @pytest.fixture(scope="module")
 def both(redis):
-    store = f"redis://127.0.0.1:{redis.port}"
-    with Restartable(store) as first, Restartable(store) as second:
-        yield first, second
-        first.close()
-        second.close()
+    with replicas_on(redis) as started:
+        yield started
 
 
 @pytest.fixture
@@ -88,12 +85,7 @@ def by_batch(server):
 
 
 def by_stream(server):
-    request_class = message_class(server.channel, "spikeserve.v1.ActRequest")
-    call = server.channel.stream_stream(
-        "/spikeserve.v1.PolicyService/ActStream",
-        request_serializer=request_class.SerializeToString,
-        response_deserializer=message_class(server.channel, "spikeserve.v1.ActResponse").FromString,
-    )
+    request_class, call = method_of(server.channel, POLICY, "ActStream")
 
     def act(**fields):
         [answer] = call(iter([request_class(**fields)]))

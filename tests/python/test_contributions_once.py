@@ -7,7 +7,7 @@ import pytest
 from redis_servers import WITHOUT_REDIS
 from security import ADMIN, code_of, until
 from serving import SHIPPED_POLICIES, Service
-from stored_sessions import Restartable
+from stored_sessions import replicas_on
 
 pytestmark = WITHOUT_REDIS
 
@@ -20,11 +20,8 @@ FLEET = {"scope": "FLEET", "learning_rate": 0.3}
 def replicas(redis, tmp_path):
     policies = tmp_path / "policies"
     shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", policies / "cartpole" / "1")
-    store = f"redis://127.0.0.1:{redis.port}"
-    with Restartable(store, policies=policies) as first, Restartable(store, policies=policies) as second:
-        yield first, second
-        first.close()
-        second.close()
+    with replicas_on(redis, policies=policies) as started:
+        yield started
 
 
 def session(i):

@@ -8,7 +8,7 @@ import pytest
 from overflowing_policy import FAR, LARGEST, ZERO, add_overflowing
 from policy_file import read_policy, write_policy
 from security import ADMIN, OBSERVATION, POLICY, code_of, until
-from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, message_class, metric, running_server, status_of
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, method_of, metric, running_server, status_of
 
 INTERNAL = grpc.StatusCode.INTERNAL
 
@@ -84,16 +84,13 @@ def alerts(addresses):
 
 def infer(channel, observation):
     """Makes one decision of a new sequence by the Open Inference Protocol."""
-    request = message_class(channel, "inference.ModelInferRequest")(model_name="cartpole", model_version="2")
+    request_class, call = method_of(channel, "inference.GRPCInferenceService", "ModelInfer")
+    request = request_class(model_name="cartpole", model_version="2")
     request.parameters["sequence_id"].int64_param = 7
     request.parameters["sequence_start"].bool_param = True
     tensor = request.inputs.add(name="observation", datatype="FP32", shape=[4])
     tensor.contents.fp32_contents.extend(observation)
-    return channel.unary_unary(
-        "/inference.GRPCInferenceService/ModelInfer",
-        request_serializer=type(request).SerializeToString,
-        response_deserializer=message_class(channel, "inference.ModelInferResponse").FromString,
-    )(request, timeout=DEADLINE_SECONDS)
+    return call(request, timeout=DEADLINE_SECONDS)
 
 
 def test_a_decision_that_is_not_finite_is_an_error_and_changes_nothing(overflowing):

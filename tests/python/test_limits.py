@@ -3,7 +3,7 @@
 import grpc
 import pytest
 from security import OBSERVATION, POLICY, code_of, service_with
-from serving import DEADLINE_SECONDS, message_class
+from serving import DEADLINE_SECONDS, message_class, method_of
 
 
 def retry_delay(addresses, error):
@@ -47,14 +47,9 @@ def test_a_stream_goes_on_after_a_refusal(addresses):
         grpc.insecure_channel(addresses.grpc) as channel,
     ):
         session = slow.OpenSession(policy="cartpole").session_id
-        request = message_class(channel, "spikeserve.v1.ActRequest")(
-            session_id=session, observation=OBSERVATION
-        )
-        stream = channel.stream_stream(
-            f"/{POLICY}/ActStream",
-            request_serializer=type(request).SerializeToString,
-            response_deserializer=message_class(channel, "spikeserve.v1.ActResponse").FromString,
-        )(iter([request] * 12), metadata=[("authorization", "Bearer slow")], timeout=DEADLINE_SECONDS)
+        request_class, call = method_of(channel, POLICY, "ActStream")
+        requests = [request_class(session_id=session, observation=OBSERVATION)] * 12
+        stream = call(iter(requests), metadata=[("authorization", "Bearer slow")], timeout=DEADLINE_SECONDS)
         answers = list(stream)
     assert stream.code() == grpc.StatusCode.OK
     assert len(answers) == 12

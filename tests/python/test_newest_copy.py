@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS
-from security import code_of, until
-from serving import message_class, metric
+from security import POLICY, code_of, until
+from serving import method_of, metric
 from stored_sessions import (
     STEPS,
     Restartable,
@@ -17,6 +17,7 @@ from stored_sessions import (
     decisions,
     ending,
     opening,
+    replicas_on,
     undisturbed_answers,
     until_answered,
 )
@@ -28,12 +29,8 @@ KINDS = [0, 4]  # a session that is frozen, and one that learns by itself; both 
 
 @pytest.fixture
 def replicas(redis):
-    store = f"redis://127.0.0.1:{redis.port}"
-    with Restartable(store) as first, Restartable(store) as second, Restartable(store) as third:
-        yield first, second, third
-        for server in (first, second, third):
-            server.addresses.process.send_signal(signal.SIGCONT)
-            server.close()
+    with replicas_on(redis, 3) as started:
+        yield started
 
 
 @pytest.fixture(scope="module")
@@ -132,10 +129,7 @@ def test_a_copy_that_was_given_up_while_redis_lost_its_record_goes_on(redis):
         redis.process.send_signal(signal.SIGSTOP)
         deciding = threads.submit(code_of, server.Act, **acting(0, 0, 4))
         until(lambda: server.GetSession(**session).decisions == 5)
-        request, response = (message_class(server.channel, f"spikeserve.v1.Act{name}") for name in ("Request", "Response"))
-        act = server.channel.unary_unary(
-            "/spikeserve.v1.PolicyService/Act", request.SerializeToString, response.FromString
-        )
+        request, act = method_of(server.channel, POLICY, "Act")
         with pytest.raises(grpc.RpcError) as error:  # a request that is ahead of the copy, which is given up for it
             act(request(**acting(0, 0, 9)), timeout=1)
         assert error.value.code() == grpc.StatusCode.DEADLINE_EXCEEDED

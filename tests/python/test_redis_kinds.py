@@ -93,7 +93,7 @@ def test_tls_with_strangers(tmp_path, password):
             with log.open("w") as file, Restartable(
                 f"rediss://{host}:{redis.port}", [password, *flags], log=file
             ) as server:
-                until(lambda: code_of_open(server) == grpc.StatusCode.UNAVAILABLE)
+                until(lambda: code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.UNAVAILABLE)
                 until(lambda expected=expected: expected in log.read_text())
                 server.close()
 
@@ -120,7 +120,7 @@ def test_a_user_of_the_access_control_list(tmp_path, password, undisturbed, by_f
         with log.open("w") as out, Restartable(
             f"redis://{user}127.0.0.1:{redis.port}", flags, log=out
         ) as server:
-            assert code_of_open(server) == grpc.StatusCode.UNAVAILABLE
+            assert code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.UNAVAILABLE
             assert "WRONGPASS" in log.read_text()
             server.close()
 
@@ -136,7 +136,7 @@ def test_a_user_of_redis_whom_sentinels_do_not_know(tmp_path):
         until(lambda: primary_port(sentinel) == redis.port)
         store = f"redis+sentinel://robots@127.0.0.1:{sentinel.port}/mymaster"
         with Restartable(store, [f"--store_password_file={file}"]) as server:
-            until(lambda: code_of_open(server) == grpc.StatusCode.OK)
+            until(lambda: code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.OK)
             server.close()
 
 
@@ -173,19 +173,11 @@ def test_a_redis_that_is_far_away(password):
     with stopping([Redis()]) as [redis], far_away(redis, 1.2) as port, Restartable(
         f"redis://127.0.0.1:{port}", [password, "--store_timeout=20s"]
     ) as server:
-        until(lambda: code_of_open(server) in (grpc.StatusCode.OK, grpc.StatusCode.ALREADY_EXISTS))
+        until(lambda: code_of(server.OpenSession, **opening(0)) in (grpc.StatusCode.OK, grpc.StatusCode.ALREADY_EXISTS))
         session = opening(0)["session_id"]
         until(lambda: redis.command(f"HGET ss:{{{session}}}:o state") == b"open")
         until(lambda: code_of(server.Act, **acting(0, 0, 0)) == grpc.StatusCode.OK)
         server.close()
-
-
-def code_of_open(server):
-    try:
-        server.OpenSession(**opening(0))
-    except grpc.RpcError as error:
-        return error.code()
-    return grpc.StatusCode.OK
 
 
 def test_sentinels_name_the_new_primary(tmp_path, password, undisturbed):
@@ -219,9 +211,9 @@ def test_too_few_replicas(password):
         [primary] = servers
         flags = [password, "--store_replicas=1"]
         with Restartable(f"redis://127.0.0.1:{primary.port}", flags) as server:
-            assert code_of_open(server) == grpc.StatusCode.UNAVAILABLE
+            assert code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.UNAVAILABLE
             servers.append(Redis("--replicaof", "127.0.0.1", str(primary.port)))
-            until(lambda: code_of_open(server) == grpc.StatusCode.OK)
+            until(lambda: code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.OK)
             server.close()
 
 
@@ -233,7 +225,7 @@ def test_a_replica_of_redis_is_no_store(password):
         addresses = f"127.0.0.1:{servers[1].port},127.0.0.1:{primary.port}"
         until(lambda: b"role:slave" in servers[1].command("INFO replication"))
         with Restartable(f"redis://{addresses}", [password]) as server:
-            until(lambda: code_of_open(server) == grpc.StatusCode.OK)
+            until(lambda: code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.OK)
             server.close()
 
 
@@ -264,7 +256,7 @@ def test_a_half_moved_slot_is_unavailable(password, which):
     with stopping([]) as servers:
         start_cluster(servers)
         with Restartable(f"redis://127.0.0.1:{servers[0].port}", [password]) as server:
-            until(lambda: code_of_open(server) == grpc.StatusCode.OK)
+            until(lambda: code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.OK)
             server.OpenSession(**opening(0))
             server.Act(**acting(0, 0, 0))
             slot = slot_of(0, servers)
@@ -320,6 +312,6 @@ def test_cluster_has_one_database(tmp_path, password):
         with log.open("w") as file, Restartable(
             f"redis://127.0.0.1:{servers[0].port}/3", [password], log=file
         ) as server:
-            assert code_of_open(server) == grpc.StatusCode.UNAVAILABLE
+            assert code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.UNAVAILABLE
             assert "SELECT is not allowed in cluster mode" in log.read_text()
             server.close()

@@ -12,8 +12,8 @@ import time
 import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis
-from security import ADMIN, TOKENS, code_of, service_with, until
-from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, message_class, metric, running_server
+from security import ADMIN, POLICY, TOKENS, code_of, service_with, until
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, method_of, metric, running_server
 from stored_sessions import (
     SESSIONS,
     Restartable,
@@ -55,14 +55,6 @@ def replicas(redis, tmp_path):
 def act(server, i, step, session=None):
     request = acting(i, 0, step)
     return server.Act(**request | ({"session_id": session} if session else {}))
-
-
-def code_of_act(server, i, step):
-    try:
-        act(server, i, step)
-    except grpc.RpcError as error:
-        return error.code()
-    return grpc.StatusCode.OK
 
 
 def test_the_other_replica_goes_on_after_a_kill(replicas):
@@ -138,7 +130,7 @@ def test_a_former_owner_sends_no_answer(replicas):
     first.OpenSession(**opening(5))
     act(first, 5, 0)
     theirs = comparable(act(second, 5, 1))
-    assert code_of_act(first, 5, 1) == grpc.StatusCode.UNAVAILABLE
+    assert code_of(act, first, 5, 1) == grpc.StatusCode.UNAVAILABLE
     assert comparable(act(first, 5, 1)) == theirs
     assert metric(first, 'spikeserve_store_records_total{outcome="refused"}') == 1
 
@@ -155,12 +147,12 @@ def test_redis_does_not_answer(redis, replicas):
     assert "grpc-status-details-bin" in dict(error.value.trailing_metadata())
     for step in range(LARGEST_LEAD):
         act(first, 2, step, asynchronous)
-    assert code_of_act(first, 2, LARGEST_LEAD) == grpc.StatusCode.UNAVAILABLE
+    assert code_of(act, first, 2, LARGEST_LEAD) == grpc.StatusCode.UNAVAILABLE
     assert metric(first, "spikeserve_store_reachable") == 0
 
     redis.process.send_signal(signal.SIGCONT)
-    until(lambda: code_of_act(first, 0, 1) == grpc.StatusCode.OK)
-    until(lambda: code_of_act(first, 2, LARGEST_LEAD) == grpc.StatusCode.OK)
+    until(lambda: code_of(act, first, 0, 1) == grpc.StatusCode.OK)
+    until(lambda: code_of(act, first, 2, LARGEST_LEAD) == grpc.StatusCode.OK)
     until(lambda: act(first, 2, LARGEST_LEAD).durable_decision == LARGEST_LEAD + 1)
     first.kill()
     assert second.GetSession(session_id=asynchronous).decisions == LARGEST_LEAD + 1
@@ -191,12 +183,7 @@ def test_a_stream_decides_while_the_store_is_slow(redis, tmp_path):
 
 def stream_of(server):
     """Returns a function that sends requests on a stream of their own and yields its answers."""
-    request_class = message_class(server.channel, "spikeserve.v1.ActRequest")
-    call = server.channel.stream_stream(
-        "/spikeserve.v1.PolicyService/ActStream",
-        request_serializer=request_class.SerializeToString,
-        response_deserializer=message_class(server.channel, "spikeserve.v1.ActResponse").FromString,
-    )
+    request_class, call = method_of(server.channel, POLICY, "ActStream")
 
     def answers(requests, metadata):
         messages = (request_class(**request) for request in requests)
@@ -239,7 +226,7 @@ def test_a_former_owner_closes_the_session_for_all_or_not_at_all(redis, replicas
     state = redis.command(f"HGET ss:{{{session['session_id']}}}:o state", database=1)
     assert state == b"closed"
     # The owner decides once more in memory, and finds out.
-    until(lambda: code_of_act(second, 0, 2) == grpc.StatusCode.NOT_FOUND)
+    until(lambda: code_of(act, second, 0, 2) == grpc.StatusCode.NOT_FOUND)
 
 
 def test_a_replica_with_other_bytes_of_the_policy_leaves_the_session_to_its_owner(redis, tmp_path):
@@ -404,13 +391,7 @@ def test_a_server_that_stops_hands_its_sessions_over(redis, tmp_path):
             first.OpenSession(**opening(i) | {"durability": "ASYNC"})
             for step in range(5):
                 act(first, i, step)
-        request_class = message_class(channel, "spikeserve.v1.ActRequest")
-        response_class = message_class(channel, "spikeserve.v1.ActResponse")
-        stream = channel.stream_stream(
-            "/spikeserve.v1.PolicyService/ActStream",
-            request_serializer=request_class.SerializeToString,
-            response_deserializer=response_class.FromString,
-        )
+        request_class, stream = method_of(channel, POLICY, "ActStream")
         requests = queue.SimpleQueue()
         requests.put(request_class(**acting(0, 0, 5)))
         answers = stream(iter(requests.get, None))
@@ -440,7 +421,7 @@ def test_what_is_counted(redis, replicas):
     for step in range(3):
         act(first, 5, step)
     act(second, 5, 3)
-    assert code_of_act(first, 5, 3) == grpc.StatusCode.UNAVAILABLE
+    assert code_of(act, first, 5, 3) == grpc.StatusCode.UNAVAILABLE
     assert metric(first, "spikeserve_store_fences_total") == 1
     assert metric(second, "spikeserve_store_replayed_entries_total") == 3
     assert metric(second, 'spikeserve_store_claims_total{outcome="claimed"}') == 1
@@ -462,7 +443,7 @@ def test_an_owner_replaces_an_older_journal(redis, replicas):
     restore(redis, session, epoch)
     act(second, 5, 2)
     second.kill()
-    until(lambda: code_of_act(first, 5, 3) == grpc.StatusCode.OK)
+    until(lambda: code_of(act, first, 5, 3) == grpc.StatusCode.OK)
     assert first.GetSession(session_id=session).decisions == 4
 
 

@@ -6,8 +6,8 @@ import shutil
 
 import grpc
 import pytest
-from security import OBSERVATION, TOKENS, code_of, service_with, until
-from serving import SHIPPED_POLICIES, Service, message_class
+from security import OBSERVATION, POLICY, TOKENS, code_of, service_with, until
+from serving import SHIPPED_POLICIES, Service, method_of
 from stored_sessions import (
     DEADLINE_SECONDS,
     Restartable,
@@ -50,14 +50,7 @@ def test_killed_while_it_decides(server, undisturbed):
     def batch(requests):
         if requests[0]["step"] % 13 != 5:
             return server.ActBatch(requests=requests)
-        pool = server.channel
-        request_class = message_class(pool, "spikeserve.v1.ActBatchRequest")
-        response_class = message_class(pool, "spikeserve.v1.ActBatchResponse")
-        call = server.channel.unary_unary(
-            "/spikeserve.v1.PolicyService/ActBatch",
-            request_serializer=request_class.SerializeToString,
-            response_deserializer=response_class.FromString,
-        )
+        request_class, call = method_of(server.channel, POLICY, "ActBatch")
         under_way = call.future(request_class(requests=requests), timeout=DEADLINE_SECONDS)
         server.restart()
         under_way.cancel()
@@ -212,15 +205,9 @@ def test_step_5_of_another_episode_is_not_taken_for_this_one(server):
 
 def test_a_stream_goes_on_after_a_restart(server):
     server.OpenSession(**opening(2))
-    request_class = message_class(server.channel, "spikeserve.v1.ActRequest")
-    response_class = message_class(server.channel, "spikeserve.v1.ActResponse")
 
     def stream(steps):
-        call = server.channel.stream_stream(
-            "/spikeserve.v1.PolicyService/ActStream",
-            request_serializer=request_class.SerializeToString,
-            response_deserializer=response_class.FromString,
-        )
+        request_class, call = method_of(server.channel, POLICY, "ActStream")
         requests = (request_class(**acting(2, 0, step)) for step in steps)
         return [(answer.step, answer.error.code) for answer in call(requests, timeout=DEADLINE_SECONDS)]
 

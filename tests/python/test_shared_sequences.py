@@ -3,7 +3,8 @@
 import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis, stopping
-from serving import DEADLINE_SECONDS, message_class
+from security import code_of
+from serving import DEADLINE_SECONDS, method_of
 from stored_sessions import Restartable, observation
 
 pytestmark = WITHOUT_REDIS
@@ -22,18 +23,9 @@ class Agent:
     """Plays the sequences of one id at a server."""
 
     def __init__(self, server):
-        self._request_class = message_class(server.channel, "inference.ModelInferRequest")
-        answer_class = message_class(server.channel, "inference.ModelInferResponse")
-        self._call = server.channel.unary_unary(
-            "/inference.GRPCInferenceService/ModelInfer",
-            request_serializer=self._request_class.SerializeToString,
-            response_deserializer=answer_class.FromString,
-        )
-        self._stream = server.channel.stream_stream(
-            "/inference.GRPCInferenceService/ModelStreamInfer",
-            request_serializer=self._request_class.SerializeToString,
-            response_deserializer=message_class(server.channel, "inference.ModelStreamInferResponse").FromString,
-        )
+        service = "inference.GRPCInferenceService"
+        self._request_class, self._call = method_of(server.channel, service, "ModelInfer")
+        _, self._stream = method_of(server.channel, service, "ModelStreamInfer")
 
     def request(self, t, token, start):
         request = self._request_class(model_name="cartpole", model_version="2")
@@ -57,13 +49,6 @@ class Agent:
         """Returns the error of an answer on a stream; empty: none."""
         [answer] = self._stream(iter([self.request(t, token, False)]), timeout=DEADLINE_SECONDS)
         return answer.error_message
-
-    def code_of(self, t, token=""):
-        try:
-            self.infer(t, token)
-        except grpc.RpcError as error:
-            return error.code()
-        return grpc.StatusCode.OK
 
 
 def play(agent, first=0, last=STEPS, token=""):
@@ -98,12 +83,12 @@ def test_an_older_sequence_of_the_same_id_answers_nothing(redis, undisturbed, re
             expected = grpc.StatusCode.FAILED_PRECONDITION
             if agent is agents[1] and newer is not agent:
                 expected = grpc.StatusCode.NOT_FOUND
-            assert agent.code_of(STEPS // 2) == expected
+            assert code_of(agent.infer, STEPS // 2) == expected
             if agent is not newer:
-                assert agent.code_of(STEPS // 2, token) == grpc.StatusCode.NOT_FOUND
+                assert code_of(agent.infer, STEPS // 2, token) == grpc.StatusCode.NOT_FOUND
                 assert agent.infer_by_stream(STEPS // 2, token) != ""
             elif newer is agents[0]:
-                assert agent.code_of(STEPS // 2, old) == grpc.StatusCode.NOT_FOUND
+                assert code_of(agent.infer, STEPS // 2, old) == grpc.StatusCode.NOT_FOUND
         more, _ = play(newer, STEPS // 2, STEPS, token)
         assert answers + more == undisturbed
         first.close()

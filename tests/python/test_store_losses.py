@@ -20,6 +20,7 @@ from stored_sessions import (
     ending,
     expected_decision,
     opening,
+    replicas_on,
     undisturbed_answers,
 )
 
@@ -30,12 +31,8 @@ KINDS = [0, 4]  # a session that is frozen, and one that learns by itself; both 
 
 @pytest.fixture
 def replicas(redis):
-    store = f"redis://127.0.0.1:{redis.port}"
-    with Restartable(store) as first, Restartable(store) as second:
-        yield first, second
-        for server in (first, second):
-            server.addresses.process.send_signal(signal.SIGCONT)
-            server.close()
+    with replicas_on(redis) as started:
+        yield started
 
 
 @pytest.fixture(scope="module")

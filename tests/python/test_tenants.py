@@ -12,7 +12,7 @@ from security import (
     http_code,
     service_with,
 )
-from serving import DEADLINE_SECONDS, message_class
+from serving import DEADLINE_SECONDS, method_of
 
 
 def test_another_tenants_session_is_not_found(addresses):
@@ -67,17 +67,13 @@ def test_looking_stops_at_the_tenant_unless_the_token_sees_all(addresses):
 def test_tenants_may_use_equal_sequence_ids(addresses):
     def start(token):
         with grpc.insecure_channel(addresses.grpc) as channel:
-            request = message_class(channel, "inference.ModelInferRequest")(model_name="cartpole")
+            calls = grpc.intercept_channel(channel, Bearer(token))
+            request_class, call = method_of(channel, "inference.GRPCInferenceService", "ModelInfer", calls)
+            request = request_class(model_name="cartpole")
             request.parameters["sequence_id"].int64_param = 7
             request.parameters["sequence_start"].bool_param = True
             tensor = request.inputs.add(name="observation", datatype="FP32", shape=[4])
             tensor.contents.fp32_contents.extend(OBSERVATION)
-            calls = grpc.intercept_channel(channel, Bearer(token))
-            call = calls.unary_unary(
-                "/inference.GRPCInferenceService/ModelInfer",
-                request_serializer=type(request).SerializeToString,
-                response_deserializer=message_class(channel, "inference.ModelInferResponse").FromString,
-            )
             return code_of(call, request=request, timeout=DEADLINE_SECONDS)
 
     for token in ("agent", "rival", "agent"):

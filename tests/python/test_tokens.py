@@ -19,7 +19,7 @@ from security import (
     service_with,
     until,
 )
-from serving import DEADLINE_SECONDS, Service, message_class, running_server
+from serving import DEADLINE_SECONDS, Service, method_of, running_server
 
 
 @pytest.mark.parametrize("token", [None, "wrong", "expired"])
@@ -45,18 +45,14 @@ def test_a_token_that_is_taken_back_ends_what_its_streams_may_do(tmp_path):
         grpc.insecure_channel(addresses.grpc) as channel,
     ):
         session = policies.OpenSession(policy="cartpole").session_id
-        request_class = message_class(channel, "spikeserve.v1.ActRequest")
+        request_class, call = method_of(channel, POLICY, "ActStream")
 
         def requests():
             yield request_class(session_id=session, step=0, observation=OBSERVATION)
             assert taken_back.wait(DEADLINE_SECONDS)
             yield request_class(session_id=session, step=1, observation=OBSERVATION)
 
-        stream = channel.stream_stream(
-            f"/{POLICY}/ActStream",
-            request_serializer=request_class.SerializeToString,
-            response_deserializer=message_class(channel, "spikeserve.v1.ActResponse").FromString,
-        )(requests(), metadata=[("authorization", "Bearer agent")], timeout=DEADLINE_SECONDS)
+        stream = call(requests(), metadata=[("authorization", "Bearer agent")], timeout=DEADLINE_SECONDS)
         assert next(stream).step == 0
         path.write_text(json.dumps({**TOKENS, "tokens": [entry("operator", "operator")]}))
         until(lambda: code_of(policies.ListPolicies) == grpc.StatusCode.UNAUTHENTICATED)
