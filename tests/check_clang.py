@@ -9,20 +9,27 @@ import concurrent.futures
 import json
 import os
 import shlex
+import shutil
 import subprocess
 import sys
+import tempfile
+import threading
 
 
-def tidy(entry, flags):
+def tidy(entry, flags, _):
     # clang does not know the tree passes that GCC's flags of this form name.
     flags = [f for f in flags if not f.startswith("-fno-tree-")]
     return ["clang-tidy", "--quiet", entry["file"], "--", *flags]
 
 
-def threads(_, flags):
+def threads(_, flags, scratch):
     output = flags.index("-o")
     kept = [f for f in flags[:output] + flags[output + 2 :] if f not in ("-Werror", "-MD")]
-    return ["clang++", "-fsyntax-only", "-Wthread-safety", "-Werror=thread-safety", "-Wno-unknown-warning-option", *kept]
+    kept += ["-Wthread-safety", "-Werror=thread-safety", "-Wno-unknown-warning-option"]
+    if not shutil.which("ccache"):
+        return ["clang++", *kept, "-fsyntax-only"]
+    # It remembers what has not changed since the last run, but only of whole compilations.
+    return ["ccache", "clang++", *kept, "-O0", "-o", f"{scratch}/{threading.get_ident()}.o"]
 
 
 def main():
@@ -40,12 +47,12 @@ def main():
         """Returns the complaints about one source file, or an empty string."""
         arguments = shlex.split(entry["command"])
         compiler = next(i for i, a in enumerate(arguments) if a.endswith("++"))
-        command = command_of(entry, arguments[compiler + 1 :])
+        command = command_of(entry, arguments[compiler + 1 :], scratch)
         result = subprocess.run(command, cwd=entry["directory"], capture_output=True, text=True)
         return (result.stdout or result.stderr) if result.returncode else ""
 
     refused = 0
-    with concurrent.futures.ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+    with tempfile.TemporaryDirectory() as scratch, concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
         for complaint in pool.map(check, entries):
             if complaint:
                 refused += 1
