@@ -389,7 +389,7 @@ def to_markdown(result):
     machine = result["machine"]
     caches = ", ".join(" ".join(pair) for pair in zip(machine["caches"][::2], machine["caches"][1::2], strict=False))
     text = "# Performance\n\n`make bench` writes this page. Do not edit it. "
-    text += "[loadtest/bench](../loadtest/bench/bench.py) makes the measurements.\n\n"
+    text += "[loadtest/bench](../../loadtest/bench/bench.py) makes the measurements.\n\n"
     text += f"Machine: {machine['processor']}, {machine['cores']} cores, {caches}; Linux {machine['kernel']}; load average "
     text += f"before the run {machine['load_before']:.2f}. Each of {result['rounds']} rounds measures every contestant for "
     text += f"{result['seconds']:g} s. The figures are medians over the rounds. The run took "
