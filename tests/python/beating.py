@@ -3,6 +3,7 @@
 import contextlib
 
 import grpc
+import pytest
 from security import POLICY
 from serving import DEADLINE_SECONDS, method_of
 
@@ -74,6 +75,14 @@ class Robot:
 
     def value(self):
         return self.service.ExportSession(session_id=self.id).value
+
+    def is_refused(self, request, message):
+        """Sends a request, and checks that it is invalid by `message`, which is a pattern, and changes nothing."""
+        before = self.value()
+        with pytest.raises(grpc.RpcError, match=message) as error:
+            self.service.Act(**request)
+        assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+        assert self.value() == before
 
 
 def answers_on_stream(channel, requests):
