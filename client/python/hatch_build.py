@@ -1,5 +1,6 @@
 """Compiles the wire contract into the package when pip builds or installs it."""
 
+import importlib.resources
 import pathlib
 import tempfile
 
@@ -44,9 +45,12 @@ def compile_proto(root, output):
 
     The set has the comments of the contract, which become the docstrings of AdminClient.
     """
+    # By itself, protoc looks for those of protobuf in ../include of the Python program, where Debian alone has them.
+    well_known = importlib.resources.files("grpc_tools") / "_proto"
     arguments = [
         "protoc",
         f"--proto_path={root}",
+        f"--proto_path={well_known}",
         f"--descriptor_set_out={output}",
         "--include_source_info",
         *PROTOS,

@@ -2,6 +2,7 @@
 
 import os
 import pathlib
+import shutil
 import subprocess
 import sys
 
@@ -29,3 +30,19 @@ def test_a_source_distribution_is_enough_to_install(tmp_path):
     version, file = run("-c", script, env=os.environ | {"PYTHONPATH": str(target)}).split()
     assert version == os.environ["SPIKESERVE_VERSION"]
     assert pathlib.Path(file).is_relative_to(target)
+
+
+def test_the_contract_compiles_where_no_protos_of_protobuf_are_installed(tmp_path):
+    """protoc searches ../include of the running program, so this Python runs from another folder."""
+    python = tmp_path / "bin/python"
+    python.parent.mkdir()
+    shutil.copy(pathlib.Path(sys.executable).resolve(), python)
+    modules = os.pathsep.join([str(PACKAGE), *filter(None, sys.path)])
+    script = "import hatch_build, sys; hatch_build.compile_proto(*sys.argv[1:])"
+    compiled = tmp_path / "contract.binpb"
+    subprocess.run(
+        [python, "-c", script, PACKAGE.parents[1] / "proto", compiled],
+        env={"PYTHONHOME": sys.base_prefix, "PYTHONPATH": modules},
+        check=True,
+    )
+    assert b"google/protobuf/descriptor.proto" in compiled.read_bytes()
