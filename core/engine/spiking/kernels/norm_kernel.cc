@@ -45,19 +45,22 @@ HWY_INLINE int32_t AddAndFindMean(const PackedNorm& norm, const int16_t* x, int3
 // Subtracts the mean from `sums` and returns the sum of the squares.
 HWY_INLINE uint64_t CentreAndSquare(const PackedNorm& norm, int32_t mean, int32_t* sums) {
   const I32 d;
-  const hn::RepartitionToWide<I32> wide;
+  const hn::Repartition<uint32_t, I32> magnitudes;
+  const hn::RepartitionToWide<hn::Repartition<uint32_t, I32>> wide;
   auto even = hn::Zero(wide);
   auto odd = hn::Zero(wide);
   for (int k = 0; k < norm.width; k += kVector) {
     const auto centred = hn::Sub(hn::LoadU(d, sums + k), hn::Set(d, mean));
     hn::StoreU(centred, d, sums + k);
-    const auto swapped = hn::Shuffle2301(centred);
-    even = hn::Add(even, hn::MulEven(centred, centred));
+    // In WebAssembly, Highway's MulEven takes signed numbers for unsigned ones.
+    const auto magnitude = hn::BitCast(magnitudes, hn::Abs(centred));
+    const auto swapped = hn::Shuffle2301(magnitude);
+    even = hn::Add(even, hn::MulEven(magnitude, magnitude));
     odd = hn::Add(odd, hn::MulEven(swapped, swapped));
   }
-  const int64_t squares = hn::GetLane(hn::SumOfLanes(wide, hn::Add(even, odd)));
+  const uint64_t squares = hn::GetLane(hn::SumOfLanes(wide, hn::Add(even, odd)));
   const int64_t padding = norm.width - norm.size;  // lanes that were 0 before the subtraction
-  return static_cast<uint64_t>(squares - padding * mean * mean);
+  return squares - static_cast<uint64_t>(padding * mean * mean);
 }
 
 void NormalizeImpl(const PackedNorm& norm, int32_t* sums, int16_t* x) {
