@@ -16,10 +16,10 @@
 #include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
-#include "core/quantize/quantize.h"
 #include "train/baselines/comparison.h"
 #include "train/evaluation/evaluation.h"
 #include "train/evaluation/training_record.h"
+#include "train/model/torch_model.h"
 #include "train/progress_bar.h"
 #include "train/trainer/initial_policy.h"
 #include "train/trainer/lookback.h"
@@ -66,6 +66,10 @@ class LearningCurve {
   std::string text_;
 };
 
+std::string ArithmeticFlag(const TrainFlags& flags) {
+  return absl::StrCat("--arithmetic=", std::string(ToString(flags.trainer.options.arithmetic)));
+}
+
 // Trains to the end. Returns the last validation loss, or -1 without validation data.
 absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& checkpoint,
                                   Trainer* trainer) {
@@ -79,7 +83,8 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
     const absl::StatusOr<Trainer::StepReport> step = trainer->Step();
     const int iteration = trainer->iteration();
     if (!step.ok()) {
-      return Annotate(step.status(), absl::StrCat("--arithmetic=int8: iteration ", iteration));
+      return Annotate(step.status(),
+                      absl::StrCat(ArithmeticFlag(flags), ": iteration ", iteration));
     }
     shown_loss = shown_loss < 0.0 ? step->loss : shown_loss + kForget * (step->loss - shown_loss);
     if (!std::isfinite(step->loss)) {
@@ -204,11 +209,6 @@ absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const EpisodeS
     return absl::InvalidArgumentError(
         absl::StrCat("--target_return: expected a finite number, received ", *flags.target_return));
   }
-  if (flags.trainer.options.arithmetic == Arithmetic::kInteger) {
-    return absl::InvalidArgumentError(
-        "--arithmetic: expected float32 or int8, received integer; `spiketrain quantize "
-        "--to=integer` converts a trained policy");
-  }
   absl::StatusOr<Policy> policy = flags.init.empty()
                                       ? NewPolicy(flags, source, patches)
                                       : GivenPolicy(flags, source.dataset().environment);
@@ -216,10 +216,14 @@ absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const EpisodeS
   if (flags.target_return.has_value()) {
     policy->target_return = static_cast<float>(*flags.target_return);
   }
-  if (flags.trainer.options.arithmetic == Arithmetic::kInt8) {
-    const absl::Status rounded = Quantize(*policy).status();
-    if (!rounded.ok()) return Annotate(rounded, "--arithmetic=int8");
+  const Arithmetic arithmetic = flags.trainer.options.arithmetic;
+  if (arithmetic == Arithmetic::kInteger && policy->config.is_dense()) {
+    return absl::InvalidArgumentError(
+        "--arithmetic=integer: expected a mode with spikes, received dense; `spiketrain quantize "
+        "--to=integer` converts a trained dense policy");
   }
+  const absl::Status rounded = RoundTo(arithmetic, *policy).status();
+  if (!rounded.ok()) return Annotate(rounded, ArithmeticFlag(flags));
   return policy;
 }
 

@@ -1,5 +1,8 @@
 #include "core/engine/fixed_point_maps.h"
 
+#include <algorithm>
+#include <cstdlib>
+
 #include "core/math/fixed_point.h"
 
 namespace spikeserve {
@@ -36,6 +39,26 @@ void NormalizeResidual(const FixedPointNorm& norm, std::vector<int32_t>& x) {
     const int64_t scaled =
         RoundShift(int64_t{root.Normalise(x[k])} * norm.weight.values[k], norm.shift.values[0]);
     x[k] = SaturateResidual(scaled + norm.bias.values[k]);
+  }
+}
+
+void GateScores(Gate gate, std::vector<int32_t>& scores) {
+  if (gate == Gate::kSigmoid) {
+    for (int32_t& score : scores) {
+      const int64_t other = PowerOfTwo(std::abs(int64_t{score}));
+      const int64_t own = score >= 0 ? 65536 : other;
+      score = static_cast<int32_t>(RoundDivide(own << kGateFraction, 65536 + other));
+    }
+    return;
+  }
+  const int64_t best = *std::max_element(scores.begin(), scores.end());
+  int64_t sum = 0;
+  for (int32_t& score : scores) {
+    score = PowerOfTwo(best - score);
+    sum += score;
+  }
+  for (int32_t& score : scores) {
+    score = static_cast<int32_t>(RoundDivide(int64_t{score} << kGateFraction, sum));
   }
 }
 

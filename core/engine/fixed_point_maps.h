@@ -1,14 +1,15 @@
 // Computes the maps and norms of integer arithmetic as docs/design/integer.md defines them, one
 // number at a time.
 //
-// For the reference engine and for dense policies; the streaming engine has kernels. All functions
-// are pure and thread-safe.
+// For the reference engine, for dense policies and for training; the streaming engine has kernels.
+// All functions are pure and thread-safe.
 #ifndef CORE_ENGINE_FIXED_POINT_MAPS_H_
 #define CORE_ENGINE_FIXED_POINT_MAPS_H_
 
 #include <cstdint>
 #include <vector>
 
+#include "core/model/config.h"
 #include "core/model/fixed_point_weights.h"
 
 namespace spikeserve {
@@ -20,6 +21,9 @@ std::vector<int32_t> ApplyMap(const FixedPointMap& map, const std::vector<int32_
 
 // Replaces x [d], saturated, by its norm.
 void NormalizeResidual(const FixedPointNorm& norm, std::vector<int32_t>& x);
+
+// Replaces the scores [H] of routing.gate by gates with kGateFraction fraction bits.
+void GateScores(Gate gate, std::vector<int32_t>& scores);
 
 }  // namespace spikeserve
 

@@ -5,8 +5,9 @@
 // of the threshold may therefore fire on one side only, and all later results of that episode may
 // differ. The test allows only this difference: at the first decision whose spikes differ, a
 // membrane must be within kRounding of the threshold. Integer neurons add exactly, so with
-// Arithmetic::kInt8 it must be a membrane of a coder. Comparison of an episode ends there, and in
-// total at least kLeastCompared of all decisions must have been compared.
+// Arithmetic::kInt8 it must be a membrane of a coder, and with kInteger none may. Comparison of an
+// episode ends there, and in total at least kLeastCompared of all decisions must have been
+// compared.
 
 #include <gtest/gtest.h>
 #include <torch/types.h>
@@ -105,6 +106,12 @@ std::vector<Shape> Shapes() {
     if (shape.config.is_dense()) continue;
     shape.name += "_int8";
     shape.arithmetic = Arithmetic::kInt8;
+    shapes.push_back(shape);
+  }
+  for (Shape shape : floats) {
+    if (shape.config.is_dense() || shape.config.coder == CoderKind::kBernoulli) continue;
+    shape.name += "_integer";
+    shape.arithmetic = Arithmetic::kInteger;
     shapes.push_back(shape);
   }
   return shapes;

@@ -50,7 +50,7 @@ torch::Tensor RouteHeads(const Parameters& parameters, const std::string& layer,
   const torch::Tensor by_token = y.transpose(2, 3);
   const torch::Tensor gated = by_token * Gates(parameters, layer, config, by_token).unsqueeze(-1);
   if (config.merge == Merge::kConcat) return gated.mean(0).flatten(-2);
-  return gated.sum(std::vector<int64_t>{0, 3}) / config.ticks;
+  return gated.sum(std::vector<int64_t>{0, 3}) / y.size(0);
 }
 
 }  // namespace spikeserve

@@ -80,15 +80,20 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
 };
 
 struct IntegerLifFunction : torch::autograd::Function<IntegerLifFunction> {
-  static IntegerLifRange Range(const torch::Tensor& threshold, const torch::Tensor& scale,
-                               IntegerLif neuron, int ticks) {
-    return {.neuron = neuron,
-            .ticks = ticks,
-            .begin = 0,
-            .end = 0,
-            .threshold = threshold.data_ptr<float>(),
-            .scale = scale.data_ptr<float>(),
-            .width = threshold.numel()};
+  // Returns all neurons of a current. The tensors of `options` must outlive the result.
+  static IntegerLifRange Range(const IntegerLifOptions& options) {
+    IntegerLifRange range = {.neuron = options.neuron,
+                             .ticks = options.ticks,
+                             .begin = 0,
+                             .end = 0,
+                             .threshold = options.threshold.data_ptr<float>(),
+                             .scale = options.scale.data_ptr<float>(),
+                             .width = options.threshold.numel()};
+    if (std::holds_alternative<ShiftLif>(options.neuron)) {
+      range.bias = options.bias.data_ptr<float>();
+      range.events = {options.events.data_ptr<float>(), options.events.numel() / options.ticks};
+    }
+    return range;
   }
 
   static torch::Tensor forward(AutogradContext* context, const torch::Tensor& input,
@@ -97,17 +102,21 @@ struct IntegerLifFunction : torch::autograd::Function<IntegerLifFunction> {
     const int64_t neurons = current.numel() / options.ticks;
     torch::Tensor spikes = torch::empty_like(current);
     float* out = spikes.data_ptr<float>();
-    const IntegerLifRange all =
-        Range(options.threshold, options.scale, options.neuron, options.ticks);
+    const IntegerLifRange all = Range(options);
     at::parallel_for(0, neurons, kNeuronsPerTask, [&](int64_t begin, int64_t end) {
       IntegerLifRange range = all;
       range.begin = begin;
       range.end = end;
       IntegerLifForward(range, Rows(current, true, neurons), out, neurons);
     });
-    context->save_for_backward({current, options.threshold, options.scale});
+    context->save_for_backward(
+        {current, options.threshold, options.scale, options.bias, options.events});
     context->saved_data["ticks"] = static_cast<int64_t>(options.ticks);
-    context->saved_data["decay"] = static_cast<int64_t>(options.neuron.decay);
+    const auto* shifted = std::get_if<ShiftLif>(&options.neuron);
+    context->saved_data["shifted"] = shifted != nullptr;
+    context->saved_data["leak"] = shifted != nullptr
+                                      ? static_cast<int64_t>(shifted->shift)
+                                      : int64_t{std::get<IntegerLif>(options.neuron).decay};
     SaveSurrogate(options.surrogate, context);
     return spikes;
   }
@@ -116,11 +125,17 @@ struct IntegerLifFunction : torch::autograd::Function<IntegerLifFunction> {
     auto& saved = context->saved_data;
     const auto tensors = context->get_saved_variables();
     const torch::Tensor& current = tensors[0];
-    const auto ticks = static_cast<int>(saved["ticks"].toInt());
-    const IntegerLif neuron = {.decay = static_cast<int16_t>(saved["decay"].toInt())};
-    const Surrogate surrogate = SavedSurrogate(context);
-    const IntegerLifRange all = Range(tensors[1], tensors[2], neuron, ticks);
-    const int64_t neurons = current.numel() / ticks;
+    const int64_t leak = saved["leak"].toInt();
+    IntegerLifOptions options = {.neuron = IntegerLif{static_cast<int16_t>(leak)},
+                                 .threshold = tensors[1],
+                                 .scale = tensors[2],
+                                 .ticks = static_cast<int>(saved["ticks"].toInt()),
+                                 .surrogate = SavedSurrogate(context),
+                                 .bias = tensors[3],
+                                 .events = tensors[4]};
+    if (saved["shifted"].toBool()) options.neuron = ShiftLif{static_cast<int>(leak)};
+    const IntegerLifRange all = Range(options);
+    const int64_t neurons = current.numel() / options.ticks;
     const bool same = SameAtEveryTick(gradients[0]);
     const torch::Tensor spike_gradient = same ? gradients[0] : gradients[0].contiguous();
     torch::Tensor result = torch::empty_like(current);
@@ -129,7 +144,7 @@ struct IntegerLifFunction : torch::autograd::Function<IntegerLifFunction> {
       IntegerLifRange range = all;
       range.begin = begin;
       range.end = end;
-      IntegerLifBackward(range, surrogate, Rows(current, true, neurons),
+      IntegerLifBackward(range, options.surrogate, Rows(current, true, neurons),
                          Rows(spike_gradient, !same, neurons), out);
     });
     return {result, torch::Tensor()};

@@ -1,6 +1,7 @@
 #include "train/model/lif_kernels.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <limits>
 #include <vector>
@@ -53,29 +54,91 @@ struct IntegerBlock {
   }
 };
 
-// As IntegerLif::Step(), but returns the membrane before the reset.
-inline __attribute__((always_inline)) int32_t Charge(int32_t decay, int32_t kept, float current) {
-  const int32_t leaked = (decay * kept + (1 << 14)) >> 15;
+// The distance of a neuron that cannot fire at a tick. No surrogate has a gradient there.
+constexpr float kCannotFire = -1e9f;
+
+int32_t Saturate(int32_t value) {
   using Limits = std::numeric_limits<int16_t>;
-  return std::clamp<int32_t>(leaked + static_cast<int32_t>(current), Limits::min(), Limits::max());
+  return std::clamp<int32_t>(value, Limits::min(), Limits::max());
 }
 
+// Both kinds of integer neurons: Charge() advances the membrane of neuron i of a block to the end
+// of a tick, without the reset. Returns whether the neuron may fire at that tick.
+
+// As IntegerLif::Step().
+struct ScaledMembranes {
+  int32_t decay;
+
+  bool Charge(int /*tick*/, int64_t /*i*/, float current, int32_t& membrane) const {
+    const int32_t leaked = (decay * membrane + (1 << 14)) >> 15;
+    membrane = Saturate(leaked + static_cast<int32_t>(current));
+    return true;
+  }
+};
+
+// As ShiftLif::Leak() and ShiftLif::Charge().
+struct ShiftedMembranes {
+  ShiftLif neuron;
+  TickRows events;
+  int32_t bias[kBlock];
+  int32_t token[kBlock];  // index of the neuron's event
+
+  ShiftedMembranes(const ShiftLif& rule, const IntegerLifRange& range, int64_t begin, int64_t size)
+      : neuron(rule), events(range.events) {
+    for (int64_t i = 0; i < size; ++i) {
+      bias[i] = static_cast<int32_t>(range.bias[(begin + i) % range.width]);
+      token[i] = static_cast<int32_t>((begin + i) / range.width);
+    }
+  }
+
+  bool Charge(int tick, int64_t i, float current, int32_t& membrane) const {
+    const bool event = events.data[tick * events.tick_stride + token[i]] != 0.0f;
+    auto leaked = static_cast<int16_t>(membrane);
+    neuron.Leak(static_cast<int16_t>(bias[i]), leaked);
+    membrane = event ? Saturate(leaked + static_cast<int32_t>(current) - bias[i]) : leaked;
+    return event;
+  }
+};
+
 // As Distances, in units of the float32 policy: the integer distances times the scale.
+template <typename Membranes>
 inline __attribute__((always_inline)) void IntegerDistances(const IntegerLifRange& range,
-                                                            const IntegerBlock& block,
+                                                            const Membranes& membranes,
                                                             int64_t begin, int64_t size,
                                                             TickRows current, float* distances) {
-  const int32_t decay = range.neuron.decay;
+  const IntegerBlock block(range, begin, size);
   int32_t kept[kBlock] = {};
   for (int tick = 0; tick < range.ticks; ++tick) {
     const float* input = current.data + tick * current.tick_stride + begin;
     float* row = distances + tick * kBlock;
     for (int64_t i = 0; i < size; ++i) {
-      const int32_t v = Charge(decay, kept[i], input[i]);
-      row[i] = block.scale[i] * static_cast<float>(v - block.threshold[i]);
-      kept[i] = v >= block.threshold[i] ? 0 : v;
+      const bool may_fire = membranes.Charge(tick, i, input[i], kept[i]);
+      const auto distance = static_cast<float>(kept[i] - block.threshold[i]);
+      row[i] = may_fire ? block.scale[i] * distance : kCannotFire;
+      kept[i] = row[i] >= 0.0f ? 0 : kept[i];
     }
   }
+}
+
+// Computes the distances of either kind of neuron.
+inline __attribute__((always_inline)) void AnyDistances(const IntegerLifRange& range, int64_t begin,
+                                                        int64_t size, TickRows current,
+                                                        float* distances) {
+  if (const auto* shifted = std::get_if<ShiftLif>(&range.neuron)) {
+    const ShiftedMembranes membranes(*shifted, range, begin, size);
+    IntegerDistances(range, membranes, begin, size, current, distances);
+  } else {
+    const ScaledMembranes membranes = {std::get<IntegerLif>(range.neuron).decay};
+    IntegerDistances(range, membranes, begin, size, current, distances);
+  }
+}
+
+// Returns the factor by which a membrane decays.
+float DecayOf(const IntegerLifRange& range) {
+  if (const auto* shifted = std::get_if<ShiftLif>(&range.neuron)) {
+    return shifted->shift == 0 ? 1.0f : 1.0f - std::ldexp(1.0f, -shifted->shift);
+  }
+  return static_cast<float>(std::get<IntegerLif>(range.neuron).decay) / 32768.0f;
 }
 
 // The rows of a backward pass over `size` neurons from `begin` on.
@@ -149,19 +212,14 @@ void LifBackward(const LifRange& range, const Surrogate& surrogate, TickRows cur
 SPIKESERVE_VECTOR_CLONES
 void IntegerLifForward(const IntegerLifRange& range, TickRows current, float* spikes,
                        int64_t spike_stride) {
-  const int32_t decay = range.neuron.decay;
+  std::vector<float> distances(range.ticks * kBlock);
   for (int64_t begin = range.begin; begin < range.end; begin += kBlock) {
     const int64_t size = std::min(kBlock, range.end - begin);
-    const IntegerBlock block(range, begin, size);
-    int32_t kept[kBlock] = {};
+    AnyDistances(range, begin, size, current, distances.data());
     for (int tick = 0; tick < range.ticks; ++tick) {
-      const float* input = current.data + tick * current.tick_stride + begin;
+      const float* row = distances.data() + tick * kBlock;
       float* output = spikes + tick * spike_stride + begin;
-      for (int64_t i = 0; i < size; ++i) {
-        const int32_t v = Charge(decay, kept[i], input[i]);
-        output[i] = v >= block.threshold[i] ? 1.0f : 0.0f;
-        kept[i] = v >= block.threshold[i] ? 0 : v;
-      }
+      for (int64_t i = 0; i < size; ++i) output[i] = row[i] >= 0.0f ? 1.0f : 0.0f;
     }
   }
 }
@@ -170,13 +228,11 @@ SPIKESERVE_VECTOR_CLONES
 void IntegerLifBackward(const IntegerLifRange& range, const Surrogate& surrogate, TickRows current,
                         TickRows spike_gradient, float* current_gradient) {
   std::vector<float> distances(range.ticks * kBlock);
-  const float decay = static_cast<float>(range.neuron.decay) / 32768.0f;
   for (int64_t begin = range.begin; begin < range.end; begin += kBlock) {
     const int64_t size = std::min(kBlock, range.end - begin);
-    const IntegerBlock integers(range, begin, size);
-    IntegerDistances(range, integers, begin, size, current, distances.data());
-    const BackwardBlock block = {decay,   range.ticks,    begin,           size,
-                                 current, spike_gradient, distances.data()};
+    AnyDistances(range, begin, size, current, distances.data());
+    const BackwardBlock block = {DecayOf(range), range.ticks,    begin,           size,
+                                 current,        spike_gradient, distances.data()};
     WithDerivative(
         surrogate, [&](auto derivative) __attribute__((always_inline)) {
           Backward(block, derivative, current_gradient);
@@ -184,7 +240,9 @@ void IntegerLifBackward(const IntegerLifRange& range, const Surrogate& surrogate
     // The derivative with respect to a current in units of the scale.
     for (int tick = 0; tick < range.ticks; ++tick) {
       float* gradient = current_gradient + tick * current.tick_stride + begin;
-      for (int64_t i = 0; i < size; ++i) gradient[i] *= integers.scale[i];
+      for (int64_t i = 0; i < size; ++i) {
+        gradient[i] *= range.scale[(begin + i) % range.width];
+      }
     }
   }
 }

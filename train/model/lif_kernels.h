@@ -7,9 +7,11 @@
 #define TRAIN_MODEL_LIF_KERNELS_H_
 
 #include <cstdint>
+#include <variant>
 
 #include "core/neuron/integer_lif.h"
 #include "core/neuron/lif.h"
+#include "core/neuron/shift_lif.h"
 #include "train/model/surrogate.h"
 
 namespace spikeserve {
@@ -42,19 +44,23 @@ void LifBackward(const LifRange& range, const Surrogate& surrogate, TickRows cur
                  TickRows spike_gradient, float* current_gradient);
 
 // Integer neurons in a tensor whose last dimension is a population of `width` neurons: the one at
-// index i has the threshold and the scale of element i % width. Thresholds and currents are
+// index i has the threshold and the scale of element i % width. Thresholds, biases and currents are
 // integers of 16 bits, stored as float32.
 struct IntegerLifRange {
-  IntegerLif neuron;
+  std::variant<IntegerLif, ShiftLif> neuron;
   int ticks;
   int64_t begin;
   int64_t end;
   const float* threshold;  // [width], in units of scale
   const float* scale;      // [width]
   int64_t width;
+  // Of ShiftLif alone. The current includes the bias. At a tick whose event is 0, which has one for
+  // each `width` neurons, the current is the bias and the neurons cannot fire.
+  const float* bias = nullptr;  // [width]
+  TickRows events = {nullptr, 0};
 };
 
-// As LifForward, exactly as IntegerLif::Step() computes it. REQUIRES, here and below: a current per
+// As LifForward, exactly as the neuron computes it. REQUIRES, here and below: a current per
 // tick, so a tick_stride above 0.
 void IntegerLifForward(const IntegerLifRange& range, TickRows current, float* spikes,
                        int64_t spike_stride);

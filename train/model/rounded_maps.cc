@@ -32,6 +32,10 @@ const torch::Tensor& RoundedMaps::threshold(const std::string& name) const {
   return tensors_.at(name + ".threshold");
 }
 
+const torch::Tensor& RoundedMaps::bias(const std::string& name) const {
+  return tensors_.at(name + ".bias");
+}
+
 const torch::Tensor& RoundedMaps::scale(const std::string& name) const {
   return tensors_.at(name + ".scale");
 }

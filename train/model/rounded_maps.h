@@ -1,6 +1,6 @@
 // The spike-driven maps of a model in integer arithmetic, for training.
 //
-// The forward pass computes with the integers of Quantize() (core/quantize/quantize.h), as float32
+// The forward pass computes with the integers of a rounded policy (core/quantize), as float32
 // numbers. No sum leaves the integers that float32 holds exactly, so its order does not matter, and
 // the results are those of the engines. The backward pass takes the rounding for the identity
 // ("straight through": Y. Bengio, N. Leonard, A. Courville, arXiv:1308.3432, 2013): a weight w = s
@@ -22,8 +22,8 @@ namespace spikeserve {
 
 class RoundedMaps {
  public:
-  // Copies the integers of `rounded`, which is Quantize() of a policy with the current values of
-  // the parameters below.
+  // Copies the integers of `rounded`, a policy in kInt8 or kInteger that was rounded from the
+  // current values of the parameters below.
   explicit RoundedMaps(const Policy& rounded);
 
   // Returns the current into each neuron of the population `name` ("layers.0.attention.query") for
@@ -31,12 +31,13 @@ class RoundedMaps {
   torch::Tensor Current(const Parameters& parameters, const std::string& name,
                         const torch::Tensor& spikes) const;
 
-  // Return a population's thresholds, in units of the scale, and its scales: [out].
+  // Return a population's thresholds and biases, in units of the scale, and its scales: [out].
   const torch::Tensor& threshold(const std::string& name) const;
+  const torch::Tensor& bias(const std::string& name) const;
   const torch::Tensor& scale(const std::string& name) const;
 
-  // Returns the analog update of the map `name` ("layers.0.ffn.output") for hidden spikes [T, ...,
-  // F]: [..., d].
+  // Returns the analog update of the map `name` ("layers.0.ffn.output") of kInt8 for hidden spikes
+  // [T, ..., F]: [..., d].
   torch::Tensor MapCounts(const Parameters& parameters, const std::string& name,
                           const torch::Tensor& hidden) const;
 

@@ -9,29 +9,20 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/status_macros.h"
 #include "core/quantize/quantize.h"
+#include "core/quantize/quantize_integer.h"
 #include "train/model/attention.h"
 #include "train/model/bernoulli_function.h"
+#include "train/model/integer_forward.h"
 #include "train/model/lif_function.h"
 #include "train/model/phase_function.h"
 
 namespace spikeserve {
 namespace {
 
-using torch::indexing::None;
-using torch::indexing::Slice;
-
-// Tokens per timestep, in this order: return-to-go, state, action.
-constexpr int kTokens = 3;
-
-// Returns the state tokens: every third token, starting with the second.
-torch::Tensor StateTokens(const torch::Tensor& x, int64_t dimension) {
-  return x.slice(dimension, 1, None, kTokens);
-}
-
 // One forward pass over a batch of clips.
 class ForwardPass {
  public:
-  // Computes in integers if `rounded` is not null.
+  // Computes the spike-driven maps in integers if `rounded` is not null.
   ForwardPass(const Policy& policy, const Parameters& parameters, const RoundedMaps* rounded,
               const Surrogate& surrogate, const ClipTensors& clips)
       : policy_(policy),
@@ -63,22 +54,12 @@ class ForwardPass {
 
   // Returns the embedded tokens, [B, 3n, d].
   torch::Tensor Embed() const {
-    const torch::Tensor g = (clips_.return_to_go - policy_.return_offset) / policy_.return_scale;
-    const torch::Tensor x = torch::stack(
-        {EmbedModality(g.unsqueeze(-1), "embed.return"), EmbedModality(StateInput(), "embed.state"),
-         EmbedModality(clips_.actions, "embed.action")},
-        2);
+    const torch::Tensor x =
+        torch::stack({EmbedModality(ReturnInput(policy_, clips_), "embed.return"),
+                      EmbedModality(StateInput(policy_, p_, clips_), "embed.state"),
+                      EmbedModality(clips_.actions, "embed.action")},
+                     2);
     return x.flatten(1, 2);
-  }
-
-  // Returns the input of the state tokens (see SetStateInput), [B, n, state inputs].
-  torch::Tensor StateInput() const {
-    const torch::Tensor& seen = clips_.observations;
-    const torch::Tensor s = (seen - p_["observation.mean"]) / p_["observation.std"];
-    if (!config_.observation_changes) return s;
-    const torch::Tensor before =
-        torch::cat({clips_.previous.unsqueeze(1), seen.slice(1, 0, seen.size(1) - 1)}, 1);
-    return torch::cat({s, (seen - before) / p_["observation.change_std"]}, -1);
   }
 
   torch::Tensor EmbedModality(const torch::Tensor& input, const std::string& name) const {
@@ -92,12 +73,8 @@ class ForwardPass {
 
   // Computes the phase spikes of every timestep and repeats them for its three tokens.
   void EmitPhase() {
-    const torch::Tensor tick = torch::arange(config_.ticks, torch::kDouble).view({-1, 1, 1, 1});
-    const torch::Tensor timestep = clips_.timesteps.to(torch::kDouble).unsqueeze(0).unsqueeze(-1);
-    const torch::Tensor tau = config_.phase_clock == PhaseClock::kWindow
-                                  ? (tick + 1.0).expand({-1, timestep.size(1), timestep.size(2), 1})
-                                  : timestep + tick / config_.ticks;
-    const torch::Tensor spikes = PhaseSpikes(p_["phase.omega"], p_["phase.phi"], tau, surrogate_);
+    const torch::Tensor spikes = PhaseSpikes(p_["phase.omega"], p_["phase.phi"],
+                                             PhaseTimes(config_, clips_.timesteps), surrogate_);
     output_.populations.push_back({Stage::kPhase, -1, spikes, {}});
     phase_ = spikes.repeat_interleave(kTokens, 2);
   }
@@ -129,11 +106,12 @@ class ForwardPass {
       const torch::Tensor current = p_.Linear(input, name);
       output_.populations.push_back({stage, layer, LifPerTick(current, lif_), current});
     } else {
-      const IntegerLifOptions options = {.neuron = {static_cast<int16_t>(config_.integer_decay())},
-                                         .threshold = rounded_->threshold(name),
-                                         .scale = rounded_->scale(name),
-                                         .ticks = config_.ticks,
-                                         .surrogate = surrogate_};
+      const IntegerLifOptions options = {
+          .neuron = IntegerLif{static_cast<int16_t>(config_.integer_decay())},
+          .threshold = rounded_->threshold(name),
+          .scale = rounded_->scale(name),
+          .ticks = config_.ticks,
+          .surrogate = surrogate_};
       const torch::Tensor current = rounded_->Current(p_, name, input);
       output_.populations.push_back({stage, layer, IntegerLifPerTick(current, options), {}});
     }
@@ -207,13 +185,25 @@ class ForwardPass {
 
 }  // namespace
 
+absl::StatusOr<Policy> RoundTo(Arithmetic arithmetic, const Policy& policy) {
+  switch (arithmetic) {
+    case Arithmetic::kFloat32:
+      break;
+    case Arithmetic::kInt8:
+      return Quantize(policy);
+    case Arithmetic::kInteger:
+      return QuantizeToInteger(policy);
+  }
+  return policy;
+}
+
 TorchModel::TorchModel(Policy policy, const Surrogate& surrogate, Arithmetic arithmetic,
                        const PatchShape& patches, uint64_t seed)
     : policy_(std::move(policy)),
       surrogate_(surrogate),
       parameters_(policy_, patches, seed),
       arithmetic_(arithmetic) {
-  if (arithmetic_ == Arithmetic::kInt8) SetRounded(*Quantize(policy_));
+  if (arithmetic_ != Arithmetic::kFloat32) SetRounded(*RoundTo(arithmetic_, policy_));
 }
 
 void TorchModel::SetRounded(Policy policy) {
@@ -222,13 +212,19 @@ void TorchModel::SetRounded(Policy policy) {
 }
 
 ModelOutput TorchModel::Forward(const ClipTensors& clips) const {
+  if (arithmetic_ == Arithmetic::kInteger) {
+    const ModelConfig& config = policy_.config;
+    return ForwardInIntegers(rounded_->policy, rounded_->maps, parameters_,
+                             {{config.membrane_decay, config.threshold}, config.ticks, surrogate_},
+                             clips);
+  }
   const RoundedMaps* maps = rounded_.has_value() ? &rounded_->maps : nullptr;
   return ForwardPass(policy_, parameters_, maps, surrogate_, clips).Run();
 }
 
 absl::Status TorchModel::Round() {
   if (arithmetic_ == Arithmetic::kFloat32) return absl::OkStatus();
-  ASSIGN_OR_RETURN(Policy policy, Quantize(FloatPolicy()));
+  ASSIGN_OR_RETURN(Policy policy, RoundTo(arithmetic_, FloatPolicy()));
   SetRounded(std::move(policy));
   return absl::OkStatus();
 }

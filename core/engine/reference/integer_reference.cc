@@ -324,24 +324,8 @@ class IntegerReferencePass {
     AddMultiplies(i, layer.routing_gate, hidden, /*wide=*/true);
     AddSharedReads(i, layer.routing_gate);
     Integers gates = ApplyMap(layer.routing_gate, hidden);
-    if (config_.gate == Gate::kSigmoid) {
-      for (int32_t& gate : gates) {
-        const int64_t other = PowerOfTwo(std::abs(int64_t{gate}));
-        const int64_t own = gate >= 0 ? 65536 : other;
-        gate = static_cast<int32_t>(RoundDivide(own << kGateFraction, 65536 + other));
-      }
-      return gates;
-    }
-    const int64_t best = *std::max_element(gates.begin(), gates.end());
-    int64_t sum = 0;
-    for (int32_t& gate : gates) {
-      gate = PowerOfTwo(best - gate);
-      sum += gate;
-      if (IsNew(i)) ++counts_.softmax_terms;
-    }
-    for (int32_t& gate : gates) {
-      gate = static_cast<int32_t>(RoundDivide(int64_t{gate} << kGateFraction, sum));
-    }
+    if (config_.gate == Gate::kSoftmax && IsNew(i)) counts_.softmax_terms += gates.size();
+    GateScores(config_.gate, gates);
     return gates;
   }
 

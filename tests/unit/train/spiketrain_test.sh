@@ -201,6 +201,15 @@ grep -aq 'lineage.*--out=whole' tuned-integers/policy.safetensors || fail "linea
 integers --out=rounded --init=whole/policy.safetensors --iterations=1 --learning_rate=1e-30 --validation=0 >/dev/null 2>&1
 tensors() { tail -c +"$((9 + $(od -An -t u8 -N8 "$1")))" "$1"; }
 cmp <(tensors rounded/policy.safetensors) <(tensors new/2/policy.safetensors) || fail "trained and rounded tensors"
+# The same from end to end, whose record names the arithmetic.
+"$spiketrain" train --data=data.cbor --out=fixed --init=whole/policy.safetensors --arithmetic=integer --batch=4 --iterations=2 \
+  --episodes=2 --json 2>/dev/null | grep -q '"int_sram_45nm"' || fail "the energy of training in integers"
+says fixed/policy.safetensors '\"arithmetic\":\"integer\"'
+says fixed/policy.safetensors ' --arithmetic=integer '
+refuses '--arithmetic=integer: expected a mode with spikes, received dense; `spiketrain quantize --to=integer` converts a trained '\
+'dense policy' train --data=data.cbor --out=x --mode=dense --arithmetic=integer
+refuses '--arithmetic=integer: coder: expected lif with arithmetic integer, received bernoulli' \
+  train --data=data.cbor --out=x --coder=bernoulli --arithmetic=integer
 refuses '--arithmetic=int8: arithmetic: expected float32 in mode dense, received int8' \
   train --data=data.cbor --out=x --mode=dense --arithmetic=int8
 refuses '--arithmetic: expected float32, int8 or integer, received "int4"' train --data=data.cbor --out=x --arithmetic=int4

@@ -8,6 +8,8 @@
 
 #include <cmath>
 #include <string>
+#include <variant>
+#include <vector>
 
 #include "train/model/lif_function.h"
 #include "train/model/surrogate.h"
@@ -145,66 +147,110 @@ TEST_P(LifGradientTest, EqualsTheGraphOverTicks) {
   }
 }
 
-// Integer currents of 16 bits for `kNeurons` neurons, many of which saturate the membrane.
-torch::Tensor RandomIntegerCurrent(std::vector<int64_t> shape) {
-  torch::manual_seed(4);
-  return torch::randint(-32767, 32768, shape).to(torch::kFloat) *
-         torch::randint(0, 2, shape).to(torch::kFloat);
+constexpr int64_t kWidth = 26;  // of the population; kNeurons is a multiple of it
+constexpr IntegerLif kScaled = {.decay = 29491};
+constexpr ShiftLif kShifted = {.shift = 3};
+
+// Returns options of both kinds of integer neurons, whose thresholds and biases are at most `size`
+// times the largest ones.
+std::vector<IntegerLifOptions> IntegerOptions(const Surrogate& surrogate, double size = 1.0) {
+  torch::manual_seed(5);
+  const IntegerLifOptions scaled = {
+      .neuron = kScaled,
+      .threshold = torch::ceil(torch::randint(1, 16385, {kWidth}) * size).to(torch::kFloat),
+      .scale = torch::rand({kWidth}) * 1e-4 + 1e-5,
+      .ticks = kTicks,
+      .surrogate = surrogate};
+  IntegerLifOptions shifted = scaled;
+  shifted.neuron = kShifted;
+  shifted.bias = torch::floor(torch::randint(-3000, 3000, {kWidth}) * size).to(torch::kFloat);
+  shifted.events = torch::randint(0, 2, {kTicks, kNeurons / kWidth}).to(torch::kFloat);
+  return {scaled, shifted};
 }
 
-constexpr int64_t kWidth = 26;  // of the population; kNeurons is a multiple of it
+bool IsShifted(const IntegerLifOptions& options) {
+  return std::holds_alternative<ShiftLif>(options.neuron);
+}
 
-IntegerLifOptions IntegerOptions(const Surrogate& surrogate) {
-  torch::manual_seed(5);
-  return {.neuron = {.decay = 29491},
-          .threshold = torch::randint(1, 16385, {kWidth}).to(torch::kFloat),
-          .scale = torch::rand({kWidth}) * 1e-4 + 1e-5,
-          .ticks = kTicks,
-          .surrogate = surrogate};
+// Integer currents of 16 bits for `kNeurons` neurons, many of which saturate the membrane at a size
+// of 1.
+torch::Tensor RandomIntegerCurrent(const IntegerLifOptions& options, double size = 1.0) {
+  torch::manual_seed(4);
+  const std::vector<int64_t> shape = {kTicks, kNeurons / kWidth, kWidth};
+  const torch::Tensor current =
+      torch::floor(torch::randint(-29000, 29000, shape) * torch::randint(0, 2, shape) * size)
+          .to(torch::kFloat);
+  return IsShifted(options) ? current * options.events.unsqueeze(-1) + options.bias : current;
+}
+
+// Returns whether neuron i fires at a tick.
+bool StepAlone(const IntegerLifOptions& options, int tick, int64_t i, int16_t input,
+               int16_t& membrane) {
+  const auto threshold = static_cast<int16_t>(options.threshold[i % kWidth].item<float>());
+  if (!IsShifted(options)) return kScaled.Step(input, threshold, membrane);
+  const auto bias = static_cast<int16_t>(options.bias[i % kWidth].item<float>());
+  kShifted.Leak(bias, membrane);
+  if (options.events[tick][i / kWidth].item<float>() == 0.0f) return false;
+  return ShiftLif::Charge(static_cast<int16_t>(input - bias), threshold, membrane);
 }
 
 // Large numbers saturate membranes; with small ones the rounding of a membrane decides on spikes.
 TEST(IntegerLifFunctionTest, SpikesEqualTheNeuronSteppedAlone) {
   for (const double size : {1.0, 1e-3}) {
-    IntegerLifOptions options = IntegerOptions({});
-    options.threshold = torch::ceil(options.threshold * size);
-    const torch::Tensor current =
-        torch::floor(RandomIntegerCurrent({kTicks, kNeurons / kWidth, kWidth}) * size);
-    const torch::Tensor spikes = IntegerLifPerTick(current, options);
-    ASSERT_EQ(spikes.sizes(), current.sizes());
-    const torch::Tensor flat = current.flatten(1), trains = spikes.flatten(1);
-    int fired = 0;
-    for (int64_t i = 0; i < kNeurons; ++i) {
-      const auto threshold = static_cast<int16_t>(options.threshold[i % kWidth].item<float>());
-      int16_t membrane = 0;
-      for (int tick = 0; tick < kTicks; ++tick) {
-        const auto input = static_cast<int16_t>(flat[tick][i].item<float>());
-        const bool spike = options.neuron.Step(input, threshold, membrane);
-        ASSERT_EQ(trains[tick][i].item<float>(), spike ? 1.0f : 0.0f) << "neuron " << i;
-        fired += spike;
+    for (const IntegerLifOptions& options : IntegerOptions({}, size)) {
+      const torch::Tensor current = RandomIntegerCurrent(options, size);
+      const torch::Tensor spikes = IntegerLifPerTick(current, options);
+      ASSERT_EQ(spikes.sizes(), current.sizes());
+      const torch::Tensor flat = current.flatten(1), trains = spikes.flatten(1);
+      int fired = 0;
+      for (int64_t i = 0; i < kNeurons; ++i) {
+        int16_t membrane = 0;
+        for (int tick = 0; tick < kTicks; ++tick) {
+          const auto input = static_cast<int16_t>(flat[tick][i].item<float>());
+          const bool spike = StepAlone(options, tick, i, input, membrane);
+          ASSERT_EQ(trains[tick][i].item<float>(), spike ? 1.0f : 0.0f) << "neuron " << i;
+          fired += spike;
+        }
       }
+      EXPECT_GT(fired, kNeurons / 2);
     }
-    EXPECT_GT(fired, kNeurons);
   }
+}
+
+// Returns the membranes [neurons] at the end of a tick, without the reset.
+torch::Tensor ChargeExactly(const IntegerLifOptions& options, int tick, const torch::Tensor& kept,
+                            const torch::Tensor& current) {
+  const torch::Tensor membrane = kept.to(torch::kDouble);
+  if (!IsShifted(options)) {
+    const torch::Tensor leaked = torch::floor((membrane * kScaled.decay + 16384.0) / 32768.0);
+    return (leaked + current).clamp(-32768.0, 32767.0).to(torch::kFloat);
+  }
+  const torch::Tensor leaked =
+      (membrane - torch::floor((membrane + 4.0) / 8.0) + options.bias).clamp(-32768.0, 32767.0);
+  const torch::Tensor charged = (leaked + current - options.bias).clamp(-32768.0, 32767.0);
+  return torch::where(options.events[tick].unsqueeze(-1) != 0.0, charged, leaked).to(torch::kFloat);
 }
 
 // As NaiveLif, for integer neurons: the values are those of integer arithmetic, the gradients those
 // without rounding and saturation.
 torch::Tensor NaiveIntegerLif(const torch::Tensor& current, const IntegerLifOptions& options) {
   std::vector<torch::Tensor> spikes;
-  const double decay = static_cast<double>(options.neuron.decay) / 32768.0;
+  const double decay = IsShifted(options) ? 0.875 : static_cast<double>(kScaled.decay) / 32768.0;
   torch::Tensor membrane = torch::zeros_like(current[0]);
   for (int tick = 0; tick < options.ticks; ++tick) {
     const torch::Tensor smooth_membrane = decay * membrane + current[tick];
-    const torch::Tensor leaked = torch::floor(
-        (membrane.detach().to(torch::kDouble) * options.neuron.decay + 16384.0) / 32768.0);
     const torch::Tensor exact =
-        (leaked + current[tick].detach()).clamp(-32768.0, 32767.0).to(torch::kFloat);
+        ChargeExactly(options, tick, membrane.detach(), current[tick].detach());
     membrane = smooth_membrane + (exact - smooth_membrane.detach());
     const torch::Tensor u = options.scale * (exact - options.threshold);
     const torch::Tensor through = u + options.scale * (smooth_membrane - smooth_membrane.detach());
-    const torch::Tensor smooth = Antiderivative(options.surrogate, through);
-    const torch::Tensor step = (exact >= options.threshold).to(torch::kFloat);
+    torch::Tensor smooth = Antiderivative(options.surrogate, through);
+    torch::Tensor step = (exact >= options.threshold).to(torch::kFloat);
+    if (IsShifted(options)) {
+      const torch::Tensor event = options.events[tick].unsqueeze(-1);
+      smooth = smooth * event;
+      step = step * event;
+    }
     spikes.push_back(step + (smooth - smooth.detach()));
     membrane = exact * (1.0 - step) + (membrane - membrane.detach()) * (1.0 - step);
   }
@@ -212,22 +258,24 @@ torch::Tensor NaiveIntegerLif(const torch::Tensor& current, const IntegerLifOpti
 }
 
 TEST_P(LifGradientTest, OfIntegerNeuronsEqualsTheGraphOverTicks) {
-  const IntegerLifOptions options = IntegerOptions({GetParam(), 4.0f});
   const torch::Tensor weight = torch::randn({kTicks, kNeurons / kWidth, kWidth});
-  for (const bool same_at_every_tick : {false, true}) {
-    torch::Tensor fused = RandomIntegerCurrent({kTicks, kNeurons / kWidth, kWidth});
-    torch::Tensor naive = fused.clone();
-    fused.requires_grad_();
-    naive.requires_grad_();
-    const torch::Tensor spikes = IntegerLifPerTick(fused, options);
-    const torch::Tensor expected = NaiveIntegerLif(naive, options);
-    ASSERT_TRUE(torch::equal(spikes, torch::round(expected)));
-    for (const torch::Tensor& output : {spikes, expected}) {
-      (same_at_every_tick ? (output.sum(0) * weight[0]).sum() : (output * weight).sum()).backward();
+  for (const IntegerLifOptions& options : IntegerOptions({GetParam(), 4.0f})) {
+    for (const bool same_at_every_tick : {false, true}) {
+      torch::Tensor fused = RandomIntegerCurrent(options);
+      torch::Tensor naive = fused.clone();
+      fused.requires_grad_();
+      naive.requires_grad_();
+      const torch::Tensor spikes = IntegerLifPerTick(fused, options);
+      const torch::Tensor expected = NaiveIntegerLif(naive, options);
+      ASSERT_TRUE(torch::equal(spikes, torch::round(expected)));
+      for (const torch::Tensor& output : {spikes, expected}) {
+        (same_at_every_tick ? (output.sum(0) * weight[0]).sum() : (output * weight).sum())
+            .backward();
+      }
+      EXPECT_GT(naive.grad().abs().sum().item<float>(), 1e-2f);
+      EXPECT_TRUE(torch::allclose(fused.grad(), naive.grad(), 1e-3, 1e-9))
+          << "same at every tick " << same_at_every_tick;
     }
-    EXPECT_GT(naive.grad().abs().sum().item<float>(), 1e-2f);
-    EXPECT_TRUE(torch::allclose(fused.grad(), naive.grad(), 1e-3, 1e-9))
-        << "same at every tick " << same_at_every_tick;
   }
 }
 

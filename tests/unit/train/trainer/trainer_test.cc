@@ -230,8 +230,9 @@ TEST_P(TrainerModeTest, LearnsToImitate) {
     o.learning_rate = 5e-3;
     o.warmup = 10;
   });
-  for (const Arithmetic arithmetic : {Arithmetic::kFloat32, Arithmetic::kInt8}) {
-    if (GetParam() == Mode::kDense && arithmetic == Arithmetic::kInt8) continue;
+  for (const Arithmetic arithmetic :
+       {Arithmetic::kFloat32, Arithmetic::kInt8, Arithmetic::kInteger}) {
+    if (GetParam() == Mode::kDense && arithmetic != Arithmetic::kFloat32) continue;
     options.arithmetic = arithmetic;
     Trainer trainer(Initial(SmallConfig(GetParam())), experts, options);
     ASSERT_TRUE(trainer.has_validation());

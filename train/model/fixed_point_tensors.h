@@ -1,0 +1,48 @@
+// The parts of integer arithmetic on torch tensors of integers, exactly as docs/design/integer.md
+// defines them, for the forward pass of training.
+//
+// Integers are float64 and have no gradient. No sum leaves the integers that float64 holds exactly.
+// Symbols: B clips, S tokens of a clip, Q tokens with a query, d hidden size, H heads, d_h = d / H,
+// T ticks. All functions are pure and thread-safe.
+#ifndef TRAIN_MODEL_FIXED_POINT_TENSORS_H_
+#define TRAIN_MODEL_FIXED_POINT_TENSORS_H_
+
+#include <torch/types.h>
+
+#include "core/model/config.h"
+#include "core/model/fixed_point_weights.h"
+
+namespace spikeserve {
+
+// Returns the integers of inputs with `fraction` fraction bits, halves to even, limited to 16 bits.
+torch::Tensor RoundInputs(const torch::Tensor& inputs, int fraction);
+
+// Returns the map of x [..., in]: [..., out].
+torch::Tensor ApplyMap(const FixedPointMap& map, const torch::Tensor& x);
+
+// Returns the norm of x [..., d].
+torch::Tensor Normalize(const FixedPointNorm& norm, const torch::Tensor& x);
+
+// Returns the spikes (0 or 1, float32) of a coder for x [..., d]: [T, ..., d].
+torch::Tensor CodeSpikes(const PeriodCoder& coder, const torch::Tensor& x);
+
+// One head per second dimension.
+struct HeadInputs {
+  torch::Tensor overlaps;  // s: [B, H, Q, S]
+  torch::Tensor fires;     // whether a query neuron fires, bool: [B, H, Q, 1]
+  torch::Tensor values;    // spike counts: [B, H, S, d_h]
+  torch::Tensor band;      // whether a token attends to another, bool: [Q, S]
+};
+
+// Returns y with kGateFraction fraction bits: [B, H, Q, d_h]. `scale` is [H].
+torch::Tensor AttendInIntegers(const HeadInputs& inputs, const Int16Tensor& scale,
+                               const ModelConfig& config);
+
+// Returns the merged heads of y [B, Q, H, d_h], with kGateFraction fraction bits: [B, Q,
+// merged_size].
+torch::Tensor MergeInIntegers(const FixedPointLayer& layer, const ModelConfig& config,
+                              const torch::Tensor& y);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_MODEL_FIXED_POINT_TENSORS_H_

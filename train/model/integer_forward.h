@@ -1,0 +1,28 @@
+// The SNN-DT of integer arithmetic, for training: the forward pass is exactly that of the engines,
+// the backward pass takes every rounding for the identity ("straight through", see
+// rounded_maps.h) and uses surrogate gradients for the spikes.
+//
+// Each number is computed twice: as integers, and in float32 from the float parameters, from which
+// the gradient comes. Attention's gradient is that of a softmax over the mean overlap of all ticks.
+#ifndef TRAIN_MODEL_INTEGER_FORWARD_H_
+#define TRAIN_MODEL_INTEGER_FORWARD_H_
+
+#include "core/model/policy.h"
+#include "train/model/clip_tensors.h"
+#include "train/model/lif_function.h"
+#include "train/model/parameters.h"
+#include "train/model/rounded_maps.h"
+
+namespace spikeserve {
+
+// Runs the policy `rounded`, which is QuantizeToInteger() of a policy with the values of
+// `parameters`, on all clips. `maps` are those of `rounded`, `coder` the neurons of the policy's
+// coders before it was rounded, and the surrogate of all neurons. Thread-safe as long as nothing
+// changes the tensors. REQUIRES: not dense.
+ModelOutput ForwardInIntegers(const Policy& rounded, const RoundedMaps& maps,
+                              const Parameters& parameters, const LifOptions& coder,
+                              const ClipTensors& clips);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_MODEL_INTEGER_FORWARD_H_
