@@ -19,7 +19,8 @@ _SET_BY_STAGES = (
     *("data", "out", "init", "resume", "seed", "seeds", "iterations"),
     *("target_rate", "readout_rate"),
 )
-_OWN_SETTINGS = ("lookback", "mirror", "image_shape", "patch_size")  # only for a policy without --init
+# Only for a policy without --init.
+_OWN_SETTINGS = ("lookback", "mirror", "image_shape", "patch_size")
 
 # The settings that are chosen where they are None, and their types.
 CHOSEN: dict[str, type[int] | type[float]] = {
