@@ -7,7 +7,7 @@ source "$(dirname "$0")/imitation.sh"
 # Timestep 51 shows the last card and asks for it; after it nothing is shown. At timestep 51 + x the card of timestep 51 - x is asked
 # for, where attention looks from the first iteration on.
 imitate popgym:popgym-AutoencodeEasy-v0 --expert=memory_experts:autoencode --mode=pos --action-noise=0 --disturbed=0 --rounds=0 \
-  --hidden-size=128 --layers=1 --context=103 --mirror=51 --clip-steps=103 --batch=4 --steps=60000 --iterations=600 \
-  --silence=30:30,20:20,12:20 --silence-iterations=200 --tolerance=0.005 --selection-episodes=50 --episodes=300 \
+  --hidden-size=128 --layers=1 --context=103 --mirror=51 --clip-steps=103 --batch=4 --steps=60000 --iterations=400 \
+  --silence=30:30,20:20 --silence-iterations=150 --tolerance=0.005 --selection-episodes=50 --episodes=300 \
   --train-flags="--slope=4 --heads=8 --ffn_size=128"
 integer

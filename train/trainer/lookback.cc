@@ -92,12 +92,13 @@ std::vector<double> SymmetricFrequencies(const ModelConfig& config, int middle) 
   std::vector<double> chosen = {kPi};
   while (chosen.size() < static_cast<size_t>(config.heads)) {
     double best = 0.0, least = 0.0;
-    for (int m = 1; m == 1 || 2 * m <= middle; ++m) {
+    for (int m = 1; m == 1 || 2 * m <= middle + 2; ++m) {
       double wrong = 0.0;
-      for (const int entry : add(m * kPi / middle)) wrong += Exp(scale * static_cast<float>(entry));
+      for (const int entry : add(m * kPi / (middle + 2)))
+        wrong += Exp(scale * static_cast<float>(entry));
       if (best != 0.0 && wrong >= least) continue;
       least = wrong;
-      best = m * kPi / middle;
+      best = m * kPi / (middle + 2);
     }
     excess = add(best);
     chosen.push_back(best);

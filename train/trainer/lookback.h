@@ -32,13 +32,14 @@ absl::Status LookBack(int delay, Policy* policy);
 // Sets the same weights so that at timestep `middle` + x the attention of every head is largest at
 // `middle` - x and at the present timestep:
 //
-//   sin(omega_k tau + phi_k) = cos(omega_k (tau - middle)),  omega_0 = pi,  omega_k = m_k pi /
-//   middle
+//   sin(omega_k tau + phi_k) = cos(omega_k (tau - middle)),  omega_0 = pi
+//   omega_k = m_k pi / (middle + 2)
 //
 // These generators fire equally at equal distances from the middle, and a query and a key fire with
 // the same one. Within a timestep, time moves away from the middle after it and towards the middle
 // before it, which blurs the match by up to one step. Generator 0 therefore separates even from odd
-// timesteps. The other multiples are chosen so that attention at all other timesteps is least.
+// timesteps. The other multiples are chosen so that attention at all other timesteps is least. Odd
+// multiples of pi / middle would all change their spikes halfway between the middle and the ends.
 //
 // Returns INVALID_ARGUMENT, for the flag --mirror, unless the policy has phase spikes with the
 // clock `timestep`, and 1 <= middle < context / 2.

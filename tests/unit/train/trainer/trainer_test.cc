@@ -335,10 +335,11 @@ TEST(MirrorTest, QueriesMatchTheKeysOfTheMirroredTimestepAlone) {
       const double sum = std::accumulate(weights.begin(), weights.end(), 0.0);
       for (int y = 0; y <= middle; ++y) shares[y] += weights[y] / sum / config.ticks;
     }
-    EXPECT_GE(shares[x], 0.999 * *std::max_element(shares.begin(), shares.end())) << x;
     mean_share += shares[x] / middle;
+    const double right = std::exchange(shares[x], 0.0);
+    EXPECT_GT(0.7 * right, *std::max_element(shares.begin(), shares.end())) << x;
   }
-  EXPECT_GT(mean_share, 0.6);
+  EXPECT_GT(mean_share, 0.5);
   const int inputs = config.attention_inputs();
   for (int row = 0; row < config.hidden_size; ++row) {
     for (int k = config.hidden_size; k < inputs; ++k) {
