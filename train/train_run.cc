@@ -168,9 +168,11 @@ absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const EpisodeSource& s
     }
     policy.return_scale = static_cast<float>(*scale);
   }
-  if (flags.lookback.has_value()) {
-    RETURN_IF_ERROR(LookBack(*flags.lookback, &policy));
+  if (flags.lookback.has_value() && flags.mirror.has_value()) {
+    return absl::InvalidArgumentError("--mirror: expected no such flag beside --lookback");
   }
+  if (flags.lookback.has_value()) RETURN_IF_ERROR(LookBack(*flags.lookback, &policy));
+  if (flags.mirror.has_value()) RETURN_IF_ERROR(Mirror(*flags.mirror, &policy));
   return policy;
 }
 
@@ -185,6 +187,10 @@ absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const std::string& e
   if (flags.lookback.has_value()) {
     return absl::InvalidArgumentError(absl::StrCat(
         "--lookback: expected no such flag beside --init, received ", *flags.lookback));
+  }
+  if (flags.mirror.has_value()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--mirror: expected no such flag beside --init, received ", *flags.mirror));
   }
   if (policy.environment != environment) {
     return absl::InvalidArgumentError(absl::StrCat("--init: expected a policy for ", environment,

@@ -26,6 +26,7 @@ struct TrainFlags {
   std::optional<std::string> env;  // absent: that of the data, or CartPole-v1
   ShapeFlags shape;
   std::optional<int> lookback;           // absent: random phase generators
+  std::optional<int> mirror;             // the same; not both
   std::vector<std::string> image_shape;  // height, width, channels; none: not an image
   int patch_size = 0;                    // 0: no patches
   int patch_features = 8;

@@ -318,7 +318,8 @@ def test_patches_that_do_not_fit_are_refused(tmp_path):
     [
         (("--slope=4", "--arithmetic=int8"), "expected no --arithmetic, because stages continue from float32 weights"),
         (("--arithmetic", "int8"), "expected no --arithmetic"),
-        (("--lookback=3",), "expected no --lookback; lookback and patch_size are settings of imitate"),
+        (("--lookback=3",), "expected no --lookback; lookback, mirror and patch_size are settings of imitate"),
+        (("--mirror=3",), "expected no --mirror"),
         (("--image_shape=16,16,3",), "expected no --image_shape"),
         (("--init=policy.safetensors",), "expected no --init, which each stage sets"),
         (("--target_rate=5",), "expected no --target_rate, which each stage sets"),

@@ -83,7 +83,9 @@ def test_given_settings_stay(tmp_path):
 
 def test_a_longer_lookback_lengthens_the_context(tmp_path):
     options = dataclasses.replace(OPTIONS, mode="pos", lookback=7)
-    assert plan_training(options, *recorded(tmp_path, "CartPole-v1", push_left, 20)).context == 8
+    data = recorded(tmp_path, "CartPole-v1", push_left, 20)
+    assert plan_training(options, *data).context == 8
+    assert plan_training(dataclasses.replace(options, lookback=None, mirror=7), *data).context == 15
 
 
 def test_few_episodes_and_large_observations_are_not_asked(tmp_path):

@@ -70,6 +70,13 @@ def test_repeat_previous(address, name, size, episodes, version):
 
 
 @pytest.mark.parametrize("version", [1, 2, 3])
+def test_autoencode(address, version):
+    """52 cards in reverse order: what was observed 0, 2, 4, ... 102 steps ago decides. Random actions return -0.5."""
+    played = evaluate(address, "autoencode", "popgym:popgym-AutoencodeEasy-v0", 5, version)
+    assert played.mean_return > 0.9
+
+
+@pytest.mark.parametrize("version", [1, 2, 3])
 def test_policies_that_know_their_delay(address, version):
     """The usual policies for CartPole and Pendulum fall below 130 and -600 with a delay of four beats."""
     for beats in (0, 4):

@@ -1,4 +1,5 @@
-"""Experts for tasks that one observation does not solve: POPGym's RepeatFirst and RepeatPrevious, MiniGrid's Memory.
+"""Experts for tasks that one observation does not solve: POPGym's RepeatFirst, RepeatPrevious,
+CountRecall and Autoencode, MiniGrid's Memory.
 
     python -m spikeserve imitate popgym:popgym-RepeatFirstEasy-v0 --expert memory_experts:repeat_first
 """
@@ -20,6 +21,17 @@ def repeat_previous(environment, observation):
     deck = environment.deck
     cards = deck["player"]
     return int(deck.suits_idx[cards[-min(environment.k, len(cards))]])
+
+
+def count_recall(environment, observation):
+    """The expert of CountRecall: how often the card that is asked for was dealt, the newest card included."""
+    return int(environment.counts[environment.query])
+
+
+def autoencode(environment, observation):
+    """The expert of Autoencode: the suit of the card on top of the pile, which is the newest one while cards are dealt."""
+    deck = environment.deck
+    return int(deck.suits_idx[deck["system"][-1]])
 
 
 def find_match(environment, observation):

@@ -61,6 +61,7 @@ _PARSERS: dict[str, Callable[[str], Any]] = {
     "delay": str,
     "max_episode_steps": int,
     "lookback": int,
+    "mirror": int,
     "patch_size": int,
     "silence": _pairs,
     "train_flags": _words,

@@ -61,7 +61,7 @@ def plan_training(
     if context is None or noise is None:
         answer = ask(list(read_dataset(data)), space)
         if context is None:
-            context, reason = _context(answer, options.lookback)
+            context, reason = _context(answer, options.lookback or 2 * (options.mirror or 0))
             reasons.append(f"context = {context}: {reason}")
         if noise is None:
             noise, reason = _action_noise(answer)
@@ -145,8 +145,8 @@ def _best(pair: tuple[Table, Table]) -> Table:
     return min(pair, key=np.mean)
 
 
-def _context(answer: Answer | None, lookback: int | None) -> tuple[int, str]:
-    least = 2 if lookback is None else lookback + 1
+def _context(answer: Answer | None, lookback: int) -> tuple[int, str]:
+    least = max(2, lookback + 1)
     if answer is None:
         return max(_CONTEXT, least), "there are too few data, or too large observations, to ask"
     errors = {frames: _best(pair) for frames, pair in answer.errors.items()}

@@ -19,7 +19,8 @@ _SET_BY_STAGES = (
     *("data", "out", "init", "resume", "seed", "seeds", "iterations"),
     *("target_rate", "readout_rate"),
 )
-_OWN_SETTINGS = ("lookback", "image_shape", "patch_size")  # only for a policy without --init
+# Only for a policy without --init.
+_OWN_SETTINGS = ("lookback", "mirror", "image_shape", "patch_size")
 
 # The settings that are chosen where they are None, and their types.
 CHOSEN: dict[str, type[int] | type[float]] = {
@@ -72,6 +73,11 @@ class ImitationOptions:
     lookback: int | None = _setting(
         None,
         "timesteps back at which attention looks first, if the action depends on that observation; "
+        "needs --mode=pos or full",
+    )
+    mirror: int | None = _setting(
+        None,
+        "timestep before which attention looks at first, as far as the present one is after it; "
         "needs --mode=pos or full",
     )
     clip_steps: int | None = _setting(None, "timesteps of a training clip; 0: the whole context")
@@ -154,6 +160,13 @@ class ImitationOptions:
                 below = f"1 to {self.context - 1}, below the context"
                 check(self.lookback < self.context, "lookback", below, self.lookback)
             check(self.mode in ("pos", "full"), "mode", "pos or full beside lookback", self.mode)
+        if self.mirror is not None:
+            check(self.lookback is None, "mirror", "none beside lookback", self.mirror)
+            check(self.mirror >= 1, "mirror", "at least 1", self.mirror)
+            if self.context is not None:
+                below = f"1 to {(self.context - 1) // 2}, less than half of the context"
+                check(2 * self.mirror < self.context, "mirror", below, self.mirror)
+            check(self.mode in ("pos", "full"), "mode", "pos or full beside mirror", self.mode)
         check(self.rounds <= 10, "rounds", "at most 10", self.rounds)
         for name in ("disturbed", "burst_rate", "held_bursts", "action_noise", "round_disturbed"):
             value = getattr(self, name)
@@ -182,6 +195,6 @@ def _check_train_flag(flag: str) -> None:
     check(
         name not in _OWN_SETTINGS,
         "train_flags",
-        f"no --{name}; lookback and patch_size are settings of imitate",
+        f"no --{name}; lookback, mirror and patch_size are settings of imitate",
         flag,
     )

@@ -263,7 +263,10 @@ class _Run:
         names = ("mode", "hidden_size", "layers", "ticks")
         flags = [f"--{name}={getattr(options, name)}" for name in names]
         flags.append(f"--context={self._training.context}")
-        return flags if options.lookback is None else [*flags, f"--lookback={options.lookback}"]
+        for name in ("lookback", "mirror"):
+            if (timestep := getattr(options, name)) is not None:
+                flags.append(f"--{name}={timestep}")
+        return flags
 
     def _image_flags(self) -> list[str]:
         environment = self._factory.make()

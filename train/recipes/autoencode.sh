@@ -1,0 +1,13 @@
+#!/usr/bin/env bash
+# Trains the shipped policy for POPGym's Autoencode (package popgym): it sees 52 cards and names their suits in reverse order.
+#
+# usage: train/recipes/autoencode.sh SPIKETRAIN OUT_DIR
+source "$(dirname "$0")/imitation.sh"
+
+# Timestep 51 shows the last card and asks for it; after it nothing is shown. At timestep 51 + x the card of timestep 51 - x is asked
+# for, where attention looks from the first iteration on.
+imitate popgym:popgym-AutoencodeEasy-v0 --expert=memory_experts:autoencode --mode=pos --action-noise=0 --disturbed=0 --rounds=0 \
+  --hidden-size=128 --layers=1 --context=103 --mirror=51 --clip-steps=103 --batch=4 --steps=60000 --iterations=400 \
+  --silence=30:30,20:20 --silence-iterations=150 --tolerance=0.005 --selection-episodes=50 --episodes=300 \
+  --train-flags="--slope=4 --heads=8 --ffn_size=128"
+integer

@@ -1,0 +1,132 @@
+"""Fits a linear map and perceptrons to a queue of past observations, and plays them: what memory without attention reaches.
+
+    python train/recipes/queue_baselines.py popgym:popgym-CountRecallEasy-v0 --data=FOLDER --length=52 --hidden=0,64,256
+
+FOLDER is a dataset that `spikeserve imitate` recorded, `OUT/data/expert-v0`. The input is the last LENGTH observations side by
+side, newest first, 0 where there was none. HIDDEN is the width of two hidden layers; 0 is a linear map. Actions are Discrete.
+"""
+
+import argparse
+import itertools
+import pathlib
+
+import numpy as np
+from spikeserve.imitation.datasets import read_dataset
+from spikeserve.imitation.environments import EnvironmentFactory
+from spikeserve.imitation.episodes import Choice, play
+
+BATCH, RATE, DECAYS = 256, 2e-3, (0.9, 0.999)  # of Adam; the rate falls to 0 as a cosine
+ENVIRONMENTS = 16  # played at once
+
+
+def queue_of(observations, length):
+    """Returns the input of one decision from the observations of an episode so far: [length * size]."""
+    recent = np.asarray(observations[-length:], np.float32)[::-1]
+    queue = np.zeros((length, recent.shape[1]), np.float32)
+    queue[: len(recent)] = recent
+    return queue.ravel()
+
+
+def read(folder, length):
+    """Returns the inputs and the labels of all decisions of a dataset."""
+    inputs, labels = [], []
+    for episode in read_dataset(folder):
+        labels += episode.labels or episode.actions
+        inputs += [queue_of(episode.observations[: step + 1], length) for step in range(episode.steps)]
+    return np.stack(inputs), np.array(labels)
+
+
+class Perceptron:
+    """Layers with ReLU between them, trained by Adam on the cross-entropy."""
+
+    def __init__(self, sizes, seed):
+        self._random = np.random.default_rng(seed)
+        self._layers = []
+        for inputs, outputs in itertools.pairwise(sizes):
+            scale = np.sqrt(2 / inputs)
+            weight = self._random.normal(0, scale, (inputs, outputs)).astype(np.float32)
+            self._layers += [weight, np.zeros(outputs, np.float32)]
+        self._moments = [(np.zeros_like(p), np.zeros_like(p)) for p in self._layers]
+
+    @property
+    def multiplications(self):
+        return sum(p.size for p in self._layers[::2])
+
+    def outputs(self, inputs):
+        """Returns what every layer reads, the inputs first, and the logits."""
+        values = [inputs]
+        for i in range(0, len(self._layers), 2):
+            if i:
+                values[-1] = np.maximum(values[-1], 0)
+            values.append(values[-1] @ self._layers[i] + self._layers[i + 1])
+        return values
+
+    def train(self, inputs, labels, epochs):
+        """Makes `epochs` passes over the data, in random draws."""
+        steps = epochs * len(labels) // BATCH
+        for step in range(steps):
+            chosen = self._random.integers(0, len(labels), BATCH)
+            values = self.outputs(inputs[chosen])
+            odds = np.exp(values[-1] - values[-1].max(1, keepdims=True))
+            error = odds / odds.sum(1, keepdims=True)
+            error[np.arange(BATCH), labels[chosen]] -= 1
+            self._descend(values, error / BATCH, step, RATE / 2 * (1 + np.cos(np.pi * step / steps)))
+
+    def _descend(self, values, error, step, rate):
+        gradients = []
+        for i in reversed(range(0, len(self._layers), 2)):
+            value = values[i // 2]
+            gradients = [value.T @ error, error.sum(0), *gradients]
+            error = (error @ self._layers[i].T) * (value > 0)
+        for p, g, (m, v) in zip(self._layers, gradients, self._moments, strict=True):
+            m += (1 - DECAYS[0]) * (g - m)
+            v += (1 - DECAYS[1]) * (g * g - v)
+            corrected = np.sqrt(v / (1 - DECAYS[1] ** (step + 1))) + 1e-8
+            p -= rate * (m / (1 - DECAYS[0] ** (step + 1))) / corrected
+
+
+class QueueActor:
+    """Plays a model."""
+
+    def __init__(self, model, length):
+        self._model = model
+        self._length = length
+
+    def choose(self, rows):
+        queues = np.stack([queue_of(row.episode.observations, self._length) for row in rows])
+        return [Choice(int(action)) for action in self._model.outputs(queues)[-1].argmax(1)]
+
+    def end(self, row):
+        pass
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("env_id", help="as `spikeserve imitate` takes it")
+    parser.add_argument("--data", required=True, type=pathlib.Path)
+    parser.add_argument("--length", required=True, type=int)
+    parser.add_argument("--hidden", default="0,64,256")
+    parser.add_argument("--epochs", default=40, type=int)
+    parser.add_argument("--episodes", default=300, type=int)
+    parser.add_argument("--seed", default=2_000_000, type=int, help="first start to play")
+    arguments = parser.parse_args()
+    inputs, labels = read(arguments.data, arguments.length)
+    factory = EnvironmentFactory(arguments.env_id)
+    environment = factory.make()
+    actions = int(environment.action_space.n)
+    environment.close()
+    for hidden in map(int, arguments.hidden.split(",")):
+        model = Perceptron([inputs.shape[1], *([hidden] * 2 if hidden else []), actions], seed=0)
+        model.train(inputs, labels, arguments.epochs)
+        seeds = iter(range(arguments.seed, arguments.seed + arguments.episodes))
+        returns = [e.episode_return for e in play(factory.make, QueueActor(model, arguments.length), seeds, ENVIRONMENTS)]
+        fit = (model.outputs(inputs[:20000])[-1].argmax(1) == labels[:20000]).mean()
+        print(
+            f"hidden {hidden}: return {np.mean(returns):.3f} ± {np.std(returns):.3f}, {model.multiplications} "
+            f"multiplications, {fit:.1%} of the labels",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
