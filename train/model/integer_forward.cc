@@ -9,8 +9,8 @@
 #include "core/neuron/phase.h"
 #include "train/model/attention.h"
 #include "train/model/fixed_point_tensors.h"
-#include "train/model/lif_function.h"
-#include "train/model/phase_function.h"
+#include "train/neuron/lif_function.h"
+#include "train/neuron/phase_function.h"
 
 namespace spikeserve {
 namespace {

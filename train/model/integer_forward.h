@@ -9,9 +9,9 @@
 
 #include "core/model/policy.h"
 #include "train/model/clip_tensors.h"
-#include "train/model/lif_function.h"
 #include "train/model/parameters.h"
 #include "train/model/rounded_maps.h"
+#include "train/neuron/lif_function.h"
 
 namespace spikeserve {
 

@@ -11,10 +11,10 @@
 #include "core/quantize/quantize.h"
 #include "core/quantize/quantize_integer.h"
 #include "train/model/attention.h"
-#include "train/model/bernoulli_function.h"
 #include "train/model/integer_forward.h"
-#include "train/model/lif_function.h"
-#include "train/model/phase_function.h"
+#include "train/neuron/bernoulli_function.h"
+#include "train/neuron/lif_function.h"
+#include "train/neuron/phase_function.h"
 
 namespace spikeserve {
 namespace {

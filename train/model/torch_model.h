@@ -13,7 +13,7 @@
 #include "train/model/clip_tensors.h"
 #include "train/model/parameters.h"
 #include "train/model/rounded_maps.h"
-#include "train/model/surrogate.h"
+#include "train/neuron/surrogate.h"
 
 namespace spikeserve {
 

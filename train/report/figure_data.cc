@@ -10,7 +10,7 @@
 #include "core/environment/environment.h"
 #include "core/neuron/lif.h"
 #include "core/neuron/phase.h"
-#include "train/model/surrogate.h"
+#include "train/neuron/surrogate.h"
 
 namespace spikeserve {
 namespace {

@@ -24,8 +24,8 @@
 #include "train/data/episode_source.h"
 #include "train/model/loss.h"
 #include "train/model/patch_embedding.h"
-#include "train/model/surrogate.h"
 #include "train/model/torch_model.h"
+#include "train/neuron/surrogate.h"
 
 namespace spikeserve {
 

@@ -11,8 +11,8 @@
 #include <variant>
 #include <vector>
 
-#include "train/model/lif_function.h"
-#include "train/model/surrogate.h"
+#include "train/neuron/lif_function.h"
+#include "train/neuron/surrogate.h"
 
 namespace spikeserve {
 namespace {

@@ -1,6 +1,6 @@
 // The Bernoulli coder (the paper's alternative to the rate coder) with a straight-through gradient.
-#ifndef TRAIN_MODEL_BERNOULLI_FUNCTION_H_
-#define TRAIN_MODEL_BERNOULLI_FUNCTION_H_
+#ifndef TRAIN_NEURON_BERNOULLI_FUNCTION_H_
+#define TRAIN_NEURON_BERNOULLI_FUNCTION_H_
 
 #include <torch/types.h>
 
@@ -21,4 +21,4 @@ torch::Tensor BernoulliSpikes(const torch::Tensor& x, const BernoulliDraws& draw
 
 }  // namespace spikeserve
 
-#endif  // TRAIN_MODEL_BERNOULLI_FUNCTION_H_
+#endif  // TRAIN_NEURON_BERNOULLI_FUNCTION_H_

@@ -1,4 +1,4 @@
-#include "train/model/phase_function.h"
+#include "train/neuron/phase_function.h"
 
 #include <torch/csrc/autograd/custom_function.h>
 

@@ -1,10 +1,10 @@
 // Phase-shifted positional spikes (eq. 4.4) with a surrogate gradient for omega and phi.
-#ifndef TRAIN_MODEL_PHASE_FUNCTION_H_
-#define TRAIN_MODEL_PHASE_FUNCTION_H_
+#ifndef TRAIN_NEURON_PHASE_FUNCTION_H_
+#define TRAIN_NEURON_PHASE_FUNCTION_H_
 
 #include <torch/types.h>
 
-#include "train/model/surrogate.h"
+#include "train/neuron/surrogate.h"
 
 namespace spikeserve {
 
@@ -17,4 +17,4 @@ torch::Tensor PhaseSpikes(const torch::Tensor& omega, const torch::Tensor& phi,
 
 }  // namespace spikeserve
 
-#endif  // TRAIN_MODEL_PHASE_FUNCTION_H_
+#endif  // TRAIN_NEURON_PHASE_FUNCTION_H_

@@ -2,8 +2,8 @@
 // node per tick.
 //
 // The results do not depend on the number of threads.
-#ifndef TRAIN_MODEL_LIF_FUNCTION_H_
-#define TRAIN_MODEL_LIF_FUNCTION_H_
+#ifndef TRAIN_NEURON_LIF_FUNCTION_H_
+#define TRAIN_NEURON_LIF_FUNCTION_H_
 
 #include <torch/types.h>
 
@@ -12,7 +12,7 @@
 #include "core/neuron/integer_lif.h"
 #include "core/neuron/lif.h"
 #include "core/neuron/shift_lif.h"
-#include "train/model/surrogate.h"
+#include "train/neuron/surrogate.h"
 
 namespace spikeserve {
 
@@ -48,4 +48,4 @@ torch::Tensor IntegerLifPerTick(const torch::Tensor& current, const IntegerLifOp
 
 }  // namespace spikeserve
 
-#endif  // TRAIN_MODEL_LIF_FUNCTION_H_
+#endif  // TRAIN_NEURON_LIF_FUNCTION_H_

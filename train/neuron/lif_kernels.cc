@@ -1,4 +1,4 @@
-#include "train/model/lif_kernels.h"
+#include "train/neuron/lif_kernels.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,9 +1,9 @@
-#include "train/model/lif_function.h"
+#include "train/neuron/lif_function.h"
 
 #include <ATen/Parallel.h>
 #include <torch/csrc/autograd/custom_function.h>
 
-#include "train/model/lif_kernels.h"
+#include "train/neuron/lif_kernels.h"
 
 namespace spikeserve {
 namespace {

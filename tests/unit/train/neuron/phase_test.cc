@@ -7,7 +7,7 @@
 
 #include <cmath>
 
-#include "train/model/phase_function.h"
+#include "train/neuron/phase_function.h"
 
 namespace spikeserve {
 namespace {

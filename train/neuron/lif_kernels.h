@@ -3,8 +3,8 @@
 // Compiled once per vector extension of x86-64, where the variant is selected when the program
 // starts, so that one binary runs on every processor; on arm64 once. All variants compute the same
 // bits. Safe to call from many threads on disjoint ranges of neurons.
-#ifndef TRAIN_MODEL_LIF_KERNELS_H_
-#define TRAIN_MODEL_LIF_KERNELS_H_
+#ifndef TRAIN_NEURON_LIF_KERNELS_H_
+#define TRAIN_NEURON_LIF_KERNELS_H_
 
 #include <cstdint>
 #include <variant>
@@ -12,7 +12,7 @@
 #include "core/neuron/integer_lif.h"
 #include "core/neuron/lif.h"
 #include "core/neuron/shift_lif.h"
-#include "train/model/surrogate.h"
+#include "train/neuron/surrogate.h"
 
 namespace spikeserve {
 
@@ -72,4 +72,4 @@ void IntegerLifBackward(const IntegerLifRange& range, const Surrogate& surrogate
 
 }  // namespace spikeserve
 
-#endif  // TRAIN_MODEL_LIF_KERNELS_H_
+#endif  // TRAIN_NEURON_LIF_KERNELS_H_

@@ -1,4 +1,4 @@
-#include "train/model/bernoulli_function.h"
+#include "train/neuron/bernoulli_function.h"
 
 #include "core/neuron/coder.h"
 

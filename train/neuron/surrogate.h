@@ -2,8 +2,8 @@
 // backward pass.
 //
 // Pure functions; safe to call from many threads.
-#ifndef TRAIN_MODEL_SURROGATE_H_
-#define TRAIN_MODEL_SURROGATE_H_
+#ifndef TRAIN_NEURON_SURROGATE_H_
+#define TRAIN_NEURON_SURROGATE_H_
 
 #include <array>
 #include <cmath>
@@ -65,4 +65,4 @@ inline __attribute__((always_inline)) void WithDerivative(const Surrogate& surro
 
 }  // namespace spikeserve
 
-#endif  // TRAIN_MODEL_SURROGATE_H_
+#endif  // TRAIN_NEURON_SURROGATE_H_
