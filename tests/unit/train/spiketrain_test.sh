@@ -150,6 +150,12 @@ refuses '--lookback: expected --mode=pos or full with --phase_clock=timestep, re
   train --data=data.cbor --out=x "${tiny[@]}" --mode=route --lookback=2
 refuses '--lookback: expected no such flag beside --init, received 2' \
   train --data=data.cbor --out=x --init=whole/policy.safetensors --lookback=2
+refuses '--mirror: expected 1 to 2, less than half of --context, received 3' \
+  train --data=data.cbor --out=x "${tiny[@]}" --mirror=3
+refuses '--mirror: expected no such flag beside --lookback' \
+  train --data=data.cbor --out=x "${tiny[@]}" --lookback=4 --mirror=2
+refuses '--mirror: expected no such flag beside --init, received 2' \
+  train --data=data.cbor --out=x --init=whole/policy.safetensors --mirror=2
 
 # Rounds a policy to integers; equal starts give a small difference, and a policy is rounded once.
 "$spiketrain" quantize --policy=whole/policy.safetensors --out=new/2/policy.safetensors --episodes=3 --seed=2000000 --json |
