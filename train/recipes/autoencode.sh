@@ -10,4 +10,6 @@ imitate popgym:popgym-AutoencodeEasy-v0 --expert=memory_experts:autoencode --mod
   --hidden-size=128 --layers=1 --context=103 --mirror=51 --clip-steps=103 --batch=4 --steps=60000 --iterations=400 \
   --silence=30:30,20:20 --silence-iterations=150 --tolerance=0.005 --selection-episodes=50 --episodes=300 \
   --train-flags="--slope=4 --heads=8 --ffn_size=128"
-integer
+# Rounding alone loses 0.017 of the return.
+train_integer --seed=4 --iterations=300 --clip_steps=103 --batch=4 --slope=4 --learning_rate=3e-4 --warmup=10 --target_rate=20 \
+  --readout_rate=20

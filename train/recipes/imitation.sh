@@ -30,3 +30,9 @@ integer() {
   "${PYTHON:-python3}" "$(dirname "$0")/integer_version.py" "${environment[@]}" --out="$out" --spiketrain="$spiketrain" \
     --flags="$*"
 }
+
+# train_integer FLAGS...: the same, trained through the integers. FLAGS are those of `spiketrain train`.
+train_integer() {
+  "${PYTHON:-python3}" "$(dirname "$0")/integer_version.py" "${environment[@]}" --out="$out" --spiketrain="$spiketrain" \
+    --train="$*"
+}

@@ -2,7 +2,7 @@
 
     python train/recipes/integer_version.py LunarLander-v3 --out=FOLDER --spiketrain=PROGRAM [--flags=--mode=baseline]
 
-FOLDER is that of the run. The float32 version plays from seed 1,500,000 on, which neither training nor evaluation uses;
+FOLDER is that of the run. --train=FLAGS trains it through the integers instead, on the expert's data and from version 1. The float32 version plays from seed 1,500,000 on, which neither training nor evaluation uses;
 these episodes are the calibration set of `spiketrain quantize --to=integer --prune`. Then version 3 plays the unseen starts
 that version 1 played, and the file records the comparison. Needs what docs/guides/imitation.md installs.
 """
@@ -84,27 +84,24 @@ def main():
         default="",
         help="further flags of `spiketrain quantize`, in one string",
     )
+    parser.add_argument("--train", help="flags of `spiketrain train`, in one string; default: version 1 is only rounded")
     arguments = parser.parse_args()
     factory = EnvironmentFactory(arguments.env_id, [load_object(path, "--wrapper") for path in arguments.wrapper])
     out = arguments.out.resolve()
     versions = pathlib.Path("policies", factory.policy_name)
     first, third = (versions / version / "policy.safetensors" for version in "13")
-    data, stage = (
-        pathlib.Path("data/calibration-v0"),
-        pathlib.Path("stages/integer/policy.safetensors"),
-    )
-    if not (out / data).is_dir():
-        record_calibration(factory, out / first, out / data)
+    stage = pathlib.Path("stages/integer/policy.safetensors")
     # Paths are relative, so that the record does not depend on the machine.
-    files = [f"--policy={first}", f"--data={data}", f"--out={stage}"]
-    command = [
-        find_spiketrain(arguments.spiketrain),
-        "quantize",
-        "--to=integer",
-        "--prune",
-        *shlex.split(arguments.flags),
-    ]
-    subprocess.run([*command, *files], cwd=out, check=True)
+    if arguments.train is not None:
+        command = ["train", "--arithmetic=integer", "--no_baselines", *shlex.split(arguments.train)]
+        command += [f"--init={first}", "--data=data/expert-v0", f"--out={stage.parent}"]
+    else:
+        data = pathlib.Path("data/calibration-v0")
+        if not (out / data).is_dir():
+            record_calibration(factory, out / first, out / data)
+        command = ["quantize", "--to=integer", "--prune", *shlex.split(arguments.flags)]
+        command += [f"--policy={first}", f"--data={data}", f"--out={stage}"]
+    subprocess.run([find_spiketrain(arguments.spiketrain), *command], cwd=out, check=True)
     before = Figures.from_json(json.loads((out / "evaluations/version-1.json").read_text()))
     evaluator = Evaluator(factory, ENVIRONMENTS)
     after = evaluator.evaluate_policy(out / stage, before.first_seed, len(before.returns), "version 3 plays unseen starts")
