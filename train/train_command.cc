@@ -77,8 +77,7 @@ void AddFlags(Command command, TrainFlags* flags) {
       .Add("lookback", "K", &flags->lookback,
            "Attention starts at the timestep K steps back; default: undirected")
       .Add("mirror", "K", &flags->mirror,
-           "Attention starts as far before timestep K as the present is after it; default: "
-           "undirected")
+           "Attention starts mirrored at timestep K; default: undirected")
       .AddList("image_shape", "H,W,C", &flags->image_shape, "Shape of observations that are images")
       .Add("patch_size", "N", &flags->patch_size,
            "Side in pixels of patches that share an embedding; 0: none")
