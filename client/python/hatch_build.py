@@ -45,8 +45,8 @@ def compile_proto(root, output):
 
     The set has the comments of the contract, which become the docstrings of AdminClient.
     """
-    # By itself, protoc looks for those of protobuf in ../include of the Python program, where
-    # Debian alone has them.
+    # By itself, protoc looks for the protos of protobuf in ../include of the Python program, where
+    # only Debian's libprotobuf-dev puts them.
     well_known = importlib.resources.files("grpc_tools") / "_proto"
     arguments = [
         "protoc",

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/contract/dcheck.h"
 #include "core/engine/fixed_point_maps.h"
 
 namespace spikeserve {
@@ -104,16 +105,13 @@ torch::Tensor CodeSpikes(const PeriodCoder& coder, const torch::Tensor& x) {
 
 torch::Tensor AttendInIntegers(const HeadInputs& inputs, const Int16Tensor& scale,
                                const ModelConfig& config) {
-  torch::Tensor weights = config.attention == Attention::kLinear
-                              ? inputs.overlaps
-                              : ShiftmaxWeights(inputs, Numbers(scale).view({-1, 1, 1}));
-  weights = torch::where(inputs.fires, weights, torch::ones_like(weights)) * inputs.band;
-  torch::Tensor sum = weights.sum(-1, true);
-  // Only the weights of linear attention can all be 0.
-  weights = torch::where(sum == 0.0, inputs.band.to(torch::kDouble), weights);
-  sum = weights.sum(-1, true);
+  SPIKESERVE_DCHECK(config.attention == Attention::kShiftmax);
+  const torch::Tensor shiftmax = ShiftmaxWeights(inputs, Numbers(scale).view({-1, 1, 1}));
+  const torch::Tensor weights =
+      torch::where(inputs.fires, shiftmax, torch::ones_like(shiftmax)) * inputs.band;
   const torch::Tensor attended = torch::matmul(weights, inputs.values);
-  return RoundQuotient(attended * std::ldexp(1.0, kGateFraction), sum * config.ticks)
+  return RoundQuotient(attended * std::ldexp(1.0, kGateFraction),
+                       weights.sum(-1, true) * config.ticks)
       .clamp_max(kLargestAttended);
 }
 

@@ -34,7 +34,8 @@ struct HeadInputs {
   torch::Tensor band;      // whether a token attends to another, bool: [Q, S]
 };
 
-// Returns y with kGateFraction fraction bits: [B, H, Q, d_h]. `scale` is [H].
+// Returns y with kGateFraction fraction bits: [B, H, Q, d_h]. `scale` is [H]. REQUIRES: attention
+// by shiftmax.
 torch::Tensor AttendInIntegers(const HeadInputs& inputs, const Int16Tensor& scale,
                                const ModelConfig& config);
 

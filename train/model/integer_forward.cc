@@ -159,12 +159,6 @@ class IntegerPass {
 
   // Returns the weights of the tokens from which the gradient comes, [B, H, Q, S].
   torch::Tensor Weights(const torch::Tensor& overlaps, const torch::Tensor& band, int layer) const {
-    if (config_.attention == Attention::kLinear) {
-      const torch::Tensor seen = overlaps * band;
-      const torch::Tensor sum = seen.sum(-1, true);
-      const torch::Tensor uniform = band / band.sum(-1, true);
-      return torch::where(sum == 0.0, uniform, seen / sum.clamp_min(1.0));
-    }
     const torch::Tensor& scale = p_[absl::StrCat("layers.", layer, ".attention.scale")];
     const torch::Tensor scores = overlaps * scale.view({-1, 1, 1}) / config_.ticks;
     return torch::softmax(scores.masked_fill(band.logical_not(), -1e9), -1);

@@ -18,7 +18,7 @@ namespace spikeserve {
 // Runs the policy `rounded`, which is QuantizeToInteger() of a policy with the values of
 // `parameters`, on all clips. `maps` are those of `rounded`, `coder` the neurons of the policy's
 // coders before it was rounded, and the surrogate of all neurons. Thread-safe as long as nothing
-// changes the tensors. REQUIRES: not dense.
+// changes the tensors. REQUIRES: not dense, attention by shiftmax.
 ModelOutput ForwardInIntegers(const Policy& rounded, const RoundedMaps& maps,
                               const Parameters& parameters, const LifOptions& coder,
                               const ClipTensors& clips);

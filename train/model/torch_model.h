@@ -17,8 +17,8 @@
 
 namespace spikeserve {
 
-// Returns the policy in another arithmetic, as `spiketrain quantize` does without data to
-// calibrate. INVALID_ARGUMENT, which names the tensor or field, if that arithmetic cannot hold it.
+// Returns the policy in another arithmetic, with the defaults of IntegerOptions for kInteger.
+// INVALID_ARGUMENT, which names the tensor or field, if that arithmetic cannot hold it.
 absl::StatusOr<Policy> RoundTo(Arithmetic arithmetic, const Policy& policy);
 
 class TorchModel {
