@@ -78,6 +78,8 @@ void AddFlags(Command command, TrainFlags* flags) {
            "Attention starts at the timestep K steps back; default: undirected")
       .Add("mirror", "K", &flags->mirror,
            "Attention starts mirrored at timestep K; default: undirected")
+      .AddSwitch("activity_router", &flags->activity_router,
+                 "The routing has one layer, which sees each head's mean")
       .AddList("image_shape", "H,W,C", &flags->image_shape, "Shape of observations that are images")
       .Add("patch_size", "N", &flags->patch_size,
            "Side in pixels of patches that share an embedding; 0: none")

@@ -88,7 +88,14 @@ void AddTrainerFlags(Command command, TrainerFlags* flags) {
       .Add("action_noise", "P", &options.action_noise, "Probability of a random action token")
       .Add("delay", "BEATS", &flags->delay,
            "Beats until a decision is executed: 3, or 0..5 drawn by clip")
-      .Add("validation", "SHARE", &options.validation, "Share of episodes held out");
+      .Add("validation", "SHARE", &options.validation, "Share of episodes held out")
+      .AddList("freeze", "NAME,...", &options.frozen,
+               "Tensors that are not trained, by name or part: head, routing.hidden");
+  command.Flags("Plasticity")
+      .Add("local_rate", "ETA", &options.plasticity.rate,
+           "Rate of the head's three-factor rule; 0: not used")
+      .Add("local_rule", EnumKind<Rule>(), &options.plasticity.rule, "Postsynaptic factor")
+      .Add("trace_decay", "LAMBDA", &options.plasticity.trace_decay, "Decay of the traces");
   command.Flags("Spikes")
       .Add("target_rate", "PERCENT", &flags->target_rate,
            "Percent of ticks above which firing is penalised")

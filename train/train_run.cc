@@ -21,6 +21,7 @@
 #include "train/evaluation/training_record.h"
 #include "train/model/torch_model.h"
 #include "train/progress_bar.h"
+#include "train/trainer/activity_router.h"
 #include "train/trainer/initial_policy.h"
 #include "train/trainer/lookback.h"
 #include "train/trainer/return_scaling.h"
@@ -173,6 +174,7 @@ absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const EpisodeSource& s
   }
   if (flags.lookback.has_value()) RETURN_IF_ERROR(LookBack(*flags.lookback, &policy));
   if (flags.mirror.has_value()) RETURN_IF_ERROR(Mirror(*flags.mirror, &policy));
+  if (flags.activity_router) RETURN_IF_ERROR(RouteByActivity(&policy));
   return policy;
 }
 
@@ -191,6 +193,10 @@ absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const std::string& e
   if (flags.mirror.has_value()) {
     return absl::InvalidArgumentError(
         absl::StrCat("--mirror: expected no such flag beside --init, received ", *flags.mirror));
+  }
+  if (flags.activity_router) {
+    return absl::InvalidArgumentError(
+        "--activity_router: expected no such flag beside --init, but --freeze=routing.hidden");
   }
   if (policy.environment != environment) {
     return absl::InvalidArgumentError(absl::StrCat("--init: expected a policy for ", environment,
@@ -360,6 +366,11 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
   RETURN_IF_ERROR(CheckOut(flags));
   RETURN_IF_ERROR(MakeDirectory(flags.out));
   ASSIGN_OR_RETURN(const Policy initial, MakeInitialPolicy(flags, source, options.patches));
+  RETURN_IF_ERROR(CheckFrozen(options.frozen, initial));
+  if (flags.activity_router) {
+    const std::vector<std::string> kept = ActivityRouterTensors();
+    options.frozen.insert(options.frozen.end(), kept.begin(), kept.end());
+  }
   ASSIGN_OR_RETURN(const nlohmann::ordered_json sources, IdentifySources(flags.init, flags.data));
 
   Trainer trainer(initial, source, options);

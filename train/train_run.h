@@ -27,6 +27,7 @@ struct TrainFlags {
   ShapeFlags shape;
   std::optional<int> lookback;           // absent: random phase generators
   std::optional<int> mirror;             // the same; not both
+  bool activity_router = false;          // the routing sees the mean output of each head alone
   std::vector<std::string> image_shape;  // height, width, channels; none: not an image
   int patch_size = 0;                    // 0: no patches
   int patch_features = 8;

@@ -45,7 +45,7 @@ for compiler in "$@"; do
   cmake --preset release -B "build/$compiler" --log-level=WARNING \
     "-DCMAKE_CXX_COMPILER=$compiler" "-DSPIKESERVE_BUILD_TRAIN=$train"
   # shellcheck disable=SC2086
-  cmake --build "build/$compiler" ${targets:+--target $targets}
+  cmake --build "build/$compiler" ${targets:+--target $targets} -- -k 0  # shows all warnings
   for test in golden_test engine_parity_test; do
     [[ -z $targets || " $targets " == *" $test "* ]] || continue
     "build/$compiler/tests/$test" --gtest_brief=1

@@ -4,6 +4,7 @@
 #include <torch/optim/adamw.h>
 #include <torch/serialize.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <numbers>
@@ -13,6 +14,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
@@ -45,6 +47,16 @@ torch::Tensor Copy(const std::vector<T>& values, std::vector<int64_t> shape,
 
 // Returns the name of a tensor in a torch archive, which does not allow dots in names.
 std::string ArchiveName(const std::string& name) { return absl::StrReplaceAll(name, {{".", "/"}}); }
+
+// Returns whether `name` is `part`, or has it between two dots, its beginning or its end.
+bool HasPart(absl::string_view name, absl::string_view part) {
+  return absl::StrContains(absl::StrCat(".", name, "."), absl::StrCat(".", part, "."));
+}
+
+bool IsFrozen(const std::string& name, const std::vector<std::string>& frozen) {
+  return std::any_of(frozen.begin(), frozen.end(),
+                     [&](const std::string& part) { return HasPart(name, part); });
+}
 
 int ClipSteps(const TrainOptions& options, const ModelConfig& config) {
   return options.clip_steps == 0 ? config.context : options.clip_steps;
@@ -84,6 +96,9 @@ absl::Status TrainOptions::Validate() const {
   check(spike_penalty >= 0.0, "spike_penalty", "0 or more", spike_penalty);
   check(operation_penalty >= 0.0, "operation_penalty", "0 or more", operation_penalty);
   check(surrogate.slope > 0.0f, "slope", "a number above 0", surrogate.slope);
+  check(plasticity.rate >= 0.0, "local_rate", "0 or more", plasticity.rate);
+  check(plasticity.trace_decay >= 0.0 && plasticity.trace_decay <= 1.0, "trace_decay", "0 to 1",
+        plasticity.trace_decay);
   return status;
 }
 
@@ -107,7 +122,28 @@ std::string TrainOptions::ToFlags() const {
                           patches.height, patches.width, patches.channels, patches.size,
                           patches.features);
   }
+  if (plasticity.rate > 0.0) {
+    absl::StrAppendFormat(&flags, " --local_rate=%g --local_rule=%s --trace_decay=%g",
+                          plasticity.rate, std::string(ToString(plasticity.rule)),
+                          plasticity.trace_decay);
+  }
+  if (!frozen.empty()) absl::StrAppend(&flags, " --freeze=", absl::StrJoin(frozen, ","));
   return flags;
+}
+
+absl::Status CheckFrozen(const std::vector<std::string>& frozen, const Policy& policy) {
+  const auto tensors = CopyTensors(policy);
+  for (const std::string& part : frozen) {
+    const auto has_part = [&](const auto& tensor) { return HasPart(tensor.first, part); };
+    if (std::any_of(tensors.begin(), tensors.end(), has_part)) continue;
+    std::vector<std::string> names;
+    for (const auto& [name, tensor] : tensors) names.push_back(name);
+    return absl::InvalidArgumentError(
+        absl::StrCat("--freeze: expected tensors of the policy, by name or by parts of it between "
+                     "dots: ",
+                     absl::StrJoin(names, ", "), "; received ", part));
+  }
+  return absl::OkStatus();
 }
 
 // AdamW with two parameter groups: the phase generators, with a learning rate of their own and no
@@ -117,7 +153,7 @@ struct Trainer::Optimizer {
                                          const TrainOptions& options) {
     std::vector<torch::Tensor> rest, phase;
     for (const auto& [name, tensor] : parameters.tensors()) {
-      if (!tensor.requires_grad()) continue;
+      if (!tensor.requires_grad() || IsFrozen(name, options.frozen)) continue;
       (absl::StartsWith(name, "phase.") ? phase : rest).push_back(tensor);
     }
     using torch::optim::AdamWOptions;
@@ -237,6 +273,19 @@ void Trainer::SetLearningRate() {
   if (groups.size() > 1) groups[1].options().set_lr(kPhaseRateFactor * rate);
 }
 
+void Trainer::LearnLocally(const Batch& batch, const ModelOutput& output) {
+  if (options_.plasticity.rate == 0.0) return;
+  const DataStatistics& statistics = source_.statistics();
+  const torch::Tensor change = HeadChange(options_.plasticity, action_space_, output,
+                                          {.return_to_go = batch.clips.return_to_go,
+                                           .targets = batch.targets,
+                                           .mask = batch.mask,
+                                           .mean = statistics.return_mean(),
+                                           .deviation = statistics.return_std()});
+  const torch::NoGradGuard no_gradient;
+  model_.parameters()["head.weight"].add_(change);
+}
+
 absl::StatusOr<Trainer::StepReport> Trainer::Step() {
   SPIKESERVE_DCHECK(!done());
   const uint64_t key =
@@ -260,6 +309,7 @@ absl::StatusOr<Trainer::StepReport> Trainer::Step() {
   torch::nn::utils::clip_grad_norm_(optimizer_->parameters, options_.clip_norm);
   SetLearningRate();
   optimizer_->adamw.step();
+  LearnLocally(batch, output);
   ++iteration_;
   RETURN_IF_ERROR(model_.Round());
   return report;

@@ -26,6 +26,7 @@
 #include "train/model/patch_embedding.h"
 #include "train/model/torch_model.h"
 #include "train/neuron/surrogate.h"
+#include "train/trainer/head_plasticity.h"
 
 namespace spikeserve {
 
@@ -47,19 +48,27 @@ struct TrainOptions {
   Surrogate surrogate;
   PatchShape patches;                            // of image observations; only for new policies
   Arithmetic arithmetic = Arithmetic::kFloat32;  // of the forward pass and of the policy it makes
+  HeadPlasticity plasticity;
+  // Tensors of the policy that keep their values, by name or by the part of it that ends at a dot:
+  // `head`, `layers.0.routing.hidden`, `routing.hidden`.
+  std::vector<std::string> frozen;
 
   // Returns INVALID_ARGUMENT with the option, the expected and the received value.
   absl::Status Validate() const;
 
   // Returns the flags of `spiketrain train` for these options, including defaults except those of
-  // `arithmetic`, `patches` and `delay`.
+  // `arithmetic`, `patches`, `delay`, `plasticity` and `frozen`.
   std::string ToFlags() const;
 };
 
+// Returns INVALID_ARGUMENT if a name of TrainOptions::frozen is that of no tensor of the policy.
+absl::Status CheckFrozen(const std::vector<std::string>& frozen, const Policy& policy);
+
 class Trainer {
  public:
-  // Keeps a reference to `source`. REQUIRES: valid options, and a valid policy in float32 for the
-  // source's environment; with Arithmetic::kInt8 one that Quantize() accepts.
+  // Keeps a reference to `source`. REQUIRES: valid options, whose frozen tensors the policy has,
+  // and a valid policy in float32 for the source's environment; with Arithmetic::kInt8 one that
+  // Quantize() accepts.
   Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options);
   ~Trainer();
 
@@ -112,6 +121,8 @@ class Trainer {
   // Reads the clips of ValidationLoss().
   absl::Status ReadValidation();
   torch::Tensor Loss(const Batch& batch, const ModelOutput& output) const;
+  // Applies the local rule of the head to a batch, whose `output` is from before AdamW's step.
+  void LearnLocally(const Batch& batch, const ModelOutput& output);
   void SetLearningRate();
 
   const EpisodeSource& source_;

@@ -157,6 +157,16 @@ refuses '--mirror: expected no such flag beside --lookback' \
 refuses '--mirror: expected no such flag beside --init, received 2' \
   train --data=data.cbor --out=x --init=whole/policy.safetensors --mirror=2
 
+# The paper's other learners: a router of one layer, and a head that learns by three factors alone.
+"$spiketrain" train --data=data.cbor --out=local "${tiny[@]}" --iterations=2 --routing_hidden_size=2 --gate=sigmoid \
+  --activity_router --freeze=head --local_rate=0.01 --local_rule=hebbian >/dev/null 2>&1 || fail "local"
+refuses '--activity_router: expected --routing_hidden_size=2, the number of heads, received 16' \
+  train --data=data.cbor --out=x "${tiny[@]}" --activity_router
+refuses '--activity_router: expected no such flag beside --init, but --freeze=routing.hidden' \
+  train --data=data.cbor --out=x --init=whole/policy.safetensors --activity_router
+{ "$spiketrain" train --data=data.cbor --out=x "${tiny[@]}" --freeze=heads 2>&1 || true; } |
+  grep -q 'between dots: embed.*; received heads$' || fail "--freeze"
+
 # Rounds a policy to integers; equal starts give a small difference, and a policy is rounded once.
 "$spiketrain" quantize --policy=whole/policy.safetensors --out=new/2/policy.safetensors --episodes=3 --seed=2000000 --json |
   grep -q '"difference_95_percent"'

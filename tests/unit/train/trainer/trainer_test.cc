@@ -225,6 +225,35 @@ TEST_F(TrainerTest, IntegerTrainingReportsWeightsThatCannotBeRounded) {
 
 class TrainerModeTest : public TrainerTest, public testing::WithParamInterface<Mode> {};
 
+TEST_F(TrainerTest, FrozenTensorsKeepTheirValuesAndTheHeadLearnsLocally) {
+  TrainOptions options = options_;
+  options.frozen = {"head", "routing.hidden", "layers.0.coder"};
+  const Policy initial = Initial();
+  const auto changed = [&](const TrainOptions& with) {
+    Trainer trainer(initial, source_, with);
+    while (!trainer.done()) EXPECT_TRUE(trainer.Step().ok());
+    std::vector<std::string> names;
+    const auto before = CopyTensors(initial), after = CopyTensors(trainer.CurrentPolicy());
+    for (const auto& [name, tensor] : before) {
+      if (!torch::equal(tensor, after.at(name))) names.push_back(name);
+    }
+    return names;
+  };
+  const std::vector<std::string> frozen = changed(options);
+  EXPECT_THAT(frozen, testing::Contains("layers.0.routing.gate.weight"));
+  EXPECT_THAT(frozen, testing::Contains("layers.0.ffn.coder.gain"));
+  EXPECT_THAT(
+      frozen,
+      testing::Not(testing::Contains(testing::AnyOf(HasSubstr("head."), HasSubstr("routing.hidden"),
+                                                    testing::StartsWith("layers.0.coder")))));
+  options.plasticity.rate = 0.01;
+  EXPECT_THAT(changed(options), testing::Contains("head.weight"));
+
+  EXPECT_TRUE(CheckFrozen(options.frozen, initial).ok());
+  EXPECT_THAT(CheckFrozen({"heads"}, initial).message(),
+              testing::AllOf(HasSubstr("--freeze: "), HasSubstr("received heads")));
+}
+
 TEST_P(TrainerModeTest, LearnsToImitate) {
   const EpisodeSource experts(*RecordDataset({.seed = 0, .steps = 2000, .expert_fraction = 1.0}));
   TrainOptions options = With([](TrainOptions& o) {
@@ -399,6 +428,8 @@ TEST(TrainOptionsTest, BadOptionsAreNamed) {
             "action_noise: expected 0 to 1, received 2");
   EXPECT_EQ(With([](TrainOptions& o) { o.rate_targets.hidden = -0.01; }).Validate().message(),
             "target_rate: expected 0 to 100 percent, received -1");
+  EXPECT_EQ(With([](TrainOptions& o) { o.plasticity.trace_decay = 2.0; }).Validate().message(),
+            "trace_decay: expected 0 to 1, received 2");
 }
 
 }  // namespace

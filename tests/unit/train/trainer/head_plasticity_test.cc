@@ -1,0 +1,141 @@
+#include "train/trainer/head_plasticity.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "core/learning/learner.h"
+#include "core/math/counter_random.h"
+#include "tests/support/small_policy.h"
+#include "train/trainer/activity_router.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr int kSteps = 7;
+constexpr double kMean = 3.0, kDeviation = 2.0;
+
+torch::Tensor Random(std::vector<int64_t> shape, double least, double most) {
+  static uint64_t draw = 0;
+  torch::Tensor values = torch::empty(shape);
+  auto* data = values.data_ptr<float>();
+  for (int64_t i = 0; i < values.numel(); ++i) {
+    data[i] = static_cast<float>(least + (most - least) * UniformDouble(RandomBits({draw++})));
+  }
+  return values;
+}
+
+std::vector<float> Values(const torch::Tensor& tensor) {
+  const torch::Tensor whole = tensor.contiguous();
+  return {whole.data_ptr<float>(), whole.data_ptr<float>() + whole.numel()};
+}
+
+// Two clips, the second one of which ends after three steps.
+struct Clips {
+  ModelOutput output;
+  PlasticityInputs inputs;
+};
+
+Clips MakeClips(const Policy& policy) {
+  const ActionSpace& space = policy.action_space;
+  Clips clips;
+  clips.output.logits = Random({2, kSteps, space.size()}, -2.0, 2.0);
+  clips.output.readout = Random({2, kSteps, policy.config.hidden_size}, 0.0, 1.0);
+  clips.inputs.return_to_go = Random({2, kSteps}, -2.0, 8.0);
+  clips.inputs.mask = torch::ones({2, kSteps});
+  clips.inputs.mask[1].slice(0, 3) = 0.0;
+  clips.inputs.targets = space.is_discrete()
+                             ? torch::one_hot(torch::arange(2 * kSteps) % space.size())
+                                   .to(torch::kFloat)
+                                   .view({2, kSteps, space.size()})
+                             : Random({2, kSteps, space.size()}, -0.9, 0.9);
+  clips.inputs.mean = kMean;
+  clips.inputs.deviation = kDeviation;
+  return clips;
+}
+
+// Returns what a session learns that makes the decisions of one clip, by the learner of the server.
+std::vector<float> Learned(const HeadPlasticity& plasticity, Policy policy, const Clips& clips,
+                           int clip, int steps) {
+  policy.modulator_mean = kMean;
+  policy.modulator_std = kDeviation;
+  LearningOptions options;
+  options.rule = plasticity.rule;
+  options.modulator = Modulator::kTarget;
+  options.learning_rate = plasticity.rate;
+  options.trace_decay = plasticity.trace_decay;
+  options.clip = options.max_drift = 1e9;
+  Learner learner =
+      Learner::New(options, policy,
+                   Eigen::VectorXf::Zero(policy.action_space.size() * policy.config.hidden_size));
+  for (int t = 0; t < steps; ++t) {
+    ActionChoice choice;
+    const torch::Tensor logits = clips.output.logits[clip][t];
+    choice.logits = Values(logits);
+    if (policy.action_space.is_discrete()) {
+      choice.probabilities = Values(torch::softmax(logits, -1));
+      choice.action.discrete = clips.inputs.targets[clip][t].argmax().item<int64_t>();
+    } else if (plasticity.rule == Rule::kPolicyGradient) {
+      choice.noise = Values(torch::atanh(clips.inputs.targets[clip][t]) - logits);
+    }
+    learner.OnDecision(options, policy, choice, Values(clips.output.readout[clip][t]),
+                       clips.inputs.return_to_go[clip][t].item<double>(), 0.0);
+  }
+  return {learner.head_delta.begin(), learner.head_delta.end()};
+}
+
+class HeadPlasticityTest : public testing::TestWithParam<Rule> {};
+
+TEST_P(HeadPlasticityTest, ChangesTheHeadAsSessionsLearn) {
+  const HeadPlasticity plasticity = {.rate = 0.02, .rule = GetParam(), .trace_decay = 0.8};
+  for (const ActionSpace& space :
+       {ActionSpace::Discrete(3), ActionSpace::Box({-1.0f, -1.0f}, {1.0f, 1.0f})}) {
+    const Policy policy = SmallPolicy(SmallConfig(), space);
+    const Clips clips = MakeClips(policy);
+    const std::vector<float> first = Learned(plasticity, policy, clips, 0, kSteps);
+    const std::vector<float> second = Learned(plasticity, policy, clips, 1, 3);
+    const std::vector<float> change =
+        Values(HeadChange(plasticity, space, clips.output, clips.inputs));
+    ASSERT_EQ(change.size(), first.size());
+    for (size_t i = 0; i < change.size(); ++i) {
+      EXPECT_NEAR(change[i], (first[i] + second[i]) / 2.0f, 1e-5f);
+    }
+    EXPECT_NE(first, second);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Rules, HeadPlasticityTest,
+                         testing::Values(Rule::kHebbian, Rule::kPolicyGradient),
+                         [](const auto& of) { return std::string(ToString(of.param)); });
+
+TEST(ActivityRouterTest, TheHiddenLayerHasTheMeanOfEachHead) {
+  ModelConfig config = SmallConfig(Mode::kRoute);
+  config.routing_hidden_size = config.heads;
+  Policy policy = SmallPolicy(config);
+  ASSERT_TRUE(RouteByActivity(&policy).ok());
+  EXPECT_TRUE(policy.Validate().ok());
+  const torch::Tensor heads = Random({config.heads, config.head_size()}, 0.0, 1.0);
+  for (const LayerWeights& layer : policy.weights.layers) {
+    const Linear& hidden = layer.routing_hidden;
+    const torch::Tensor weight =
+        torch::tensor(hidden.weight.values).view({config.heads, config.hidden_size});
+    const torch::Tensor seen =
+        torch::relu(torch::matmul(weight, heads.flatten()) + torch::tensor(hidden.bias.values));
+    EXPECT_TRUE(torch::allclose(seen, heads.mean(1)));
+  }
+}
+
+TEST(ActivityRouterTest, RefusesOtherSizesAndModes) {
+  ModelConfig config = SmallConfig(Mode::kRoute);
+  config.routing_hidden_size = config.heads + 1;
+  Policy policy = SmallPolicy(config);
+  EXPECT_THAT(std::string(RouteByActivity(&policy).message()),
+              testing::StartsWith("--activity_router: expected --routing_hidden_size="));
+  Policy without = SmallPolicy(SmallConfig(Mode::kPos));
+  EXPECT_EQ(RouteByActivity(&without).message(),
+            "--activity_router: expected --mode=route or full, received pos");
+}
+
+}  // namespace
+}  // namespace spikeserve
