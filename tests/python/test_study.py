@@ -15,6 +15,7 @@ sys.path.insert(0, str(REPORT))
 
 import seed_statistics  # noqa: E402
 import study_page  # noqa: E402
+import study_parts  # noqa: E402
 import study_plan  # noqa: E402
 
 COMMITTED = ROOT / "docs/evidence/study"
@@ -34,6 +35,7 @@ def test_p_values_are_those_of_student():
     assert seed_statistics.equivalence([4, -5, 3], 5) > 0.05
     assert seed_statistics.two_sided([2, 2, 2], 0) == 0
     assert seed_statistics.two_sided([2, 2, 2], 2) == 1
+    assert seed_statistics.half_width(sample) == pytest.approx(2.77645 * math.sqrt(2.5 / 5), abs=1e-4)
 
 
 def test_holm_corrects_the_smallest_most():
@@ -135,13 +137,33 @@ def test_a_miniature(tmp_path):
     assert "repeat-4-route-1.json: expected a run of --mode=route" in other.stderr
 
     page = tmp_path / "page.md"
-    page.write_text(f"before\n{study_page.BEGIN}\nold\n{study_page.END}\nafter\n")
+    page.write_text("before\n" + "".join(f"{begin}\nold\n{end}\n" for begin, end, _ in study_page.GENERATED) + "after\n")
     subprocess.run([sys.executable, REPORT / "study_page.py", tmp_path / "out", page], check=True)
     text = page.read_text()
     assert text.startswith("before\n") and text.endswith("\nafter\n") and "\nold\n" not in text
     assert "Finished: 7 of 300 runs, at least 0 and at most 1 seeds of a task and arm." in text
     assert "| score over all tasks |" not in text  # no seed has every task
     assert "| repeat-4 | `full` | 1 | " in text
+
+
+def test_a_miniature_of_the_parts(tmp_path):
+    """Parts train and play, `full` also in longer contexts, and have their cells in the tables."""
+    parts = ("router-activity", "context-50", "hebbian-instead", "pos-quarter", "pos-half")
+    for arm in ("pos", "full", *parts):
+        only = study(tmp_path, f"--only=cartpole-{arm}-1", "--tasks=cartpole")
+        assert only.returncode == 0, only.stderr
+    planned = study_plan.part_runs(["cartpole", "memory"], 2)
+    assert {(run.task, run.arm) for run in planned} == {("cartpole", arm) for arm in study_plan.PARTS}
+    results = {path.stem: json.loads(path.read_text()) for path in (tmp_path / "out").glob("*.json")}
+    assert "integer" not in results["cartpole-pos-half-1"]
+    assert results["cartpole-full-1"]["longer"].keys() == {"20", "50"}
+    assert "--context=50" in results["cartpole-context-50-1"]["training"]
+    text = study_parts.tables(tmp_path / "out")
+    assert "| `router-activity` | " in text
+    assert "| cartpole, trained with N = 10 | N = 10 | N = 20 | N = 50 | seeds |" in text
+    assert "| cartpole, `pos` | " in text
+    longer = study_plan.train_flags(study_plan.Run("cartpole", "context-100", 1), "1e-3", study_plan.Budget())
+    assert {"--context=100", "--clip_steps=100", "--batch=2"} <= set(longer)
 
 
 def test_the_study_orders_seeds_before_tasks():
@@ -153,8 +175,9 @@ def test_the_study_orders_seeds_before_tasks():
 
 def test_the_page_is_that_of_the_committed_runs():
     text = (ROOT / "docs/evidence/study.md").read_text()
-    written = text.split(study_page.BEGIN)[1].split(study_page.END)[0]
-    assert written == f"\n{study_page.tables(COMMITTED)}\n", "run python train/report/study_page.py"
+    for begin, end, generate in study_page.GENERATED:
+        written = text.split(begin)[1].split(end)[0]
+        assert written == f"\n{generate(COMMITTED)}\n", "run python train/report/study_page.py"
 
 
 def test_the_committed_runs_have_the_settings_of_the_plan():

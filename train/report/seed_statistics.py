@@ -41,6 +41,16 @@ def student_share(t, freedom):
     return 2 / math.pi * (angle + sine * total) if odd else sine * total
 
 
+def half_width(values, share=0.95):
+    """Returns half the width of Student's interval of the mean of at least two values."""
+    values = np.asarray(values, np.float64)
+    low, high = 0.0, 1e4  # of Student's t
+    while high - low > 1e-9 * high:
+        middle = (low + high) / 2
+        low, high = (middle, high) if student_share(middle, len(values) - 1) < share else (low, middle)
+    return high * values.std(ddof=1) / math.sqrt(len(values))
+
+
 def probability_above(values, bound):
     """Returns the p-value of the hypothesis that the mean is at most `bound`, by Student's t over at least two values."""
     values = np.asarray(values, np.float64)

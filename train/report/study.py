@@ -1,10 +1,12 @@
 """Trains the study: every arm on every task from ten seeds (study_plan.py). Writes a small file for each run.
 
     python train/report/study.py --work=build/study --out=docs/evidence/study
+    python train/report/study.py --work=build/study --out=docs/evidence/study --parts
 
 Needs `spiketrain` and a Python with what docs/guides/imitation.md installs, popgym and minigrid; PYTHONPATH names
 train/recipes. The learning rate of `dense` is chosen first. The same command continues after an interruption, and
-leaves out what is finished. `--jobs=2` runs two processes. study_page.py makes a page of the files.
+leaves out what is finished. `--jobs=2` runs two processes. `--parts` trains the variants of one mode instead.
+study_page.py makes a page of the files.
 """
 
 import argparse
@@ -53,7 +55,7 @@ class Study:
 
 
 def run_named(name, tasks, seeds):
-    runs = [*study_plan.sweep_runs(tasks), *study_plan.study_runs(tasks, seeds)]
+    runs = [*study_plan.sweep_runs(tasks), *study_plan.study_runs(tasks, seeds), *study_plan.part_runs(tasks, seeds)]
     return next(run for run in runs if run.name == name)
 
 
@@ -77,6 +79,7 @@ def main():
     parser.add_argument("--seeds", default=study_plan.SEEDS, type=int, help="train from seed 1 to this one")
     parser.add_argument("--tasks", default=",".join(study_plan.TASKS), help="tasks of study_plan.py")
     parser.add_argument("--jobs", default=1, type=int, help="runs at the same time")
+    parser.add_argument("--parts", action="store_true", help="train the variants of `full`")
     parser.add_argument("--only", help="the name of one run, such as cartpole-full-3")
     parser.add_argument("--smoke", action="store_true", help="tiny models and hardly any training: a test in seconds")
     arguments = parser.parse_args()
@@ -90,8 +93,10 @@ def main():
         write_json(study.path(run), workshop.carry_out(run, study.rate_of(run)))
         return 0
     command = [sys.executable, *sys.argv]
-    parts = study_plan.sweep_runs(tasks), study_plan.study_runs(tasks, arguments.seeds)
-    return 0 if all(train_all(study, runs, command, arguments.jobs) for runs in parts) else 1
+    stages = [study_plan.sweep_runs(tasks), study_plan.study_runs(tasks, arguments.seeds)]
+    if arguments.parts:
+        stages = [study_plan.part_runs(tasks, arguments.seeds)]
+    return 0 if all(train_all(study, runs, command, arguments.jobs) for runs in stages) else 1
 
 
 if __name__ == "__main__":

@@ -15,11 +15,12 @@ import sys
 
 import numpy as np
 import seed_statistics
+import study_parts
 import study_plan
+from study_tables import joined, row, score
 
 ALPHA = 0.05
 MARGIN = 5.0  # points of the score: a smaller difference counts as none
-BEGIN, END = "<!-- tables of the study -->", "<!-- end of the tables of the study -->"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,15 +57,10 @@ STATEMENTS = (
 def read_results(folder):
     """Returns the results of the study by task, arm and seed."""
     results = {task: {arm: {} for arm in study_plan.ARMS} for task in study_plan.TASKS}
-    for path in folder.glob("*.json"):
-        result = json.loads(path.read_text())
-        results[result["task"]][result["arm"]][result["seed"]] = result
+    for result in map(json.loads, map(pathlib.Path.read_text, folder.glob("*.json"))):
+        if result["arm"] in study_plan.ARMS:
+            results[result["task"]][result["arm"]][result["seed"]] = result
     return results
-
-
-def score(result):
-    task = study_plan.TASKS[result["task"]]
-    return 100 * (result["mean_return"] - task.chance) / (task.expert_return - task.chance)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,10 +102,6 @@ def tests_of(results):
         equals.append(seed_statistics.equivalence(sample, MARGIN) if shown else 1.0)
     corrected = zip(seed_statistics.holm(differences), seed_statistics.holm(equals), strict=True)
     return {cell: Test(cell[0], sample, *pair) for cell, sample, pair in zip(cells, values, corrected, strict=True)}
-
-
-def row(cells):
-    return f"| {' | '.join(cells)} |"
 
 
 def verdict_table(results):
@@ -169,7 +161,9 @@ def sweep_table(folder):
     yield row(["return of `dense`, learning rate", *study_plan.RATES])
     yield row(["---"] + ["---:"] * len(study_plan.RATES))
     for task, rates in means.items():
-        yield row([task, *(f"{np.mean(rates[rate]):.3g} ({len(rates[rate])})" if rates[rate] else "" for rate in study_plan.RATES)])
+        yield row(
+            [task, *(f"{np.mean(rates[rate]):.3g} ({len(rates[rate])})" if rates[rate] else "" for rate in study_plan.RATES)]
+        )
 
 
 def tables(folder):
@@ -183,8 +177,14 @@ def tables(folder):
     parts = [[finished], verdict_table(results), scores_table(results), sweep_table(folder)]
     if sum(counts):
         parts.insert(2, returns_table(results))
-    texts = ["\n".join(part) for part in parts]
-    return "\n\n".join(text for text in texts if text)
+    return joined(parts)
+
+
+# The marks of the generated parts of the page, and what is between them.
+GENERATED = (
+    ("<!-- tables of the study -->", "<!-- end of the tables of the study -->", tables),
+    ("<!-- tables of the parts -->", "<!-- end of the tables of the parts -->", study_parts.tables),
+)
 
 
 def main():
@@ -193,10 +193,12 @@ def main():
     parser.add_argument("page", type=pathlib.Path, help="Markdown file with the marks of the tables")
     arguments = parser.parse_args()
     text = arguments.page.read_text()
-    if BEGIN not in text or END not in text:
-        sys.exit(f"study_page: expected {BEGIN} and {END} in {arguments.page}, received none")
-    head, tail = text.split(BEGIN)[0], text.split(END)[1]
-    arguments.page.write_text(f"{head}{BEGIN}\n{tables(arguments.results)}\n{END}{tail}")
+    for begin, end, generate in GENERATED:
+        if begin not in text or end not in text:
+            sys.exit(f"study_page: expected {begin} and {end} in {arguments.page}, received none")
+        head, tail = text.split(begin)[0], text.split(end)[1]
+        text = f"{head}{begin}\n{generate(arguments.results)}\n{end}{tail}"
+    arguments.page.write_text(text)
 
 
 if __name__ == "__main__":

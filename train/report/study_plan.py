@@ -12,6 +12,7 @@ STARTS_OF_A_SEED = 4_000  # seed 3 records its data from the environment's start
 RATES = ("3e-4", "1e-3", "3e-3")  # of `dense`
 SWEEP_SEEDS = (101, 102)
 SEEDS = 10
+SHARES = {"quarter": 0.25, "half": 0.5}  # of the iterations
 COMMON = (
     *("--hidden_size=64", "--ticks=8", "--slope=4", "--observation_changes=false", "--no_baselines", "--episodes=1"),
     "--validate_every=100",
@@ -32,6 +33,7 @@ class Task:
     wrappers: tuple[str, ...] = ()
     disturbed: float = 0.0  # share of the episodes with bursts of random actions, for those of Gymnasium
     lookback: int | None = None  # where attention by phase spikes begins
+    longer: tuple[int, ...] = ()  # further contexts in which the trained policies play
 
     @property
     def is_gymnasium(self):
@@ -46,6 +48,7 @@ TASKS = {
         chance=22.6,
         expert_return=500.0,
         data=("--steps=20000", "--expert_fraction=0.3", "--disturbed_fraction=0.7"),
+        longer=(20, 50),
     ),
     "pendulum": Task(
         "PositionOnlyPendulum-v1",
@@ -54,6 +57,7 @@ TASKS = {
         chance=-1217.3,
         expert_return=-143.6,
         data=("--expert=robust", "--steps=20000", "--expert_fraction=0", "--disturbed_fraction=1", "--wide_start_fraction=0.25"),
+        longer=(10, 25),
     ),
     "repeat-4": Task(
         "popgym:popgym-RepeatPreviousEasy-v0",
@@ -83,8 +87,39 @@ TASKS = {
         disturbed=0.5,
     ),
 }
+
+
+@dataclasses.dataclass(frozen=True)
+class Arm:
+    """What a run has of its own. `context` also sets the steps of a clip, and keeps the steps of a batch."""
+
+    mode: str = "full"
+    flags: tuple[str, ...] = ()
+    context: int | None = None
+    share: float = 1.0  # of the task's iterations
+
+
 # The paper's modes, the ordinary decision transformer, and `full` trained with a context of one step, which has no past.
-ARMS = ("dense", "baseline", "pos", "route", "full", "full-n1")
+ARMS = {mode: Arm(mode) for mode in ("dense", "baseline", "pos", "route", "full")}
+ARMS["full-n1"] = Arm(flags=("--context=1",))
+# `full` with one thing changed, and shorter trainings.
+PARTS = {
+    "surrogate-sigmoid": Arm(flags=("--surrogate=sigmoid",)),
+    "surrogate-piecewise": Arm(flags=("--surrogate=piecewise_linear",)),
+    **{f"ticks-{ticks}": Arm(flags=(f"--ticks={ticks}",)) for ticks in (5, 10, 20, 40)},
+    **{f"context-{context}": Arm(context=context) for context in (20, 50, 100)},
+    "gate-sigmoid": Arm(flags=("--gate=sigmoid",)),
+    "router-activity": Arm(flags=("--gate=sigmoid", "--routing_hidden_size=4", "--activity_router")),
+    "clock-window": Arm(flags=("--phase_clock=window",)),
+    "phase-frozen": Arm(flags=("--freeze=phase",)),
+    "head-frozen": Arm(flags=("--freeze=head",)),
+    "hebbian-beside": Arm(flags=("--local_rate=0.01", "--local_rule=hebbian")),
+    "hebbian-instead": Arm(flags=("--local_rate=0.01", "--local_rule=hebbian", "--freeze=head")),
+    "local-beside": Arm(flags=("--local_rate=0.01",)),
+    "local-instead": Arm(flags=("--local_rate=0.01", "--freeze=head")),
+    **{f"{mode}-{name}": Arm(mode, share=share) for name, share in SHARES.items() for mode in ("baseline", "pos", "full")},
+}
+PART_TASKS = ("cartpole", "pendulum", "repeat-4")  # the shortest
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,7 +136,7 @@ SMOKE = Budget(
     steps=300,
     starts=2,
     priced_starts=1,
-    further=("--hidden_size=16", "--heads=2", "--ffn_size=16", "--ticks=2", "--batch=2", "--iterations=2", "--clip_steps=8"),
+    further=("--hidden_size=16", "--heads=4", "--ffn_size=16", "--ticks=2", "--batch=2", "--iterations=2", "--clip_steps=8"),
 )
 
 
@@ -134,13 +169,24 @@ def study_runs(tasks, seeds):
     return [Run(task, arm, seed) for seed in range(1, seeds + 1) for task in tasks for arm in ARMS]
 
 
+def part_runs(tasks, seeds):
+    """Returns the runs of the parts, in the same order."""
+    return [Run(task, arm, seed) for seed in range(1, seeds + 1) for task in tasks if task in PART_TASKS for arm in PARTS]
+
+
 def train_flags(run, rate, budget):
     """Returns the flags of `spiketrain train` for a run, without data and folder. `rate` is the learning rate."""
-    task = TASKS[run.task]
-    flags = [f"--mode={run.arm.removesuffix('-n1')}", f"--seed={run.seed}", *COMMON, *task.flags, f"--learning_rate={rate}"]
-    if task.lookback is not None and run.arm in ("pos", "full"):
+    task, arm = TASKS[run.task], (ARMS | PARTS)[run.arm]
+    flags = [f"--mode={arm.mode}", f"--seed={run.seed}", *COMMON, *task.flags, f"--learning_rate={rate}"]
+    if task.lookback is not None and arm.mode in ("pos", "full"):
         flags.append(f"--lookback={task.lookback}")
-    return without_repetition([*flags, *budget.further, *(["--context=1"] if run.arm == "full-n1" else [])])
+    number = {flag.partition("=")[0]: int(flag.partition("=")[2]) for flag in task.flags if flag.partition("=")[2].isdigit()}
+    if arm.context is not None:
+        steps = number["--batch"] * number["--clip_steps"]
+        flags += [f"--context={arm.context}", f"--clip_steps={arm.context}", f"--batch={max(1, steps // arm.context)}"]
+    if arm.share < 1:
+        flags.append(f"--iterations={round(arm.share * number['--iterations'])}")
+    return without_repetition([*flags, *budget.further, *arm.flags])
 
 
 def without_repetition(flags):

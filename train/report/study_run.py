@@ -59,8 +59,9 @@ class Workshop:
         losses = (self._folder / run.name / "learning_curve.csv").read_text().splitlines()
         if len(losses) > 1:
             result["validation_loss"] = float(losses[-1].rpartition(",")[2])
-        if run.rate is None:
+        if run.rate is None and run.arm in study_plan.ARMS:
             result["integer"] = self._price(task, policy, data, run.first_start)
+            result |= self._play_longer(task, policy, run)
         return result
 
     def _program(self, *arguments):
@@ -120,6 +121,17 @@ class Workshop:
         result = {"first_start": first_start, "starts": starts, **{name: figures[name] for name in names}}
         return result if priced is None else {**result, "nanojoules_per_decision": 1e9 * priced}
 
+    def _play_longer(self, task, policy, run):
+        """Returns the mean returns in contexts that are longer than that of the training, by context."""
+        if run.arm == "full-n1" or not task.longer:
+            return {}
+        longer = policy.replace("policy.", "longer.")
+        means = {}
+        for context in task.longer:
+            write_with_context(self._folder / policy, context, self._folder / longer)
+            means[str(context)] = self._play(task, longer, run.first_start)["mean_return"]
+        return {"longer": means}
+
     def _price(self, task, policy, data, first_start):
         """Returns the figures of the policy in integer arithmetic, which has energies of `int_45nm`."""
         integer = policy.replace("policy.", "integer.")
@@ -138,6 +150,18 @@ class Workshop:
             "spikes_per_decision": figures.spikes_per_decision,
             "nanojoules_per_decision": 1e9 * actor.joules / figures.decisions,
         }
+
+
+def write_with_context(policy, context, out):
+    """Writes a policy file with another context. The weights do not depend on it."""
+    data = policy.read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + size])
+    config = json.loads(header["__metadata__"]["config"]) | {"context": context}
+    header["__metadata__"]["config"] = json.dumps(config)
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    out.write_bytes(len(text).to_bytes(8, "little") + text + data[8 + size :])
 
 
 class Starts:

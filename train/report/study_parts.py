@@ -1,0 +1,112 @@
+"""The tables of the parts: `full` with one thing changed, longer contexts, and shorter trainings."""
+
+import json
+import pathlib
+
+import numpy as np
+import seed_statistics
+import study_plan
+from study_tables import joined, row, score
+
+ALPHA = 0.05
+MODES_THAT_PLAY_LONGER = ("dense", "baseline", "pos", "route", "full")
+MODES_OF_SHARES = ("baseline", "pos", "full")
+
+
+def read_runs(folder):
+    """Returns all results of a folder by task and arm, and each of these by seed."""
+    runs = {}
+    for result in map(json.loads, map(pathlib.Path.read_text, sorted(folder.glob("*.json")))):
+        runs.setdefault((result["task"], result["arm"]), {})[result["seed"]] = result
+    return runs
+
+
+def paired(runs, task, arm, measure):
+    """Returns the values of a measure of `arm` and of `full`, of every seed that both have."""
+    first, second = runs.get((task, arm), {}), runs.get((task, "full"), {})
+    seeds = sorted(first.keys() & second.keys())
+    return np.array([measure(first[seed]) for seed in seeds]), np.array([measure(second[seed]) for seed in seeds])
+
+
+def changes_table(runs):
+    """How much better the score is than that of `full`, with 95 % intervals; those beyond chance are bold."""
+    arms = [arm for arm in study_plan.PARTS if not arm.endswith(tuple(study_plan.SHARES))]
+    cells = {(arm, task): paired(runs, task, arm, score) for arm in arms for task in study_plan.PART_TASKS}
+    samples = {cell: first - second for cell, (first, second) in cells.items() if len(first)}
+    tested = {cell: sample for cell, sample in samples.items() if len(sample) > 1}
+    corrected = seed_statistics.holm([seed_statistics.two_sided(sample, 0.0) for sample in tested.values()])
+    p_values = dict(zip(tested, corrected, strict=True))
+    if not samples:
+        return
+    yield row(["`full`, but", *study_plan.PART_TASKS, "spikes, times"])
+    yield row(["---"] + ["---:"] * (1 + len(study_plan.PART_TASKS)))
+    for arm in arms:
+        if not any((arm, task) in samples for task in study_plan.PART_TASKS):
+            continue
+        ratios = [np.divide(*paired(runs, task, arm, lambda run: run["spikes_per_decision"])) for task in study_plan.PART_TASKS]
+        yield row(
+            [
+                f"`{arm}`",
+                *(difference(samples.get((arm, task)), p_values.get((arm, task), 1.0)) for task in study_plan.PART_TASKS),
+                f"{np.mean(np.concatenate(ratios)):.2f}",
+            ]
+        )
+
+
+def difference(sample, p_value):
+    if sample is None:
+        return ""
+    if len(sample) < 2:
+        return f"{sample[0]:+z.1f} (one seed)"
+    half = seed_statistics.half_width(sample)
+    text = f"{np.mean(sample):+z.1f} ± {half:.1f}"
+    return f"**{text}** ({len(sample)})" if p_value < ALPHA else f"{text} ({len(sample)})"
+
+
+def longer_tables(runs):
+    """The returns of policies in a context that is longer than that of their training."""
+    for name, task in study_plan.TASKS.items():
+        arms = [arm for arm in MODES_THAT_PLAY_LONGER if runs.get((name, arm))]
+        if not task.longer or not arms:
+            continue
+        trained = next(flag.removeprefix("--context=") for flag in task.flags if flag.startswith("--context="))
+        lines = [
+            row([f"{name}, trained with N = {trained}", *(f"N = {context}" for context in (trained, *task.longer)), "seeds"])
+        ]
+        lines.append(row(["---"] + ["---:"] * (2 + len(task.longer))))
+        for arm in arms:
+            seeds = runs[name, arm].values()
+            means = [np.mean([run["mean_return"] for run in seeds])]
+            means += [np.mean([run["longer"][str(context)] for run in seeds]) for context in task.longer]
+            lines.append(row([f"`{arm}`", *(f"{mean:.1f}" for mean in means), str(len(seeds))]))
+        yield lines
+
+
+def shares_table(runs):
+    """Return and loss after trainings of several lengths; the whole one is that of the study."""
+    arms = {(mode, share): f"{mode}-{share}" for share in study_plan.SHARES for mode in MODES_OF_SHARES}
+    arms |= {(mode, "whole"): mode for mode in MODES_OF_SHARES}
+    shares = [*study_plan.SHARES, "whole"]
+    if not any((task, arms[mode, "quarter"]) in runs for task in study_plan.PART_TASKS for mode in MODES_OF_SHARES):
+        return
+    yield row(["return, validation loss", *(f"{share} of the iterations" for share in shares), "seeds"])
+    yield row(["---"] + ["---:"] * (1 + len(shares)))
+    for task in study_plan.PART_TASKS:
+        for mode in MODES_OF_SHARES:
+            found = [runs.get((task, arms[mode, share]), {}) for share in shares]
+            seeds = set.intersection(*(set(seeds) for seeds in found))
+            if not seeds:
+                continue
+            cells = []
+            for runs_of_share in found:
+                chosen = [runs_of_share[seed] for seed in seeds]
+                mean = np.mean([run["mean_return"] for run in chosen])
+                loss = np.mean([run["validation_loss"] for run in chosen])
+                cells.append(f"{mean:.4g}, {loss:.3f}")
+            yield row([f"{task}, `{mode}`", *cells, str(len(seeds))])
+
+
+def tables(folder):
+    """Returns the second generated part of the page."""
+    runs = read_runs(folder)
+    return joined([changes_table(runs), *longer_tables(runs), shares_table(runs)])
