@@ -114,7 +114,7 @@ TEST_F(SpikectlTest, ExplainsADecisionOfASessionItPlays) {
     ASSERT_EQ(raster["ticks"].size(), raster["neurons"].size());
     spikes += raster["ticks"].size();
   }
-  EXPECT_EQ(std::to_string(spikes), explained["answer"]["stats"]["spikes"]);
+  EXPECT_EQ(explained["answer"]["stats"]["spikes"], std::to_string(spikes));
   EXPECT_EQ(Metric("spikeserve_sessions"), 0.0);
 
   const Finished text = Spikectl("explain", {"--env=Acrobot-v1", "--steps=6", "--seed=3"});

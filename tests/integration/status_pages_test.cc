@@ -213,7 +213,7 @@ TEST_F(StatusPagesTest, ExplainsASessionsLastDecision) {
   EXPECT_EQ(explained["answer"]["step"], "5");
   size_t spikes = 0;
   for (const json& raster : explained["rasters"]) spikes += raster["ticks"].size();
-  EXPECT_EQ(std::to_string(spikes), explained["answer"]["stats"]["spikes"]);
+  EXPECT_EQ(explained["answer"]["stats"]["spikes"], std::to_string(spikes));
 }
 
 TEST_F(StatusPagesTest, MistakesAreNamed) {
