@@ -38,19 +38,27 @@ def changes_table(runs):
     p_values = dict(zip(tested, corrected, strict=True))
     if not samples:
         return
-    yield row(["`full`, but", *study_plan.PART_TASKS, "spikes, times"])
-    yield row(["---"] + ["---:"] * (1 + len(study_plan.PART_TASKS)))
+    yield row(["`full`, but", *study_plan.PART_TASKS, "spikes, times", "energy, times"])
+    yield row(["---"] + ["---:"] * (2 + len(study_plan.PART_TASKS)))
     for arm in arms:
         if not any((arm, task) in samples for task in study_plan.PART_TASKS):
             continue
-        ratios = [np.divide(*paired(runs, task, arm, lambda run: run["spikes_per_decision"])) for task in study_plan.PART_TASKS]
         yield row(
             [
                 f"`{arm}`",
                 *(difference(samples.get((arm, task)), p_values.get((arm, task), 1.0)) for task in study_plan.PART_TASKS),
-                f"{np.mean(np.concatenate(ratios)):.2f}",
+                ratio(runs, arm, "spikes_per_decision"),
+                ratio(runs, arm, "nanojoules_per_decision"),
             ]
         )
+
+
+def ratio(runs, arm, figure):
+    """Returns the mean ratio of a figure to that of `full`, over the tasks whose results have it."""
+    pairs = [paired(runs, task, arm, lambda run: run.get(figure, np.nan)) for task in study_plan.PART_TASKS]
+    ratios = np.concatenate([first / second for first, second in pairs])
+    ratios = ratios[~np.isnan(ratios)]
+    return f"{np.mean(ratios):.2f}" if len(ratios) else ""
 
 
 def difference(sample, p_value):

@@ -91,11 +91,11 @@ TASKS = {
 
 @dataclasses.dataclass(frozen=True)
 class Arm:
-    """What a run has of its own. `context` also sets the steps of a clip, and keeps the steps of a batch."""
+    """What a run has of its own. Another length of the clips keeps the steps of a batch."""
 
     mode: str = "full"
     flags: tuple[str, ...] = ()
-    context: int | None = None
+    clip: int | None = None  # steps
     share: float = 1.0  # of the task's iterations
 
 
@@ -107,7 +107,7 @@ PARTS = {
     "surrogate-sigmoid": Arm(flags=("--surrogate=sigmoid",)),
     "surrogate-piecewise": Arm(flags=("--surrogate=piecewise_linear",)),
     **{f"ticks-{ticks}": Arm(flags=(f"--ticks={ticks}",)) for ticks in (5, 10, 20, 40)},
-    **{f"context-{context}": Arm(context=context) for context in (20, 50, 100)},
+    **{f"context-{context}": Arm(flags=(f"--context={context}",), clip=context) for context in (20, 50, 100)},
     "gate-sigmoid": Arm(flags=("--gate=sigmoid",)),
     "router-activity": Arm(flags=("--gate=sigmoid", "--routing_hidden_size=4", "--activity_router")),
     "clock-window": Arm(flags=("--phase_clock=window",)),
@@ -117,6 +117,8 @@ PARTS = {
     "hebbian-instead": Arm(flags=("--local_rate=0.01", "--local_rule=hebbian", "--freeze=head")),
     "local-beside": Arm(flags=("--local_rate=0.01",)),
     "local-instead": Arm(flags=("--local_rate=0.01", "--freeze=head")),
+    "tick-1": Arm(flags=("--ticks=1",), clip=64, share=4),  # a tick costs an eighth
+    "tick-1-carried": Arm(flags=("--ticks=1", "--membrane_block=64"), clip=64, share=4),
     **{f"{mode}-{name}": Arm(mode, share=share) for name, share in SHARES.items() for mode in ("baseline", "pos", "full")},
 }
 PART_TASKS = ("cartpole", "pendulum", "repeat-4")  # the shortest
@@ -129,7 +131,7 @@ class Budget:
     steps: int = 20_000  # of data
     starts: int = 100  # that a policy plays
     priced_starts: int = 5  # that its integer form plays, for the energy
-    further: tuple[str, ...] = ()  # flags of `spiketrain train`, after all others
+    further: tuple[str, ...] = ()  # flags of `spiketrain train`, after those of the task
 
 
 SMOKE = Budget(
@@ -181,10 +183,10 @@ def train_flags(run, rate, budget):
     if task.lookback is not None and arm.mode in ("pos", "full"):
         flags.append(f"--lookback={task.lookback}")
     number = {flag.partition("=")[0]: int(flag.partition("=")[2]) for flag in task.flags if flag.partition("=")[2].isdigit()}
-    if arm.context is not None:
+    if arm.clip is not None:
         steps = number["--batch"] * number["--clip_steps"]
-        flags += [f"--context={arm.context}", f"--clip_steps={arm.context}", f"--batch={max(1, steps // arm.context)}"]
-    if arm.share < 1:
+        flags += [f"--clip_steps={arm.clip}", f"--batch={max(1, steps // arm.clip)}"]
+    if arm.share != 1:
         flags.append(f"--iterations={round(arm.share * number['--iterations'])}")
     return without_repetition([*flags, *budget.further, *arm.flags])
 

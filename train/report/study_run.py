@@ -18,7 +18,7 @@ from spikeserve.imitation.figures import Figures
 
 ENVIRONMENTS = 16  # of Gymnasium, played at once
 BURST_RATE, LONGEST_BURST = 0.1, 2
-ENERGY_MODEL = "int_45nm"
+ENERGY_MODEL, FLOAT_ENERGY_MODEL = "int_45nm", "horowitz_45nm"  # of policies in integers and in float32
 
 
 class PricedActor(StudentActor):
@@ -116,7 +116,8 @@ class Workshop:
     def _play_own(self, policy, first_start, starts):
         arguments = ("eval", f"--policy={policy}", f"--episodes={starts}", f"--seed={first_start}", "--json")
         figures = json.loads(self._program(*arguments))
-        priced = figures["estimated_energy_joules_per_decision"].get(ENERGY_MODEL)
+        prices = figures["estimated_energy_joules_per_decision"]
+        priced = prices.get(ENERGY_MODEL, prices.get(FLOAT_ENERGY_MODEL))
         names = ("mean_return", "std_return", "spikes_per_decision")
         result = {"first_start": first_start, "starts": starts, **{name: figures[name] for name in names}}
         return result if priced is None else {**result, "nanojoules_per_decision": 1e9 * priced}

@@ -25,8 +25,10 @@ template <class Current>
 template <class Population>
 const kernels::Drive<Current>& DriveBuilder<Current>::Build(const SpikeInput& input,
                                                             const Population& population, int width,
-                                                            const PhaseSpikes* phase) {
+                                                            const PhaseSpikes* phase,
+                                                            float* membranes) {
   SumGroups(input, population, width);
+  drive_.membranes = membranes;
   const int ticks = input.ticks();
   drive_.ticks = ticks;
   drive_.offsets.assign(ticks + 1, 0);
@@ -71,9 +73,10 @@ void DriveBuilder<Current>::SumGroups(const SpikeInput& input, const Population&
 
 template const kernels::Drive<float>& DriveBuilder<float>::Build(const SpikeInput&,
                                                                  const PackedLinear&, int,
-                                                                 const PhaseSpikes*);
+                                                                 const PhaseSpikes*, float*);
 template const kernels::Drive<int16_t>& DriveBuilder<int16_t>::Build(const SpikeInput&,
                                                                      const PackedIntegerPopulation&,
-                                                                     int, const PhaseSpikes*);
+                                                                     int, const PhaseSpikes*,
+                                                                     float*);
 
 }  // namespace spikeserve
