@@ -209,6 +209,16 @@ def test_a_dense_policy_is_imitated_to_the_end_and_the_report_tells_why(tmp_path
     assert result.policy.read_bytes() != policy
 
 
+def test_a_policy_with_carried_membranes_is_imitated_without_an_8_bit_form(tmp_path):
+    flags = ("--heads=2", "--validate_every=2", "--ticks=1", "--membrane_block=4")
+    options = ImitationOptions(**(vars(SMALLEST) | {"train_flags": flags, "rounds": 0, "seeds": 1}))
+    result = spikeserve.imitate(
+        "hidden_state:Spring-v0", hidden_state.hold, tmp_path / "run", options=options, spiketrain=SPIKETRAIN
+    )
+    assert result.quantized is None
+    assert result.figures.spikes_per_decision > 0
+
+
 def test_policies_of_something_else_are_not_overwritten(tmp_path):
     (tmp_path / "policies").mkdir()
     with pytest.raises(ValueError, match="out: expected a new folder, or one of an earlier run, received .*policies"):
