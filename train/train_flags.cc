@@ -29,7 +29,6 @@ void ForEachFlag(const ShapeFlags& flags, ModelConfig& config, const Visit& visi
   visit("merge", flags.merge, config.merge);
   visit("gate", flags.gate, config.gate);
   visit("observation_changes", flags.observation_changes, config.observation_changes);
-  visit("membrane_block", flags.membrane_block, config.membrane_block);
 }
 
 // Adds a flag whose default is the value of `paper`, or with --init that of the initial policy.
@@ -74,8 +73,6 @@ void AddShapeFlags(FlagGroup& group, ShapeFlags* flags) {
               "Clock of the phase spikes");
   AddOptional(group, "merge", EnumKind<Merge>(), &flags->merge, paper.merge, "Merge of the heads");
   AddOptional(group, "gate", EnumKind<Gate>(), &flags->gate, paper.gate, "Gate of the routing");
-  AddOptional(group, "membrane_block", "M", &flags->membrane_block, paper.membrane_block,
-              "Timesteps over which membranes are carried");
 }
 
 void AddTrainerFlags(Command command, TrainerFlags* flags) {

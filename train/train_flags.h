@@ -28,7 +28,6 @@ struct ShapeFlags {
   std::optional<Merge> merge;
   std::optional<Gate> gate;
   std::optional<bool> observation_changes;
-  std::optional<int> membrane_block;
 };
 
 struct TrainerFlags {

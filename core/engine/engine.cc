@@ -18,15 +18,8 @@ void Engine::AppendActionsTogether(absl::Span<const TakenAction> actions) const 
 
 int HistorySize(const ModelConfig& config) {
   SPIKESERVE_DCHECK(config.layers >= 1 && config.context >= 1);
-  const int before = config.context - 1;
-  int needed = config.layers * before + 1;
-  if (config.carries_membranes()) {
-    // The readout, and each layer's input, need the timesteps since the start of a block. A layer
-    // then looks back N - 1 timesteps from there, which is the start of a block itself.
-    const int block = config.membrane_block;
-    needed = block + config.layers * block * ((before + block - 1) / block);
-  }
-  return std::max(2, needed) + (config.observation_changes ? 1 : 0);
+  return std::max(2, config.layers * (config.context - 1) + 1) +
+         (config.observation_changes ? 1 : 0);
 }
 
 }  // namespace spikeserve

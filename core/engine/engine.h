@@ -88,8 +88,7 @@ class Engine {
 // Returns the number of timesteps that the decision at t depends on: L (N - 1) + 1, because each of
 // the L layers looks back N - 1 timesteps. At least 2, because the counts of a decision include
 // those of a_{t-1}. One more with observation changes: the oldest state token contains the change
-// since the timestep before it. With carried membranes, blocks of M timesteps are read whole: at
-// most M + L M ceil((N - 1) / M).
+// since the timestep before it.
 int HistorySize(const ModelConfig& config);
 
 }  // namespace spikeserve

@@ -16,27 +16,6 @@ absl::Status CheckRange(absl::string_view field, int value, int limit) {
       absl::StrCat(field, ": expected 1 to ", limit, ", received ", value));
 }
 
-// Checks what only policies with carried membranes require.
-absl::Status CheckCarried(const ModelConfig& config) {
-  const auto refuse = [&](absl::string_view field, absl::string_view expected, auto received) {
-    return absl::InvalidArgumentError(absl::StrCat(field, ": expected ", expected,
-                                                   " with membrane_block ", config.membrane_block,
-                                                   ", received ", received));
-  };
-  if (config.membrane_block < 0 || config.membrane_block > ModelLimits::kMembraneBlock) {
-    return absl::InvalidArgumentError(absl::StrCat("membrane_block: expected 0 to ",
-                                                   ModelLimits::kMembraneBlock, ", received ",
-                                                   config.membrane_block));
-  }
-  if (config.is_dense()) return refuse("mode", "one with spikes", "dense");
-  if (config.ticks != 1) return refuse("ticks", "1", config.ticks);
-  if (config.coder != CoderKind::kLif) return refuse("coder", "lif", "bernoulli");
-  if (config.arithmetic != Arithmetic::kFloat32) {
-    return refuse("arithmetic", "float32", std::string(ToString(config.arithmetic)));
-  }
-  return absl::OkStatus();
-}
-
 // Checks what only integer policies require.
 absl::Status CheckInteger(const ModelConfig& config) {
   if (config.is_dense()) {
@@ -120,7 +99,6 @@ absl::Status ModelConfig::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("threshold: expected a positive finite number, received ", threshold));
   }
-  if (membrane_block != 0) return CheckCarried(*this);
   if (is_integer()) return CheckFixedPoint(*this);
   return arithmetic == Arithmetic::kInt8 ? CheckInteger(*this) : absl::OkStatus();
 }

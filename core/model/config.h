@@ -90,10 +90,6 @@ struct ModelConfig {
   Merge merge = Merge::kSum;
   Gate gate = Gate::kSoftmax;
   Arithmetic arithmetic = Arithmetic::kFloat32;
-  // 0: every neuron starts at V = 0 at every token. M > 0: membranes are carried from a timestep to
-  // the next one, those of each kind of token apart, and start at 0 at every timestep that M
-  // divides, so that what a decision reads does not depend on more than a part of the episode.
-  int membrane_block = 0;
   // Whether the state token also contains the change of the observation since the timestep before.
   bool observation_changes = false;
   // The following belong to Arithmetic::kInteger.
@@ -110,7 +106,6 @@ struct ModelConfig {
   int head_size() const { return hidden_size / heads; }  // d_h
   bool is_dense() const { return mode == Mode::kDense; }
   bool is_integer() const { return arithmetic == Arithmetic::kInteger; }
-  bool carries_membranes() const { return membrane_block > 0; }
   bool has_phase() const { return mode == Mode::kPos || mode == Mode::kFull; }
   bool has_routing() const { return mode == Mode::kRoute || mode == Mode::kFull; }
   // Returns the number of inputs of the query, key and value projections: d, or d + H with phase
@@ -148,7 +143,6 @@ struct ModelLimits {
   static constexpr int kRoutingHiddenSize = 4096;
   static constexpr int kFfnSize = 16384;
   static constexpr int kFraction = 14;  // bits
-  static constexpr int kMembraneBlock = 1024;
 };
 
 }  // namespace spikeserve

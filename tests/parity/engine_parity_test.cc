@@ -162,17 +162,6 @@ std::vector<Shape> Float32Shapes() {
   ModelConfig& newest = add("ChangesContextOne", ConfigOf(16, 2)).config;
   newest.observation_changes = true;
   newest.context = 1;
-  for (const Mode mode : {Mode::kBaseline, Mode::kFull}) {
-    Shape& carried = add("Carried_" + std::string(ToString(mode)), ConfigOf(35, 5));
-    carried.config.mode = mode;
-    carried.config.ticks = 1;
-    carried.config.membrane_block = 3;
-    carried.steps = 70;
-  }
-  ModelConfig& block = add("CarriedOverTheContext", ConfigOf(32, 2)).config;
-  block.ticks = 1;
-  block.membrane_block = 9;
-  block.observation_changes = true;
   ModelConfig& other_neuron = add("OtherNeuron", ConfigOf(32, 4)).config;
   other_neuron.ticks = 8;
   other_neuron.membrane_decay = 0.5f;
@@ -184,7 +173,7 @@ std::vector<Shape> Float32Shapes() {
 std::vector<Shape> IntegerShapes() {
   std::vector<Shape> shapes;
   for (Shape& shape : Float32Shapes()) {
-    if (shape.config.coder != CoderKind::kLif || shape.config.carries_membranes()) continue;
+    if (shape.config.coder != CoderKind::kLif) continue;
     shape.name += "_integer";
     shape.config.arithmetic = Arithmetic::kInteger;
     shapes.push_back(std::move(shape));
@@ -205,7 +194,7 @@ std::vector<Shape> IntegerShapes() {
 std::vector<Shape> Shapes() {
   std::vector<Shape> shapes = Float32Shapes();
   for (Shape& shape : Float32Shapes()) {
-    if (shape.config.is_dense() || shape.config.carries_membranes()) continue;
+    if (shape.config.is_dense()) continue;
     shape.name += "_int8";
     shape.config.arithmetic = Arithmetic::kInt8;
     shapes.push_back(std::move(shape));

@@ -101,26 +101,15 @@ std::vector<Shape> Shapes() {
     s.config.ffn_size = 600;
     s.policies = 1;
   });
-  add("carried", [](Shape& s) {
-    s.config.ticks = 1;
-    s.config.membrane_block = 4;
-  });
-  add("carried_baseline_concat", [](Shape& s) {
-    s.config.mode = Mode::kBaseline;
-    s.config.merge = Merge::kConcat;
-    s.config.ticks = 1;
-    s.config.membrane_block = 100;
-  });
   const std::vector<Shape> floats = shapes;
   for (Shape shape : floats) {
-    if (shape.config.is_dense() || shape.config.carries_membranes()) continue;
+    if (shape.config.is_dense()) continue;
     shape.name += "_int8";
     shape.arithmetic = Arithmetic::kInt8;
     shapes.push_back(shape);
   }
   for (Shape shape : floats) {
     if (shape.config.is_dense() || shape.config.coder == CoderKind::kBernoulli) continue;
-    if (shape.config.carries_membranes()) continue;
     shape.name += "_integer";
     shape.arithmetic = Arithmetic::kInteger;
     shapes.push_back(shape);
@@ -213,27 +202,6 @@ float Margin(const Population& population, const Lif& neuron, int ticks, int64_t
   return margin;
 }
 
-// The same for membranes that are carried over `block` timesteps.
-float CarriedMargin(const Population& population, const Lif& neuron, int block, int64_t first,
-                    int64_t last) {
-  const int64_t tokens = population.current.size(-2), neurons = population.current.size(-1);
-  const int64_t kinds = tokens / kSteps;
-  const std::vector<float> input = ToVector(population.current);
-  float margin = std::numeric_limits<float>::infinity();
-  std::vector<float> membranes(kinds * neurons);
-  for (int64_t token = 0; token < last; ++token) {
-    float* const row = membranes.data() + token % kinds * neurons;
-    if (token / kinds % block == 0) std::fill_n(row, neurons, 0.0f);
-    for (int64_t i = 0; i < neurons; ++i) {
-      const float current = input[token * neurons + i];
-      const float before_reset = neuron.decay * row[i] + current;
-      if (token >= first) margin = std::min(margin, std::abs(before_reset - neuron.threshold));
-      neuron.Step(current, row[i]);
-    }
-  }
-  return margin;
-}
-
 TorchDecision DecisionOf(const ModelOutput& output, const ModelConfig& config, int t) {
   TorchDecision decision;
   const Lif neuron = {config.membrane_decay, config.threshold};
@@ -241,11 +209,8 @@ TorchDecision DecisionOf(const ModelOutput& output, const ModelConfig& config, i
     const auto [first, last] = TokensOf(t, population.spikes.size(2));
     decision.spikes[static_cast<size_t>(population.stage)] +=
         static_cast<uint64_t>(population.spikes.slice(2, first, last).sum().item<double>());
-    const bool carried = config.carries_membranes() && population.current.defined();
-    const float margin = carried
-                             ? CarriedMargin(population, neuron, config.membrane_block, first, last)
-                             : Margin(population, neuron, config.ticks, first, last);
-    decision.margin = std::min(decision.margin, margin);
+    decision.margin =
+        std::min(decision.margin, Margin(population, neuron, config.ticks, first, last));
   }
   return decision;
 }

@@ -27,7 +27,6 @@ SHAPES = [
     {"mode": "route", "routing_hidden_size": 3, "ffn_size": 7, "threshold": 0.5},
     *({"mode": mode, "observation_changes": True} for mode in ("full", "dense")),
     {"mode": "full", "observation_changes": True, "arithmetic": "int8"},
-    {"mode": "full", "ticks": 1, "membrane_block": 16},
     *({"mode": mode, "arithmetic": "int8"} for mode in ModelConfig.CHOICES["mode"][:-1]),
 ]
 

@@ -33,12 +33,7 @@ class ForwardPass {
         lif_{{config_.membrane_decay, config_.threshold}, config_.ticks, surrogate},
         clips_(clips),
         timesteps_(clips.timesteps.repeat_interleave(kTokens, 1)),
-        mask_(BandMask(clips.timesteps.size(1), config_.context)) {
-    if (!config_.carries_membranes()) return;
-    lif_.ticks = static_cast<int>(clips.timesteps.size(1));
-    const torch::Tensor starts = clips.timesteps.remainder(config_.membrane_block) == 0;
-    lif_.keep = starts.logical_not().transpose(0, 1).to(torch::kFloat).contiguous();
-  }
+        mask_(BandMask(clips.timesteps.size(1), config_.context)) {}
 
   ModelOutput Run() {
     torch::Tensor x = Embed();
@@ -88,9 +83,7 @@ class ForwardPass {
   torch::Tensor Code(const torch::Tensor& x, const std::string& name, Stage stage, int layer,
                      int site) {
     const torch::Tensor current = x * p_[name + ".gain"] + p_[name + ".bias"];
-    if (config_.carries_membranes()) {
-      output_.populations.push_back({stage, layer, FireCarried(current), current.unsqueeze(0)});
-    } else if (config_.coder == CoderKind::kLif) {
+    if (config_.coder == CoderKind::kLif) {
       output_.populations.push_back({stage, layer, LifConstant(current, lif_), current});
     } else {
       const bool all = x.size(1) == timesteps_.size(1);
@@ -106,23 +99,12 @@ class ForwardPass {
     return output_.populations.back().spikes;
   }
 
-  // Returns the spikes [1, B, tokens, neurons] for a current [B, tokens, neurons] into neurons
-  // whose ticks are the timesteps; each kind of token has neurons of its own.
-  torch::Tensor FireCarried(const torch::Tensor& current) const {
-    const int64_t timesteps = clips_.timesteps.size(1);
-    const torch::Tensor by_kind = current.unflatten(1, {timesteps, -1});
-    return LifPerTick(by_kind.transpose(0, 1), lif_).transpose(0, 1).flatten(1, 2).unsqueeze(0);
-  }
-
   // Returns the spikes [T, B, tokens, neurons] of the population `name` for input spikes [T, B,
   // tokens, in].
   torch::Tensor Fire(const torch::Tensor& input, const std::string& name, Stage stage, int layer) {
     if (rounded_ == nullptr) {
       const torch::Tensor current = p_.Linear(input, name);
-      output_.populations.push_back({stage, layer,
-                                     config_.carries_membranes() ? FireCarried(current.squeeze(0))
-                                                                 : LifPerTick(current, lif_),
-                                     current});
+      output_.populations.push_back({stage, layer, LifPerTick(current, lif_), current});
     } else {
       const IntegerLifOptions options = {
           .neuron = IntegerLif{static_cast<int16_t>(config_.integer_decay())},
@@ -193,7 +175,7 @@ class ForwardPass {
   const Parameters& p_;
   const RoundedMaps* const rounded_;
   const Surrogate surrogate_;
-  LifOptions lif_;
+  const LifOptions lif_;
   const ClipTensors& clips_;
   const torch::Tensor timesteps_;  // [B, 3n]
   const torch::Tensor mask_;       // [3n, 3n]

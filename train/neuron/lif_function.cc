@@ -36,14 +36,6 @@ Surrogate SavedSurrogate(AutogradContext* context) {
           .slope = static_cast<float>(saved["slope"].toDouble())};
 }
 
-// Returns the range with what is kept, [T, B], of its `neurons`.
-LifRange Range(LifRange range, const torch::Tensor& keep, int64_t neurons) {
-  if (!keep.defined()) return range;
-  range.keep = {keep.data_ptr<float>(), keep.size(1)};
-  range.group = neurons / keep.size(1);
-  return range;
-}
-
 struct LifFunction : torch::autograd::Function<LifFunction> {
   static torch::Tensor forward(AutogradContext* context, const torch::Tensor& input, bool per_tick,
                                const LifOptions& options) {
@@ -54,10 +46,10 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
     torch::Tensor spikes = torch::empty(shape, current.options());
     float* out = spikes.data_ptr<float>();
     at::parallel_for(0, neurons, kNeuronsPerTask, [&](int64_t begin, int64_t end) {
-      LifForward(Range({options.neuron, options.ticks, begin, end}, options.keep, neurons),
-                 Rows(current, per_tick, neurons), out, neurons);
+      LifForward({options.neuron, options.ticks, begin, end}, Rows(current, per_tick, neurons), out,
+                 neurons);
     });
-    context->save_for_backward({current, options.keep});
+    context->save_for_backward({current});
     context->saved_data["per_tick"] = per_tick;
     context->saved_data["ticks"] = static_cast<int64_t>(options.ticks);
     context->saved_data["decay"] = static_cast<double>(options.neuron.decay);
@@ -68,8 +60,7 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
 
   static tensor_list backward(AutogradContext* context, tensor_list gradients) {
     auto& saved = context->saved_data;
-    const torch::autograd::variable_list tensors = context->get_saved_variables();
-    const torch::Tensor &current = tensors[0], &keep = tensors[1];
+    const torch::Tensor current = context->get_saved_variables()[0];
     const bool per_tick = saved["per_tick"].toBool();
     const int ticks = static_cast<int>(saved["ticks"].toInt());
     const Lif neuron = {.decay = static_cast<float>(saved["decay"].toDouble()),
@@ -81,8 +72,8 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
     torch::Tensor result = torch::empty_like(current);
     float* out = result.data_ptr<float>();
     at::parallel_for(0, neurons, kNeuronsPerTask, [&](int64_t begin, int64_t end) {
-      LifBackward(Range({neuron, ticks, begin, end}, keep, neurons), surrogate,
-                  Rows(current, per_tick, neurons), Rows(spike_gradient, !same, neurons), out);
+      LifBackward({neuron, ticks, begin, end}, surrogate, Rows(current, per_tick, neurons),
+                  Rows(spike_gradient, !same, neurons), out);
     });
     return {result, torch::Tensor(), torch::Tensor()};
   }

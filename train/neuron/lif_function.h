@@ -20,9 +20,6 @@ struct LifOptions {
   Lif neuron;
   int ticks = 10;  // T
   Surrogate surrogate;
-  // [T, B]: by what the membranes of the neurons with index b in the second dimension of the
-  // current are multiplied before a tick, 0 or 1. Undefined: every membrane is kept.
-  torch::Tensor keep = {};
 };
 
 // Returns the spikes [T, ...] of neurons with a constant input current [...]: the rate coder.

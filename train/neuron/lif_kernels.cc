@@ -20,19 +20,6 @@ namespace {
 // Number of neurons processed at a time, so that their state over all ticks stays in the L1 cache.
 constexpr int64_t kBlock = 512;
 
-// Multiplies the values of `size` neurons from `begin` on by what is kept of them before a tick.
-inline __attribute__((always_inline)) void Keep(const LifRange& range, int tick, int64_t begin,
-                                                int64_t size, float* values) {
-  if (range.keep.data == nullptr) return;
-  const float* row = range.keep.data + tick * range.keep.tick_stride;
-  for (int64_t i = 0; i < size;) {
-    const int64_t group = (begin + i) / range.group;
-    const int64_t end = std::min(size, (group + 1) * range.group - begin);
-    const float factor = row[group];
-    for (; i < end; ++i) values[i] *= factor;
-  }
-}
-
 // Computes the distances u = V - V_th of the membranes before the reset, distances[tick * kBlock +
 // i], of `size` neurons from `begin` on. The neuron fires where u >= 0.
 inline __attribute__((always_inline)) void Distances(const LifRange& range, int64_t begin,
@@ -42,7 +29,6 @@ inline __attribute__((always_inline)) void Distances(const LifRange& range, int6
   const float threshold = range.neuron.threshold;
   float kept[kBlock] = {};  // membranes after the reset
   for (int tick = 0; tick < range.ticks; ++tick) {
-    Keep(range, tick, begin, size, kept);
     const float* input = current.data + tick * current.tick_stride + begin;
     float* row = distances + tick * kBlock;
     for (int64_t i = 0; i < size; ++i) {
@@ -166,10 +152,9 @@ struct BackwardBlock {
   const float* distances;
 };
 
-// Calls `keep(tick, later)` with the gradients that pass from a tick to the one before it.
-template <typename Derivative, typename KeepGradients>
+template <typename Derivative>
 inline __attribute__((always_inline)) void Backward(const BackwardBlock& block,
-                                                    Derivative derivative, KeepGradients keep,
+                                                    Derivative derivative,
                                                     float* current_gradient) {
   float later[kBlock] = {};  // decay dL/dV of the following tick
   float sum[kBlock] = {};
@@ -183,7 +168,6 @@ inline __attribute__((always_inline)) void Backward(const BackwardBlock& block,
       later[i] = block.decay * g;
       sum[i] = g + (block.current.tick_stride == 0 ? sum[i] : 0.0f);
     }
-    keep(tick, later);
     std::copy_n(sum, block.size, current_gradient + tick * block.current.tick_stride + block.begin);
   }
 }
@@ -198,7 +182,6 @@ void LifForward(const LifRange& range, TickRows current, float* spikes, int64_t 
     const int64_t size = std::min(kBlock, range.end - begin);
     float kept[kBlock] = {};
     for (int tick = 0; tick < range.ticks; ++tick) {
-      Keep(range, tick, begin, size, kept);
       const float* input = current.data + tick * current.tick_stride + begin;
       float* output = spikes + tick * spike_stride + begin;
       for (int64_t i = 0; i < size; ++i) {
@@ -219,12 +202,9 @@ void LifBackward(const LifRange& range, const Surrogate& surrogate, TickRows cur
     Distances(range, begin, size, current, distances.data());
     const BackwardBlock block = {range.neuron.decay, range.ticks,     begin, size, current,
                                  spike_gradient,     distances.data()};
-    const auto keep = [&](int tick, float* later) __attribute__((always_inline)) {
-      Keep(range, tick, begin, size, later);
-    };
     WithDerivative(
         surrogate, [&](auto derivative) __attribute__((always_inline)) {
-          Backward(block, derivative, keep, current_gradient);
+          Backward(block, derivative, current_gradient);
         });
   }
 }
@@ -255,8 +235,7 @@ void IntegerLifBackward(const IntegerLifRange& range, const Surrogate& surrogate
                                  current,        spike_gradient, distances.data()};
     WithDerivative(
         surrogate, [&](auto derivative) __attribute__((always_inline)) {
-          Backward(
-              block, derivative, [](int, float*) {}, current_gradient);
+          Backward(block, derivative, current_gradient);
         });
     // The derivative with respect to a current in units of the scale.
     for (int tick = 0; tick < range.ticks; ++tick) {

@@ -29,10 +29,6 @@ struct LifRange {
   int ticks;
   int64_t begin;
   int64_t end;
-  // By what the membrane of neuron i is multiplied before a tick, 0 or 1: element i / group of the
-  // tick's row. Without rows, every membrane is kept.
-  TickRows keep = {nullptr, 0};
-  int64_t group = 1;
 };
 
 // Writes the spikes (0 or 1) of the range to spikes[tick * spike_stride + i].
@@ -41,7 +37,6 @@ void LifForward(const LifRange& range, TickRows current, float* spikes, int64_t 
 // Computes dL/dI from dL/ds. With V_t = decay V'_{t-1} + I_t, s_t = 1[V_t >= V_th], V'_t = V_t (1 -
 // s_t), and s_t treated as a constant in the reset ("detached"):
 //   dL/dV_t = dL/ds_t surrogate(V_t - V_th) + (1 - s_t) decay dL/dV_{t+1},   dL/dI_t = dL/dV_t.
-// Where the membrane is not kept before t + 1, the second term is 0.
 // Recomputes the membrane from the current, so that the forward pass does not have to store it.
 // Writes current_gradient[tick * stride + i], where stride is current.tick_stride; if that is 0,
 // writes one row with the sum over the ticks.

@@ -97,11 +97,12 @@ class Arm:
     flags: tuple[str, ...] = ()
     clip: int | None = None  # steps
     share: float = 1.0  # of the task's iterations
+    priced: bool = False  # also in integers
 
 
 # The paper's modes, the ordinary decision transformer, and `full` trained with a context of one step, which has no past.
-ARMS = {mode: Arm(mode) for mode in ("dense", "baseline", "pos", "route", "full")}
-ARMS["full-n1"] = Arm(flags=("--context=1",))
+ARMS = {mode: Arm(mode, priced=True) for mode in ("dense", "baseline", "pos", "route", "full")}
+ARMS["full-n1"] = Arm(flags=("--context=1",), priced=True)
 # `full` with one thing changed, and shorter trainings.
 PARTS = {
     "surrogate-sigmoid": Arm(flags=("--surrogate=sigmoid",)),
@@ -117,8 +118,8 @@ PARTS = {
     "hebbian-instead": Arm(flags=("--local_rate=0.01", "--local_rule=hebbian", "--freeze=head")),
     "local-beside": Arm(flags=("--local_rate=0.01",)),
     "local-instead": Arm(flags=("--local_rate=0.01", "--freeze=head")),
-    "tick-1": Arm(flags=("--ticks=1",), clip=64, share=4),  # a tick costs an eighth
-    "tick-1-carried": Arm(flags=("--ticks=1", "--membrane_block=64"), clip=64, share=4),
+    "tick-1": Arm(flags=("--ticks=1",), clip=64, share=4, priced=True),  # a tick costs an eighth
+    "long": Arm(clip=64, share=4),
     **{f"{mode}-{name}": Arm(mode, share=share) for name, share in SHARES.items() for mode in ("baseline", "pos", "full")},
 }
 PART_TASKS = ("cartpole", "pendulum", "repeat-4")  # the shortest

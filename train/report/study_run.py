@@ -59,8 +59,9 @@ class Workshop:
         losses = (self._folder / run.name / "learning_curve.csv").read_text().splitlines()
         if len(losses) > 1:
             result["validation_loss"] = float(losses[-1].rpartition(",")[2])
-        if run.rate is None and run.arm in study_plan.ARMS:
+        if run.rate is None and (study_plan.ARMS | study_plan.PARTS)[run.arm].priced:
             result["integer"] = self._price(task, policy, data, run.first_start)
+        if run.rate is None and run.arm in study_plan.ARMS:
             result |= self._play_longer(task, policy, run)
         return result
 

@@ -61,21 +61,21 @@ float Rate(const SpikeTrain& train, int neuron) {
 }
 
 SpikeTrain Fire(const ModelConfig& config, const Linear& linear, const CodedToken& coded,
-                const SpikeTrain& phase, std::vector<float>& membranes) {
+                const SpikeTrain& phase) {
   const Lif lif = {config.membrane_decay, config.threshold};
   const int outputs = linear.weight.shape[0];
   SpikeTrain train(config.ticks, std::vector<uint8_t>(outputs, 0));
   for (int i = 0; i < outputs; ++i) {
+    float membrane = 0.0f;
     for (int tick = 1; tick <= config.ticks; ++tick) {
-      train[tick - 1][i] = lif.Step(Current(linear, i, coded, phase, tick), membranes[i]);
+      train[tick - 1][i] = lif.Step(Current(linear, i, coded, phase, tick), membrane);
     }
   }
   return train;
 }
 
 SpikeTrain Fire(const ModelConfig& config, const IntegerPopulation& population,
-                const CodedToken& coded, const SpikeTrain& phase,
-                std::vector<float>& /*membranes*/) {
+                const CodedToken& coded, const SpikeTrain& phase) {
   const IntegerLif lif = {static_cast<int16_t>(config.integer_decay())};
   const int outputs = population.weight.shape[0];
   SpikeTrain train(config.ticks, std::vector<uint8_t>(outputs, 0));

@@ -33,12 +33,11 @@ float Rate(const SpikeTrain& train, int neuron);
 // Returns LIF(W [R || P] + b), [T][out], where `phase` is [T][H], or [T][0] without phase spikes.
 // In float32, a current is summed in the canonical order: the bias; then, for each period n that
 // divides the tick, ascending, the sum over the neurons of that period, ascending; then the phase
-// spikes by head. In integers, every order gives the same sum. `membranes` [out] are those before
-// and after the token, all 0 before it unless they are carried; integers do not read them.
+// spikes by head. In integers, every order gives the same sum.
 SpikeTrain Fire(const ModelConfig& config, const Linear& linear, const CodedToken& coded,
-                const SpikeTrain& phase, std::vector<float>& membranes);
+                const SpikeTrain& phase);
 SpikeTrain Fire(const ModelConfig& config, const IntegerPopulation& population,
-                const CodedToken& coded, const SpikeTrain& phase, std::vector<float>& membranes);
+                const CodedToken& coded, const SpikeTrain& phase);
 
 // Returns W (spike count / T) + b for the spikes of the hidden population, [T][F]: [d].
 std::vector<float> MapCounts(const Linear& linear, const SpikeTrain& hidden);

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 #include <utility>
 #include <vector>
 
@@ -38,7 +37,8 @@ class ReferencePass {
     CountPhase();
     for (int layer = 0; layer < config_.layers; ++layer) Layer(layer);
     const size_t last = tokens_.size() - 1;
-    const CodedToken coded = CodeReadout(last);
+    const CodedToken coded =
+        Code(policy_.weights.readout_coder, x_[last], last, 2 * config_.layers);
     AddSpikes(last, Stage::kReadout, kNoLayer, coded.spikes);
     output->readout.assign(config_.hidden_size, 0.0f);
     for (int j = 0; j < config_.hidden_size; ++j) output->readout[j] = Rate(coded.spikes, j);
@@ -103,27 +103,6 @@ class ReferencePass {
     AddSpikes(tokens_.size() - 1, Stage::kPhase, kNoLayer, PhaseSpikes(tokens_.back().timestep));
   }
 
-  // Returns the membranes of a population before the token is computed: those after the last token
-  // of its kind if they are carried, otherwise 0.
-  std::vector<float>& Membranes(const void* population, size_t token, size_t size) {
-    std::vector<float>& membranes = membranes_[{population, tokens_[token].kind}];
-    const bool carried =
-        config_.carries_membranes() && tokens_[token].timestep % config_.membrane_block != 0;
-    if (!carried || membranes.empty()) membranes.assign(size, 0.0f);
-    return membranes;
-  }
-
-  // Codes the readout of the last token, and before it that of all state tokens if their membranes
-  // are carried.
-  CodedToken CodeReadout(size_t last) {
-    const Coder& coder = policy_.weights.readout_coder;
-    const int site = 2 * config_.layers;
-    for (size_t i = 0; config_.carries_membranes() && i < last; ++i) {
-      if (tokens_[i].kind == TokenKind::kState) Code(coder, x_[i], i, site);
-    }
-    return Code(coder, x_[last], last, site);
-  }
-
   CodedToken Code(const Coder& coder, const std::vector<float>& x, size_t token, int site) {
     CodedToken coded;
     coded.periodic = config_.coder == CoderKind::kLif;
@@ -133,7 +112,6 @@ class ReferencePass {
                               .timestep = tokens_[token].timestep,
                               .token = static_cast<int>(tokens_[token].kind),
                               .site = site};
-    std::vector<float>& membranes = Membranes(&coder, token, x.size());
     for (size_t j = 0; j < x.size(); ++j) {
       if (IsNew(token)) {
         ++counts_.coder_gains;
@@ -143,11 +121,7 @@ class ReferencePass {
       const float gain = coder.gain.values[j];
       const float bias = coder.bias.values[j];
       const int neuron = static_cast<int>(j);
-      if (config_.carries_membranes()) {
-        if (!lif_.Step(x[j] * gain + bias, membranes[j])) continue;
-        coded.groups[0].push_back(neuron);
-        coded.spikes[0][j] = 1;
-      } else if (coded.periodic) {
+      if (coded.periodic) {
         const int period = lif_.Period(x[j] * gain + bias, config_.ticks);
         if (period == 0) continue;  // silent
         coded.groups[period - 1].push_back(neuron);
@@ -176,8 +150,7 @@ class ReferencePass {
         counts_.membrane_updates += population.bias.values.size();
       }
     }
-    return Fire(config_, population, coded, phase,
-                Membranes(&population, token, population.bias.values.size()));
+    return Fire(config_, population, coded, phase);
   }
 
   void Layer(int layer) {
@@ -364,7 +337,6 @@ class ReferencePass {
   std::vector<std::vector<float>> x_;  // [tokens][d]
   std::vector<SpikeTrain> keys_;       // of the current layer, [tokens][T][d]
   std::vector<SpikeTrain> values_;
-  std::map<std::pair<const void*, TokenKind>, std::vector<float>> membranes_;  // by population
   Counts counts_;
 };
 

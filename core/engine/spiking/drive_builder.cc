@@ -25,10 +25,8 @@ template <class Current>
 template <class Population>
 const kernels::Drive<Current>& DriveBuilder<Current>::Build(const SpikeInput& input,
                                                             const Population& population, int width,
-                                                            const PhaseSpikes* phase,
-                                                            float* membranes) {
+                                                            const PhaseSpikes* phase) {
   SumGroups(input, population, width);
-  drive_.membranes = membranes;
   const int ticks = input.ticks();
   drive_.ticks = ticks;
   drive_.offsets.assign(ticks + 1, 0);
@@ -73,10 +71,9 @@ void DriveBuilder<Current>::SumGroups(const SpikeInput& input, const Population&
 
 template const kernels::Drive<float>& DriveBuilder<float>::Build(const SpikeInput&,
                                                                  const PackedLinear&, int,
-                                                                 const PhaseSpikes*, float*);
+                                                                 const PhaseSpikes*);
 template const kernels::Drive<int16_t>& DriveBuilder<int16_t>::Build(const SpikeInput&,
                                                                      const PackedIntegerPopulation&,
-                                                                     int, const PhaseSpikes*,
-                                                                     float*);
+                                                                     int, const PhaseSpikes*);
 
 }  // namespace spikeserve

@@ -22,13 +22,11 @@ namespace spikeserve {
 template <class Current>
 class DriveBuilder {
  public:
-  // Returns the currents into the first `width` lanes of `population`; `phase` may be null, and so
-  // may `membranes` [lanes]. The result is valid until the next call on this object, and refers to
-  // `population` and `membranes`.
+  // Returns the currents into the first `width` lanes of `population`; `phase` may be null. The
+  // result is valid until the next call on this object, and refers to `population`.
   template <class Population>
   const kernels::Drive<Current>& Build(const SpikeInput& input, const Population& population,
-                                       int width, const PhaseSpikes* phase,
-                                       float* membranes = nullptr);
+                                       int width, const PhaseSpikes* phase);
 
  private:
   // The afferent of a group:

@@ -4,7 +4,6 @@
 
 #include "core/engine/spiking/kernels/event_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
-#include "core/neuron/lif.h"
 #include "core/neuron/phase.h"
 
 namespace spikeserve {
@@ -60,21 +59,6 @@ void SpikeInput::Code(const ModelConfig& config, const PeriodTable& periods, con
   } else {
     CodeBernoulli(coder, x, key);
   }
-}
-
-void SpikeInput::CodeCarried(const ModelConfig& config, const Coder& coder, const float* x,
-                             float* membranes) {
-  const Lif lif = {config.membrane_decay, config.threshold};
-  ticks_ = config.ticks;
-  neurons_ = config.hidden_size;
-  periodic_ = true;
-  periods_.resize(neurons_);
-  active_.assign((neurons_ + 31) / 32, 0u);
-  for (int j = 0; j < neurons_; ++j) {
-    periods_[j] = lif.Step(x[j] * coder.gain.values[j] + coder.bias.values[j], membranes[j]);
-    active_[j / 32] |= static_cast<uint32_t>(periods_[j]) << (j % 32);
-  }
-  GroupByPeriod();
 }
 
 void SpikeInput::CodePeriods(const PeriodTable& table, const Coder& coder, const float* x) {

@@ -49,9 +49,6 @@ class SpikeInput {
   void Code(const ModelConfig& config, const PeriodTable& periods, const Coder& coder,
             const float* x, const BernoulliKey& key);
 
-  // The same for neurons that start at `membranes` [d], which they change, in a single tick.
-  void CodeCarried(const ModelConfig& config, const Coder& coder, const float* x, float* membranes);
-
   // The same in integer arithmetic; `x` is [coder.width].
   void Code(const PackedPeriodCoder& coder, const int16_t* x);
 

@@ -1,7 +1,6 @@
 #include "core/engine/spiking/streaming_engine.h"
 
 #include <algorithm>
-#include <array>
 #include <utility>
 
 #include "core/base/status_macros.h"
@@ -26,39 +25,11 @@
 namespace spikeserve {
 namespace {
 
-// Membranes of one layer that are carried from timestep to timestep, of one kind of token.
-struct LayerMembranes {
-  AlignedVector<float> coder;            // [d]
-  AlignedVector<float> key_value_query;  // [3 pad(d)]
-  AlignedVector<float> ffn_coder;        // [d]
-  AlignedVector<float> hidden;           // [pad(F)]
-
-  void Reset(const ModelConfig& config) {
-    coder.assign(config.hidden_size, 0.0f);
-    key_value_query.assign(3 * PadToLanes(config.hidden_size), 0.0f);
-    ffn_coder.assign(config.hidden_size, 0.0f);
-    hidden.assign(PadToLanes(config.ffn_size), 0.0f);
-  }
-};
-
 class StreamingContext : public Engine::Context {
  public:
   StreamingContext(const ModelConfig& config, uint64_t first_seed, int64_t first_timestep)
       : seed(first_seed), timestep(first_timestep), band(config) {
     for (int layer = 0; layer < config.layers; ++layer) caches.emplace_back(config, band.slots());
-    if (!config.carries_membranes()) return;
-    membranes.resize(config.layers);
-    for (auto& kinds : membranes) {
-      for (LayerMembranes& layer : kinds) layer.Reset(config);
-    }
-    readout.assign(config.hidden_size, 0.0f);
-  }
-
-  // Sets the membranes of the next token to 0 if a block starts at its timestep.
-  void StartBlock(const ModelConfig& config, TokenKind kind) {
-    if (!config.carries_membranes() || timestep % config.membrane_block != 0) return;
-    for (auto& kinds : membranes) kinds[static_cast<size_t>(kind)].Reset(config);
-    if (kind == TokenKind::kState) readout.assign(config.hidden_size, 0.0f);
   }
 
   const uint64_t seed;
@@ -68,9 +39,6 @@ class StreamingContext : public Engine::Context {
   std::vector<AttentionCache> caches;  // [L]
   PhaseSpikes phase;                   // of the current timestep
   Counts action_counts;                // of the last action token; added to the next decision
-  // Carried membranes: [L][kind of token], and [d] of the readout; otherwise both empty.
-  std::vector<std::array<LayerMembranes, kTokensPerTimestep>> membranes;
-  AlignedVector<float> readout;
 };
 
 // A token that is being computed.
@@ -131,7 +99,6 @@ class TokenPass {
     token_->context = &context;
     token_->counts = &counts;
     token_->kind = kind;
-    context.StartBlock(config_, kind);
     context.band.Add(context.band.Slot(context.timestep, kind));
     token_->band = context.band;
     AddTokenCosts(config_, kind, token_->band.tokens(), &counts);
@@ -168,8 +135,7 @@ class TokenPass {
   // activity of the action head.
   void Readout(size_t index, std::vector<float>* readout) {
     token_ = &scratch_.tokens[index];
-    Code(policy_.weights.readout_coder, 2 * config_.layers, Stage::kReadout,
-         token_->context->readout.data());
+    Code(policy_.weights.readout_coder, 2 * config_.layers, Stage::kReadout);
     scratch_.spikes.Rates(readout);
     for (int j = 0; j < config_.hidden_size; ++j) {
       if ((*readout)[j] > 0.0f) counts().multiply_accumulates += packed_.head_nonzero[j];
@@ -183,13 +149,6 @@ class TokenPass {
   float* x() { return token_->x.data(); }
   Counts& counts() { return *token_->counts; }
   const PhaseSpikes& phase() const { return token_->context->phase; }
-
-  // Returns the carried membranes of the current token, or null.
-  float* Carried(int layer, AlignedVector<float> LayerMembranes::*part) {
-    if (!config_.carries_membranes()) return nullptr;
-    const auto kind = static_cast<size_t>(token_->kind);
-    return (token_->context->membranes[layer][kind].*part).data();
-  }
 
   const PackedLinear& PackedEmbedding() const {
     return token_->kind == TokenKind::kReturn  ? packed_.embed_return
@@ -207,25 +166,19 @@ class TokenPass {
                        config_.hidden_size);
   }
 
-  // `membranes` are those of the coder if they are carried.
-  void Code(const Coder& coder, int site, Stage stage, float* membranes) {
+  void Code(const Coder& coder, int site, Stage stage) {
     const BernoulliKey key = {.seed = token_->context->seed,
                               .timestep = token_->context->timestep,
                               .token = static_cast<int>(token_->kind),
                               .site = site};
-    if (config_.carries_membranes()) {
-      scratch_.spikes.CodeCarried(config_, coder, x(), membranes);
-    } else {
-      scratch_.spikes.Code(config_, packed_.periods, coder, x(), key);
-    }
+    scratch_.spikes.Code(config_, packed_.periods, coder, x(), key);
     counts().spikes(stage) += scratch_.spikes.total();
   }
 
   // Computes and stores the token's keys and values, and its query if its output is used.
   void StoreKeysAndValues(int layer, bool needs_query) {
-    Code(policy_.weights.layers[layer].coder, 2 * layer, Stage::kCoder,
-         Carried(layer, &LayerMembranes::coder));
-    const uint64_t value_spikes = Project(layer, needs_query);
+    Code(policy_.weights.layers[layer].coder, 2 * layer, Stage::kCoder);
+    const uint64_t value_spikes = Project(packed_.layers[layer], needs_query);
     token_->context->caches[layer].Store(scratch_.keys.data(), scratch_.values.data(), value_spikes,
                                          token_->slot());
   }
@@ -248,13 +201,11 @@ class TokenPass {
 
   // Computes keys, values and, if `needs_query`, queries: LIF(W [R || P] + b). Returns the number
   // of value spikes.
-  uint64_t Project(int layer, bool needs_query) {
-    const PackedLayer<Arithmetic>& packed = packed_.layers[layer];
+  uint64_t Project(const PackedLayer<Arithmetic>& packed, bool needs_query) {
     const Population& population = packed.key_value_query;
     const int section = PadToLanes(config_.hidden_size);
     const int width = needs_query ? 3 * section : 2 * section;
-    const Drive& drive = scratch_.drives.Build(scratch_.spikes, population, width, &phase(),
-                                               Carried(layer, &LayerMembranes::key_value_query));
+    const Drive& drive = scratch_.drives.Build(scratch_.spikes, population, width, &phase());
     const auto run = [&](int first, AlignedVector<uint32_t>& heads) {
       return RunSection(population, drive, first, section, heads);
     };
@@ -332,12 +283,9 @@ class TokenPass {
   void FeedForward(int layer) {
     const LayerWeights& weights = policy_.weights.layers[layer];
     const PackedLayer<Arithmetic>& packed = packed_.layers[layer];
-    Code(weights.ffn_coder, 2 * layer + 1, Stage::kFfnIn,
-         Carried(layer, &LayerMembranes::ffn_coder));
-    const bool silent = scratch_.spikes.groups().empty() && !config_.carries_membranes();
-    const uint64_t products = silent
-                                  ? SilentUpdate(packed.silent_ffn)
-                                  : HiddenUpdate(packed, Carried(layer, &LayerMembranes::hidden));
+    Code(weights.ffn_coder, 2 * layer + 1, Stage::kFfnIn);
+    const uint64_t products =
+        scratch_.spikes.groups().empty() ? SilentUpdate(packed.silent_ffn) : HiddenUpdate(packed);
     counts().multiply_accumulates += products;
     if (config_.arithmetic == spikeserve::Arithmetic::kInt8) {
       counts().integer_multiply_accumulates += products;
@@ -346,11 +294,11 @@ class TokenPass {
   }
 
   // Computes W2 (spike count / T) + b2 from the coder's spikes. Returns the number of products.
-  uint64_t HiddenUpdate(const PackedLayer<Arithmetic>& packed, float* membranes) {
+  uint64_t HiddenUpdate(const PackedLayer<Arithmetic>& packed) {
     const Population& population = packed.ffn_hidden;
     scratch_.hidden.resize(population.width);
     const Drive& drive =
-        scratch_.drives.Build(scratch_.spikes, population, population.width, nullptr, membranes);
+        scratch_.drives.Build(scratch_.spikes, population, population.width, nullptr);
     counts().spikes(Stage::kFfnHidden) +=
         kernels::LifActivity(lif_, population, drive, scratch_.hidden.data());
     counts().accumulates += scratch_.spikes.Products(population.nonzero, nullptr);

@@ -231,9 +231,6 @@ std::vector<CacheCase> CacheCases() {
   changes.observation_changes = true;
   ModelConfig changes_alone = changes;
   changes_alone.context = 1;
-  ModelConfig carried = SmallConfig();
-  carried.ticks = 1;
-  carried.membrane_block = 3;
   const ActionSelection sampled = {.sample = true, .temperature = 2.0f};
   return {{"Changes", changes, ActionSpace::Discrete(3), {}},
           {"ChangesInAContextOfOne", changes_alone, ActionSpace::Box({-2.0f}, {2.0f}), {}},
@@ -241,7 +238,6 @@ std::vector<CacheCase> CacheCases() {
           {"Sampled", SmallConfig(), ActionSpace::Discrete(3), sampled},
           {"SampledBox", SmallConfig(), ActionSpace::Box({-2.0f}, {2.0f}), sampled},
           {"Bernoulli", bernoulli, ActionSpace::Discrete(3), {}},
-          {"Carried", carried, ActionSpace::Discrete(3), {}},
           {"Deep", deep, ActionSpace::Discrete(3), {}},
           {"Dense", dense, ActionSpace::Discrete(3), {}}};
 }

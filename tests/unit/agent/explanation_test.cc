@@ -48,11 +48,8 @@ std::vector<Variant> Variants() {
   variants.back().config.context = 1;
   variants.push_back({"three_layers", SmallConfig()});
   variants.back().config.layers = 3;
-  variants.push_back({"carried", SmallConfig()});
-  variants.back().config.ticks = 1;
-  variants.back().config.membrane_block = 3;
   for (Variant variant : std::vector<Variant>(variants)) {
-    if (variant.config.is_dense() || variant.config.carries_membranes()) continue;
+    if (variant.config.is_dense()) continue;
     variant.name += "_int8";
     variant.config.arithmetic = Arithmetic::kInt8;
     variants.push_back(variant);

@@ -62,7 +62,6 @@ struct JournalCase {
   ActionSelection selection;
   std::optional<LearningOptions> learning;
   bool observation_changes = false;
-  int membrane_block = 0;
 };
 
 void PrintTo(const JournalCase& test, std::ostream* out) { *out << test.name; }
@@ -76,7 +75,6 @@ std::vector<JournalCase> JournalCases() {
                                     {"SampledDiscrete", discrete, sampled, {}},
                                     {"SampledBox", box, sampled, {}},
                                     {"Changes", box, {}, {}, /*observation_changes=*/true}};
-  cases.push_back({"Carried", box, {}, {}, /*observation_changes=*/false, /*membrane_block=*/3});
   for (const Rule rule : {Rule::kPolicyGradient, Rule::kHebbian}) {
     for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
       const LearningOptions learning = {
@@ -103,8 +101,6 @@ class JournalTest : public ::testing::TestWithParam<JournalCase> {
   static ModelConfig Config() {
     ModelConfig config = SmallConfig();
     config.observation_changes = GetParam().observation_changes;
-    config.membrane_block = GetParam().membrane_block;
-    if (config.carries_membranes()) config.ticks = 1;
     return config;
   }
   std::shared_ptr<const ServedPolicy> served_ = Serve(Config(), GetParam().action_space);

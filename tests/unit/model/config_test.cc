@@ -56,24 +56,6 @@ TEST(ModelConfig, IntegerDecayRoundsToTheNearest) {
   EXPECT_EQ(ModelConfig{.membrane_decay = 1.0f}.integer_decay(), 32768);
 }
 
-TEST(ModelConfig, CarriedMembranesHaveOneTick) {
-  EXPECT_TRUE((ModelConfig{.ticks = 1, .membrane_block = 1024}.Validate().ok()));
-  const auto message = [](const ModelConfig& config) {
-    return std::string(config.Validate().message());
-  };
-  EXPECT_EQ(message({.membrane_block = 8}), "ticks: expected 1 with membrane_block 8, received 10");
-  EXPECT_EQ(message({.ticks = 1, .membrane_block = 1025}),
-            "membrane_block: expected 0 to 1024, received 1025");
-  EXPECT_EQ(message({.ticks = 1, .membrane_block = -1}),
-            "membrane_block: expected 0 to 1024, received -1");
-  EXPECT_EQ(message({.mode = Mode::kDense, .membrane_block = 8}),
-            "mode: expected one with spikes with membrane_block 8, received dense");
-  EXPECT_EQ(message({.ticks = 1, .coder = CoderKind::kBernoulli, .membrane_block = 8}),
-            "coder: expected lif with membrane_block 8, received bernoulli");
-  EXPECT_EQ(message({.ticks = 1, .arithmetic = Arithmetic::kInt8, .membrane_block = 8}),
-            "arithmetic: expected float32 with membrane_block 8, received int8");
-}
-
 TEST(ModelConfig, Int8AcceptsTheLargestDecayThatFits) {
   EXPECT_TRUE((ModelConfig{.membrane_decay = 32767.0f / 32768.0f, .arithmetic = Arithmetic::kInt8}
                    .Validate()

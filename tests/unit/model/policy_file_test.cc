@@ -115,20 +115,6 @@ TEST_F(PolicyFileTest, EveryFieldRoundTripsBitForBit) {
   ExpectRoundTrip(policy, Path());
 }
 
-TEST_F(PolicyFileTest, CarriedMembranesHaveTheirBlock) {
-  ModelConfig config = SmallConfig();
-  config.ticks = 1;
-  config.membrane_block = 16;
-  ExpectRoundTrip(SmallPolicy(config), Path());
-  const auto contents = ReadSafetensors(Path());
-  ASSERT_TRUE(contents.ok());
-  EXPECT_EQ(json::parse(contents->metadata.at("config"))["membrane_block"], 16);
-  // Servers that do not know the key can read other policies.
-  ExpectRoundTrip(SmallPolicy(SmallConfig()), Path());
-  EXPECT_FALSE(
-      json::parse(ReadSafetensors(Path())->metadata.at("config")).contains("membrane_block"));
-}
-
 TEST_F(PolicyFileTest, ObservationChangesComeWithTheirScales) {
   ModelConfig config = SmallConfig();
   config.observation_changes = true;

@@ -157,16 +157,6 @@ refuses '--mirror: expected no such flag beside --lookback' \
 refuses '--mirror: expected no such flag beside --init, received 2' \
   train --data=data.cbor --out=x --init=whole/policy.safetensors --mirror=2
 
-# Membranes that are carried from timestep to timestep.
-"$spiketrain" train --data=data.cbor --out=carried "${tiny[@]}" --iterations=2 --ticks=1 --membrane_block=4 >/dev/null 2>&1
-"$spiketrain" train --data=data.cbor --out=more --init=carried/policy.safetensors --batch=2 --episodes=1 --iterations=1 >/dev/null 2>&1
-grep -aq 'membrane_block.*4' more/policy.safetensors || fail "membrane_block is lost"
-refuses '--ticks: expected 1 with membrane_block 4, received 10' train --data=data.cbor --out=x --membrane_block=4
-refuses '--membrane_block: expected what --init has, 4, or no such flag, received 5' \
-  train --data=data.cbor --out=x --init=carried/policy.safetensors --membrane_block=5
-refuses 'carried/policy.safetensors: arithmetic: expected float32 with membrane_block 4, received int8' \
-  quantize --policy=carried/policy.safetensors --out=x.safetensors
-
 # The paper's other learners: a router of one layer, and a head that learns by three factors alone.
 "$spiketrain" train --data=data.cbor --out=local "${tiny[@]}" --iterations=2 --routing_hidden_size=2 --gate=sigmoid \
   --activity_router --freeze=head --local_rate=0.01 --local_rule=hebbian >/dev/null 2>&1 || fail "local"

@@ -171,8 +171,6 @@ def _config_values(config: ModelConfig) -> dict[str, Any]:
         del values["arithmetic"]
     if not config.observation_changes:
         del values["observation_changes"]
-    if config.membrane_block == 0:
-        del values["membrane_block"]
     return values
 
 

@@ -35,8 +35,6 @@ class ModelConfig:
     arithmetic: str = "float32"  # of the spike-driven weights; or int8
     # Whether the state token also contains the change of the observation since the last timestep.
     observation_changes: bool = False
-    # Timesteps over which membranes are carried; 0: every token starts anew.
-    membrane_block: int = 0
 
     CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {
         "mode": ("baseline", "pos", "route", "full", "dense"),
@@ -67,11 +65,6 @@ class ModelConfig:
             check(fits, field, f"an integer from 1 to {limit}", repr(value))
         is_bool = isinstance(self.observation_changes, bool)
         check(is_bool, "observation_changes", "True or False", repr(self.observation_changes))
-        block = self.membrane_block
-        fits = type(block) is int and 0 <= block <= 1024
-        check(fits, "membrane_block", "an integer from 0 to 1024", repr(block))
-        if block > 0:
-            self._check_carried()
         divides = self.hidden_size % self.heads == 0
         check(divides, "hidden_size", f"a multiple of heads = {self.heads}", self.hidden_size)
         check(0 <= self.membrane_decay <= 1, "membrane_decay", "0 to 1", self.membrane_decay)
@@ -82,13 +75,6 @@ class ModelConfig:
             fits = np.rint(np.float32(self.membrane_decay) * np.float32(32768)) <= 32767
             expected = "at most 32767/32768 after rounding with arithmetic int8"
             check(bool(fits), "membrane_decay", expected, self.membrane_decay)
-
-    def _check_carried(self) -> None:
-        expected = {"ticks": 1, "coder": "lif", "arithmetic": "float32"}
-        for field, value in expected.items():
-            received = getattr(self, field)
-            check(received == value, field, f"{value} with membrane_block", repr(received))
-        check(not self.is_dense, "mode", "one with spikes with membrane_block", repr(self.mode))
 
     @property
     def is_int8(self) -> bool:

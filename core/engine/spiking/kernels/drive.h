@@ -13,9 +13,6 @@ struct Drive {
   int ticks = 0;
   std::vector<const Current*> terms;
   std::vector<int> offsets;  // [ticks + 1]
-  // [lanes]: where the neurons start, and where their membranes are written; null: they start at 0.
-  // Integer kernels do not read them.
-  float* membranes = nullptr;
 };
 
 }  // namespace spikeserve::kernels

@@ -97,10 +97,7 @@ HWY_INLINE void RunLif(const Lif& lif, const float* bias, const Drive<float>& dr
   const float* const* terms = drive.terms.data();
   bias = Opaque(bias + lane);
   VecF membrane[kVectors];
-  float* const kept = drive.membranes == nullptr ? nullptr : drive.membranes + lane;
-  for (int v = 0; v < kVectors; ++v) {
-    membrane[v] = kept == nullptr ? hn::Zero(d) : hn::LoadU(d, kept + v * kVector);
-  }
+  for (int v = 0; v < kVectors; ++v) membrane[v] = hn::Zero(d);
   for (int tick = 0, k = 0; tick < ticks; ++tick) {
     VecF current[kVectors];
     for (int v = 0; v < kVectors; ++v) current[v] = hn::LoadU(d, bias + v * kVector);
@@ -116,9 +113,6 @@ HWY_INLINE void RunLif(const Lif& lif, const float* bias, const Drive<float>& dr
       membrane[v] = hn::IfThenZeroElse(spike, membrane[v]);
       on_spike(tick, v, spike);
     }
-  }
-  for (int v = 0; v < kVectors && kept != nullptr; ++v) {
-    hn::StoreU(membrane[v], d, kept + v * kVector);
   }
 }
 

@@ -25,9 +25,9 @@ void CoderPeriods(const PeriodTable& table, const float* x, const float* gain, c
 const float* SumRows(const PackedLinear& linear, const int32_t* members, int count, int width,
                      float* sum);
 
-// Runs the LIF neurons of the lanes first ... first + width - 1 of `linear` from V = 0, or from the
-// membranes of the drive, and writes their spikes to `bits` [ticks][width / 32]: lane first + i is
-// bit i % 32 of word i / 32. REQUIRES: `first` and `width` are multiples of kLanes.
+// Runs the LIF neurons of the lanes first ... first + width - 1 of `linear` from V = 0 and writes
+// their spikes to `bits` [ticks][width / 32]: lane first + i is bit i % 32 of word i / 32.
+// REQUIRES: `first` and `width` are multiples of kLanes.
 void LifBits(const Lif& lif, const PackedLinear& linear, const Drive<float>& drive, int first,
              int width, uint32_t* bits);
 

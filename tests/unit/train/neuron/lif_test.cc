@@ -147,36 +147,6 @@ TEST_P(LifGradientTest, EqualsTheGraphOverTicks) {
   }
 }
 
-// A membrane that is not kept starts a new sequence, forward and backward, for its clip alone.
-TEST_P(LifGradientTest, MembranesThatAreNotKeptStartAnew) {
-  constexpr int kFirst = 3;  // the tick before which the second clip's membranes are not kept
-  LifOptions options = {.neuron = {.decay = 0.9f, .threshold = 0.8f},
-                        .ticks = kTicks,
-                        .surrogate = {GetParam(), 4.0f}};
-  const torch::Tensor weight = torch::randn({kTicks, 2, kNeurons / 2});
-  torch::Tensor fused = RandomCurrent({kTicks, 2, kNeurons / 2});
-  torch::Tensor apart = fused.clone();
-  fused.requires_grad_();
-  apart.requires_grad_();
-  const torch::Tensor first = LifPerTick(apart.select(1, 0), options);
-  LifOptions before = options, after = options;
-  before.ticks = kFirst;
-  after.ticks = kTicks - kFirst;
-  const torch::Tensor second =
-      torch::cat({LifPerTick(apart.slice(0, 0, kFirst).select(1, 1), before),
-                  LifPerTick(apart.slice(0, kFirst).select(1, 1), after)});
-  const torch::Tensor expected = torch::stack({first, second}, 1);
-  options.keep = torch::ones({kTicks, 2});
-  options.keep[kFirst][1] = 0.0f;
-  const torch::Tensor spikes = LifPerTick(fused, options);
-  ASSERT_TRUE(torch::equal(spikes, expected));
-  options.keep = torch::Tensor();
-  ASSERT_FALSE(torch::equal(LifPerTick(fused, options), expected));
-  (spikes * weight).sum().backward();
-  (expected * weight).sum().backward();
-  EXPECT_TRUE(torch::allclose(fused.grad(), apart.grad(), 1e-5, 1e-6));
-}
-
 constexpr int64_t kWidth = 26;  // of the population; kNeurons is a multiple of it
 constexpr IntegerLif kScaled = {.decay = 29491};
 constexpr ShiftLif kShifted = {.shift = 3};

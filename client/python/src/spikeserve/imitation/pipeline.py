@@ -46,7 +46,7 @@ class ImitationResult:
 
     policies: pathlib.Path  # a folder for `spikeserve --policies`
     policy: pathlib.Path  # the policy in float32
-    quantized: pathlib.Path | None  # the same with 8-bit weights; None if there is no such form
+    quantized: pathlib.Path | None  # the same with 8-bit weights; None in mode dense
     report: pathlib.Path
     figures: Figures  # of `policy`
     quantized_figures: Figures | None
@@ -143,12 +143,6 @@ class _Run:
     @property
     def _is_dense(self) -> bool:
         return self._options.mode == "dense"
-
-    @property
-    def _has_int8_form(self) -> bool:
-        # Membranes that are carried are floating-point numbers.
-        carried = any(flag.startswith("--membrane_block=") for flag in self._options.train_flags)
-        return not self._is_dense and not carried
 
     def _chosen(
         self, name: str, choose: Callable[[], RecordingPlan | TrainingPlan]
@@ -341,7 +335,7 @@ class _Run:
         first, first_figures = self._publish_version(1, chosen.policy)
         second: pathlib.Path | None = None
         second_figures: Figures | None = None
-        if self._has_int8_form:
+        if not self._is_dense:
             stage = folder / "stages/quantized/policy.safetensors"
             # From the published file, so that its record names a parent that exists for others.
             quantized = self._trainer.quantize(first, stage)
