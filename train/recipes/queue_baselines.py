@@ -1,12 +1,14 @@
-"""Fits a linear map and perceptrons to a queue of past observations, and plays them: what memory without attention reaches.
+"""Fits a linear map, perceptrons on a queue of past observations, and gated recurrent units; plays them: memory without attention.
 
     python train/recipes/queue_baselines.py popgym:popgym-CountRecallEasy-v0 --data=FOLDER --length=52 --hidden=0,64,256
 
 FOLDER is a dataset that `spikeserve imitate` recorded, `OUT/data/expert-v0`. The input is the last LENGTH observations side by
-side, newest first, 0 where there was none. HIDDEN is the width of two hidden layers; 0 is a linear map. Actions are Discrete.
+side, newest first, 0 where there was none. HIDDEN is the width of two hidden layers; 0 is a linear map. GRU is the size of a recurrent state,
+which reads one observation at a time. Actions are Discrete.
 """
 
 import argparse
+import contextlib
 import itertools
 import pathlib
 
@@ -14,6 +16,8 @@ import numpy as np
 from spikeserve.imitation.datasets import read_dataset
 from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Choice, play
+
+from gru import Gru, GruActor
 
 BATCH, RATE, DECAYS = 256, 2e-3, (0.9, 0.999)  # of Adam; the rate falls to 0 as a cosine
 ENVIRONMENTS = 16  # played at once
@@ -27,13 +31,16 @@ def queue_of(observations, length):
     return queue.ravel()
 
 
-def read(folder, length):
-    """Returns the inputs and the labels of all decisions of a dataset."""
-    inputs, labels = [], []
-    for episode in read_dataset(folder):
-        labels += episode.labels or episode.actions
-        inputs += [queue_of(episode.observations[: step + 1], length) for step in range(episode.steps)]
-    return np.stack(inputs), np.array(labels)
+def read(folder):
+    """Returns the observations [steps, size] and the labels [steps] of all episodes of a dataset."""
+    episodes = read_dataset(folder)
+    return [(np.asarray(e.observations[: e.steps], np.float32), np.array(e.labels or e.actions)) for e in episodes]
+
+
+def queues(episodes, length):
+    """Returns the inputs and the labels of all decisions."""
+    inputs = [queue_of(seen[: step + 1], length) for seen, _ in episodes for step in range(len(seen))]
+    return np.stack(inputs), np.concatenate([labels for _, labels in episodes])
 
 
 class Perceptron:
@@ -105,27 +112,39 @@ def main():
     parser.add_argument("env_id", help="as `spikeserve imitate` takes it")
     parser.add_argument("--data", required=True, type=pathlib.Path)
     parser.add_argument("--length", required=True, type=int)
-    parser.add_argument("--hidden", default="0,64,256")
+    parser.add_argument("--hidden", default="0,64,256", help="widths; empty: none")
+    parser.add_argument("--gru", default="", help="sizes of recurrent states; empty: none")
     parser.add_argument("--epochs", default=40, type=int)
+    parser.add_argument("--gru_epochs", default=100, type=int)
     parser.add_argument("--episodes", default=300, type=int)
     parser.add_argument("--seed", default=2_000_000, type=int, help="first start to play")
     arguments = parser.parse_args()
-    inputs, labels = read(arguments.data, arguments.length)
+    episodes = read(arguments.data)
     factory = EnvironmentFactory(arguments.env_id)
-    environment = factory.make()
-    actions = int(environment.action_space.n)
-    environment.close()
-    for hidden in map(int, arguments.hidden.split(",")):
+    with contextlib.closing(factory.make()) as environment:
+        actions = int(environment.action_space.n)
+
+    def report(name, actor, multiplications):
+        seeds = iter(range(arguments.seed, arguments.seed + arguments.episodes))
+        returns = [e.episode_return for e in play(factory.make, actor, seeds, ENVIRONMENTS)]
+        print(f"{name}: return {np.mean(returns):.3f} ± {np.std(returns):.3f}, {multiplications} multiplications", flush=True)
+
+    for size in sizes(arguments.gru):
+        unit = Gru(episodes[0][0].shape[1], size, actions, seed=0)
+        unit.train(episodes, arguments.gru_epochs)
+        report(f"unit of {size}", GruActor(unit, Choice), unit.multiplications)
+    if not arguments.hidden:
+        return
+    inputs, labels = queues(episodes, arguments.length)
+    for hidden in sizes(arguments.hidden):
         model = Perceptron([inputs.shape[1], *([hidden] * 2 if hidden else []), actions], seed=0)
         model.train(inputs, labels, arguments.epochs)
-        seeds = iter(range(arguments.seed, arguments.seed + arguments.episodes))
-        returns = [e.episode_return for e in play(factory.make, QueueActor(model, arguments.length), seeds, ENVIRONMENTS)]
         fit = (model.outputs(inputs[:20000])[-1].argmax(1) == labels[:20000]).mean()
-        print(
-            f"hidden {hidden}: return {np.mean(returns):.3f} ± {np.std(returns):.3f}, {model.multiplications} "
-            f"multiplications, {fit:.1%} of the labels",
-            flush=True,
-        )
+        report(f"hidden {hidden}, {fit:.1%} of the labels", QueueActor(model, arguments.length), model.multiplications)
+
+
+def sizes(text):
+    return [int(size) for size in text.split(",") if size]
 
 
 if __name__ == "__main__":

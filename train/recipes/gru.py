@@ -1,0 +1,135 @@
+"""A gated recurrent unit in NumPy, trained by backpropagation through whole episodes: the smallest memory without attention.
+
+K. Cho et al., "Learning phrase representations using RNN encoder-decoder", EMNLP 2014; the reset gate acts on U h, as in cuDNN.
+"""
+
+import numpy as np
+
+BATCH, RATE, DECAYS = 32, 3e-3, (0.9, 0.999)  # episodes; of Adam, whose rate falls to 0 as a cosine
+LARGEST_GRADIENT = 1.0  # norm of all gradients together
+
+
+def sigmoid(x):
+    return 1 / (1 + np.exp(-np.clip(x, -30, 30)))
+
+
+class Gru:
+    """h <- z h + (1 - z) tanh(W x + r (U h)); z, r = sigmoid(W x + U h + b); logits = V h + c.
+
+    `inputs`, `hidden` and `outputs` are sizes. Columns are those of z, r and the candidate, side by side.
+    """
+
+    def __init__(self, inputs, hidden, outputs, seed):
+        self._random = np.random.default_rng(seed)
+        self._hidden = hidden
+        shapes = {
+            "w": (inputs, 3 * hidden),
+            "u": (hidden, 3 * hidden),
+            "b": (3 * hidden,),
+            "v": (hidden, outputs),
+            "c": (outputs,),
+        }
+        self._p = {name: self._random.normal(0, hidden**-0.5, shape).astype(np.float32) for name, shape in shapes.items()}
+        self._p["b"][:], self._p["c"][:] = 0, 0
+        self._p["b"][:hidden] = 1  # remembers at first
+        self._moments = {name: (np.zeros_like(p), np.zeros_like(p)) for name, p in self._p.items()}
+
+    @property
+    def multiplications(self):
+        """Returns the number of a step."""
+        return sum(self._p[name].size for name in "wuv") + 3 * self._hidden
+
+    def first_state(self, rows):
+        return np.zeros((rows, self._hidden), np.float32)
+
+    def step(self, drive, h):
+        """Returns the gates, the candidate, U h of the candidate, and the next state. `drive` is W x + b."""
+        size = self._hidden
+        inner = h @ self._p["u"]
+        gates = sigmoid(drive[:, : 2 * size] + inner[:, : 2 * size])
+        z, r = gates[:, :size], gates[:, size:]
+        candidate = np.tanh(drive[:, 2 * size :] + r * inner[:, 2 * size :])
+        return z, r, candidate, inner[:, 2 * size :], z * h + (1 - z) * candidate
+
+    def logits(self, observations, h):
+        """Returns the logits of one step, [rows, outputs], and the next state."""
+        h = self.step(observations @ self._p["w"] + self._p["b"], h)[-1]
+        return h @ self._p["v"] + self._p["c"], h
+
+    def gradients(self, inputs, labels, weights):
+        """Returns the mean cross-entropy and its gradients. `inputs` are [steps, rows, inputs], the others [steps, rows]."""
+        size, p = self._hidden, self._p
+        drive = inputs @ p["w"] + p["b"]
+        states, tape = [self.first_state(inputs.shape[1])], []
+        for x in drive:
+            *values, h = self.step(x, states[-1])
+            tape.append(values)
+            states.append(h)
+        after = np.stack(states[1:])
+        scores = after @ p["v"] + p["c"]
+        odds = np.exp(scores - scores.max(-1, keepdims=True))
+        odds /= odds.sum(-1, keepdims=True)
+        chosen = np.take_along_axis(odds, labels[..., None], -1)[..., 0]
+        loss = -(np.log(chosen + 1e-12) * weights).sum() / weights.sum()
+        error = odds
+        np.put_along_axis(error, labels[..., None], (chosen - 1)[..., None], -1)
+        error *= (weights / weights.sum())[..., None]
+        of_states = error @ p["v"].T
+        of_drive, of_inner = np.empty_like(drive), np.empty_like(drive)
+        back = np.zeros_like(states[0])
+        for t in reversed(range(len(drive))):
+            z, r, candidate, inner = tape[t]
+            back = back + of_states[t]
+            of_candidate = back * (1 - z) * (1 - candidate**2)
+            of_gates = np.concatenate([back * (states[t] - candidate) * z * (1 - z), of_candidate * inner * r * (1 - r)], 1)
+            of_drive[t] = np.concatenate([of_gates, of_candidate], 1)
+            of_inner[t] = np.concatenate([of_gates, of_candidate * r], 1)
+            back = back * z + of_inner[t] @ p["u"].T
+        flat = lambda values: values.reshape(-1, values.shape[-1])  # noqa: E731
+        return loss, {
+            "w": flat(inputs).T @ flat(of_drive),
+            "b": flat(of_drive).sum(0),
+            "u": flat(np.stack(states[:-1])).T @ flat(of_inner),
+            "v": flat(after).T @ flat(error),
+            "c": flat(error).sum(0),
+        }
+
+    def train(self, episodes, epochs):
+        """Makes `epochs` passes over episodes, each the observations [steps, inputs] and the labels [steps], in random draws."""
+        steps = epochs * len(episodes) // BATCH
+        for step in range(steps):
+            chosen = [episodes[i] for i in self._random.integers(0, len(episodes), BATCH)]
+            longest = max(len(labels) for _, labels in chosen)
+            inputs = np.zeros((longest, BATCH, chosen[0][0].shape[1]), np.float32)
+            labels, weights = np.zeros((longest, BATCH), np.int64), np.zeros((longest, BATCH), np.float32)
+            for row, (seen, answers) in enumerate(chosen):
+                inputs[: len(seen), row], labels[: len(seen), row], weights[: len(seen), row] = seen, answers, 1
+            _, gradients = self.gradients(inputs, labels, weights)
+            self._descend(gradients, step, RATE / 2 * (1 + np.cos(np.pi * step / steps)))
+
+    def _descend(self, gradients, step, rate):
+        norm = np.sqrt(sum(float((g**2).sum()) for g in gradients.values()))
+        for name, g in gradients.items():
+            m, v = self._moments[name]
+            g = g * min(1.0, LARGEST_GRADIENT / (norm + 1e-12))
+            m += (1 - DECAYS[0]) * (g - m)
+            v += (1 - DECAYS[1]) * (g * g - v)
+            corrected = np.sqrt(v / (1 - DECAYS[1] ** (step + 1))) + 1e-8
+            self._p[name] -= (rate / (1 - DECAYS[0] ** (step + 1)) * m / corrected).astype(np.float32)
+
+
+class GruActor:
+    """Plays a unit, with a state for each running episode."""
+
+    def __init__(self, unit, choice):
+        self._unit, self._choice, self._states = unit, choice, {}
+
+    def choose(self, rows):
+        states = np.concatenate([self._states.get(row.index, self._unit.first_state(1)) for row in rows])
+        observations = np.stack([np.asarray(row.episode.observations[-1], np.float32) for row in rows])
+        logits, states = self._unit.logits(observations, states)
+        self._states |= {row.index: state[None] for row, state in zip(rows, states, strict=True)}
+        return [self._choice(int(action)) for action in logits.argmax(1)]
+
+    def end(self, row):
+        self._states.pop(row.index, None)
