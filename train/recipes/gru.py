@@ -29,15 +29,15 @@ class Gru:
             "v": (hidden, outputs),
             "c": (outputs,),
         }
-        self._p = {name: self._random.normal(0, hidden**-0.5, shape).astype(np.float32) for name, shape in shapes.items()}
-        self._p["b"][:], self._p["c"][:] = 0, 0
-        self._p["b"][:hidden] = 1  # remembers at first
-        self._moments = {name: (np.zeros_like(p), np.zeros_like(p)) for name, p in self._p.items()}
+        self.parameters = {name: self._random.normal(0, hidden**-0.5, shape).astype(np.float32) for name, shape in shapes.items()}
+        self.parameters["b"][:], self.parameters["c"][:] = 0, 0
+        self.parameters["b"][:hidden] = 1  # remembers at first
+        self._moments = {name: (np.zeros_like(p), np.zeros_like(p)) for name, p in self.parameters.items()}
 
     @property
     def multiplications(self):
         """Returns the number of a step."""
-        return sum(self._p[name].size for name in "wuv") + 3 * self._hidden
+        return sum(self.parameters[name].size for name in "wuv") + 3 * self._hidden
 
     def first_state(self, rows):
         return np.zeros((rows, self._hidden), np.float32)
@@ -45,7 +45,7 @@ class Gru:
     def step(self, drive, h):
         """Returns the gates, the candidate, U h of the candidate, and the next state. `drive` is W x + b."""
         size = self._hidden
-        inner = h @ self._p["u"]
+        inner = h @ self.parameters["u"]
         gates = sigmoid(drive[:, : 2 * size] + inner[:, : 2 * size])
         z, r = gates[:, :size], gates[:, size:]
         candidate = np.tanh(drive[:, 2 * size :] + r * inner[:, 2 * size :])
@@ -53,12 +53,12 @@ class Gru:
 
     def logits(self, observations, h):
         """Returns the logits of one step, [rows, outputs], and the next state."""
-        h = self.step(observations @ self._p["w"] + self._p["b"], h)[-1]
-        return h @ self._p["v"] + self._p["c"], h
+        h = self.step(observations @ self.parameters["w"] + self.parameters["b"], h)[-1]
+        return h @ self.parameters["v"] + self.parameters["c"], h
 
     def gradients(self, inputs, labels, weights):
         """Returns the mean cross-entropy and its gradients. `inputs` are [steps, rows, inputs], the others [steps, rows]."""
-        size, p = self._hidden, self._p
+        size, p = self._hidden, self.parameters
         drive = inputs @ p["w"] + p["b"]
         states, tape = [self.first_state(inputs.shape[1])], []
         for x in drive:
@@ -115,7 +115,7 @@ class Gru:
             m += (1 - DECAYS[0]) * (g - m)
             v += (1 - DECAYS[1]) * (g * g - v)
             corrected = np.sqrt(v / (1 - DECAYS[1] ** (step + 1))) + 1e-8
-            self._p[name] -= (rate / (1 - DECAYS[0] ** (step + 1)) * m / corrected).astype(np.float32)
+            self.parameters[name] -= (rate / (1 - DECAYS[0] ** (step + 1)) * m / corrected).astype(np.float32)
 
 
 class GruActor:
