@@ -10,6 +10,8 @@ from study_tables import joined, row, score
 
 ALPHA = 0.05
 MODES_THAT_PLAY_LONGER = ("dense", "baseline", "pos", "route", "full")
+ENERGY = "nanojoules_per_decision"
+FIGURES = (("mean_return", 1), ("spikes_per_decision", 0), (ENERGY, 1))
 MODES_OF_SHARES = ("baseline", "pos", "full")
 
 
@@ -48,7 +50,7 @@ def changes_table(runs):
                 f"`{arm}`",
                 *(difference(samples.get((arm, task)), p_values.get((arm, task), 1.0)) for task in study_plan.PART_TASKS),
                 ratio(runs, arm, "spikes_per_decision"),
-                ratio(runs, arm, "nanojoules_per_decision"),
+                ratio(runs, arm, ENERGY),
             ]
         )
 
@@ -114,7 +116,30 @@ def shares_table(runs):
             yield row([f"{task}, `{mode}`", *cells, str(len(seeds))])
 
 
+def tick_table(runs):
+    """The ticks of `full` against one. Policies in integers are played from fewer starts."""
+    arms = [(task, arm) for task in study_plan.PART_TASKS for arm in ("full", "long", "tick-1") if (task, arm) in runs]
+    if not any(arm == "tick-1" for _, arm in arms):
+        return
+    yield row(["task", "", "seeds", "return", "spikes", "nJ", "return in integers", "nJ in integers"])
+    yield row(["---", "---", *["---:"] * 6])
+    for task, arm in arms:
+        seeds = runs[task, arm].values()
+        yield row(
+            [
+                *(task, f"`{arm}`", str(len(seeds))),
+                *(mean_of(seeds, figure, digits) for figure, digits in FIGURES),
+                *(mean_of([run.get("integer", {}) for run in seeds], figure, 1) for figure in ("mean_return", ENERGY)),
+            ]
+        )
+
+
+def mean_of(results, figure, digits):
+    values = [result[figure] for result in results if figure in result]
+    return f"{np.mean(values):.{digits}f}" if values else ""
+
+
 def tables(folder):
     """Returns the second generated part of the page."""
     runs = read_runs(folder)
-    return joined([changes_table(runs), *longer_tables(runs), shares_table(runs)])
+    return joined([changes_table(runs), *longer_tables(runs), shares_table(runs), tick_table(runs)])
