@@ -1,6 +1,6 @@
 """Draws what the paper draws and no run decides: its figures 1, 4, 5, 8, 10 and 17, as they are built here.
 
-    python train/report/drawings.py docs/evidence/report
+    python train/report/drawings.py docs/evidence/drawings
 
 Writes one PNG file for each. Needs matplotlib.
 """
@@ -125,7 +125,7 @@ def main():
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     for name, (boxes, arrows) in DRAWINGS.items():
-        path = out / f"drawing_{name}.png"
+        path = out / f"{name}.png"
         draw(boxes, arrows).savefig(path, metadata={"Software": None})
         print(path)
 
