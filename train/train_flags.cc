@@ -89,6 +89,7 @@ void AddTrainerFlags(Command command, TrainerFlags* flags) {
       .Add("delay", "BEATS", &flags->delay,
            "Beats until a decision is executed: 3, or 0..5 drawn by clip")
       .Add("validation", "SHARE", &options.validation, "Share of episodes held out")
+      .Add("threads", "N", &options.threads, "Threads; their number decides the last bits")
       .AddList("freeze", "NAME,...", &options.frozen,
                "Tensors that are not trained, by name or part: head, routing.hidden");
   command.Flags("Plasticity")

@@ -6,8 +6,6 @@ usage="usage: $0 SPIKETRAIN OUT_DIR [RUN]"
 spiketrain=${1:?$usage}
 out=${2:?$usage}
 run=${3:+${3}0}
-# The number of threads determines the order of sums, and thereby the last bits of the weights.
-export OMP_NUM_THREADS=1
 mkdir -p "$out"
 
 # data NAME FLAGS...: records OUT_DIR/NAME.cbor unless the file exists.

@@ -1,5 +1,6 @@
 #include "train/trainer/trainer.h"
 
+#include <ATen/Parallel.h>
 #include <torch/nn/utils/clip_grad.h>
 #include <torch/optim/adamw.h>
 #include <torch/serialize.h>
@@ -95,6 +96,7 @@ absl::Status TrainOptions::Validate() const {
         "0 to 100 percent", 100.0 * rate_targets.readout);
   check(spike_penalty >= 0.0, "spike_penalty", "0 or more", spike_penalty);
   check(operation_penalty >= 0.0, "operation_penalty", "0 or more", operation_penalty);
+  check(threads >= 1, "threads", "at least 1", threads);
   check(surrogate.slope > 0.0f, "slope", "a number above 0", surrogate.slope);
   check(plasticity.rate >= 0.0, "local_rate", "0 or more", plasticity.rate);
   check(plasticity.trace_decay >= 0.0 && plasticity.trace_decay <= 1.0, "trace_decay", "0 to 1",
@@ -127,6 +129,7 @@ std::string TrainOptions::ToFlags() const {
                           plasticity.rate, std::string(ToString(plasticity.rule)),
                           plasticity.trace_decay);
   }
+  if (threads != 1) absl::StrAppend(&flags, " --threads=", threads);
   if (!frozen.empty()) absl::StrAppend(&flags, " --freeze=", absl::StrJoin(frozen, ","));
   return flags;
 }
@@ -189,6 +192,7 @@ Trainer::Trainer(Policy initial, const EpisodeSource& source, const TrainOptions
       spread_(torch::tensor(EncodedLabels(source).std)),
       model_(initial, options.surrogate, options.arithmetic, options.patches, options.seed),
       optimizer_(Optimizer::Make(model_.parameters(), options)) {
+  at::set_num_threads(options.threads);
   if (source.resident()) {
     clips_ = std::make_unique<ClipSampler>(source.dataset(), split_.training, clip_steps_,
                                            options.delay);

@@ -1,7 +1,7 @@
 // Trains a policy on recorded episodes with AdamW.
 //
 // Not thread-safe. Every random draw is a pure function of seed and iteration, so a run is
-// determined by its options, the data and the number of threads. A run resumed from a checkpoint
+// determined by its options and the data. A run resumed from a checkpoint
 // computes exactly the same weights as an uninterrupted one. Example:
 //
 //   EpisodeSource source(dataset);
@@ -45,6 +45,9 @@ struct TrainOptions {
   RateTargets rate_targets;     // the penalty grows linearly over the first third of the iterations
   double spike_penalty = 1.0;   // weight of the penalty on firing rates
   double operation_penalty = 0.0;  // weight of the penalty on synaptic operations; grows alike
+  // Of the whole process. The number decides the order of sums, and so the last bits of the
+  // weights. On a busy machine, or with small models, one thread is the fastest.
+  int threads = 1;
   Surrogate surrogate;
   PatchShape patches;                            // of image observations; only for new policies
   Arithmetic arithmetic = Arithmetic::kFloat32;  // of the forward pass and of the policy it makes
@@ -57,7 +60,7 @@ struct TrainOptions {
   absl::Status Validate() const;
 
   // Returns the flags of `spiketrain train` for these options, including defaults except those of
-  // `arithmetic`, `patches`, `delay`, `plasticity` and `frozen`.
+  // `arithmetic`, `patches`, `delay`, `plasticity`, `frozen` and `threads`.
   std::string ToFlags() const;
 };
 

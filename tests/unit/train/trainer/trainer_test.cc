@@ -428,6 +428,8 @@ TEST(TrainOptionsTest, BadOptionsAreNamed) {
             "action_noise: expected 0 to 1, received 2");
   EXPECT_EQ(With([](TrainOptions& o) { o.rate_targets.hidden = -0.01; }).Validate().message(),
             "target_rate: expected 0 to 100 percent, received -1");
+  EXPECT_EQ(With([](TrainOptions& o) { o.threads = 0; }).Validate().message(),
+            "threads: expected at least 1, received 0");
   EXPECT_EQ(With([](TrainOptions& o) { o.plasticity.trace_decay = 2.0; }).Validate().message(),
             "trace_decay: expected 0 to 1, received 2");
 }
