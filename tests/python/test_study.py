@@ -148,7 +148,7 @@ def test_a_miniature(tmp_path):
 
 def test_a_miniature_of_the_parts(tmp_path):
     """Parts train and play, `full` also in longer contexts, and have their cells in the tables."""
-    parts = ("router-activity", "context-50", "hebbian-instead", "pos-quarter", "pos-half")
+    parts = ("router-activity", "context-50", "hebbian-instead-1e-2", "pos-quarter", "pos-half")
     for arm in ("pos", "full", *parts):
         only = study(tmp_path, f"--only=cartpole-{arm}-1", "--tasks=cartpole")
         assert only.returncode == 0, only.stderr

@@ -56,7 +56,10 @@ class Study:
 
 def run_named(name, tasks, seeds):
     runs = [*study_plan.sweep_runs(tasks), *study_plan.study_runs(tasks, seeds), *study_plan.part_runs(tasks, seeds)]
-    return next(run for run in runs if run.name == name)
+    run = next((run for run in runs if run.name == name), None)
+    if run is None:
+        sys.exit(f"study: --only: expected a run of the plan, such as {runs[-1].name}, received {name}")
+    return run
 
 
 def train_all(study, runs, command, jobs):

@@ -114,12 +114,14 @@ PARTS = {
     "clock-window": Arm(flags=("--phase_clock=window",)),
     "phase-frozen": Arm(flags=("--freeze=phase",)),
     "head-frozen": Arm(flags=("--freeze=head",)),
-    "hebbian-beside": Arm(flags=("--local_rate=0.01", "--local_rule=hebbian")),
-    "hebbian-instead": Arm(flags=("--local_rate=0.01", "--local_rule=hebbian", "--freeze=head")),
-    "local-beside": Arm(flags=("--local_rate=0.01",)),
-    "local-instead": Arm(flags=("--local_rate=0.01", "--freeze=head")),
-    "tick-1": Arm(flags=("--ticks=1",), clip=64, share=4, priced=True),  # a tick costs an eighth
+    **{
+        f"{name}-{place}-{rate}": Arm(flags=(f"--local_rate={rate}", f"--local_rule={rule}", *flags))
+        for name, rule in (("hebbian", "hebbian"), ("score", "policy_gradient"))
+        for place, flags in (("beside", ()), ("instead", ("--freeze=head",)))
+        for rate in ("1e-3", "1e-2")  # the range of the paper
+    },
     "long": Arm(clip=64, share=4),
+    "tick-1": Arm(flags=("--ticks=1",), clip=64, share=4, priced=True),  # a tick costs an eighth
     **{f"{mode}-{name}": Arm(mode, share=share) for name, share in SHARES.items() for mode in ("baseline", "pos", "full")},
 }
 PART_TASKS = ("cartpole", "pendulum", "repeat-4")  # the shortest
