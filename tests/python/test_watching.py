@@ -34,6 +34,7 @@ ABSENT = {"ActStream"}
 SCRAPE_LABELS = {"job", "instance"}
 # What Prometheus makes itself, with the labels of its own.
 OF_PROMETHEUS = {"up": set(), "ALERTS": {"alertname", "alertstate"}}
+STEPS = 5  # of an episode
 OBSERVATION = [0.01, -0.02, 0.03, 0.1]
 PROMTOOL_SECONDS = 600  # it evaluates days of every alert, and other tests run at the same time
 
@@ -123,7 +124,7 @@ def play(service):
     """Plays two episodes and makes one call for each kind of error. Leaves its session open."""
     session = service.OpenSession(policy="cartpole").session_id
     for _ in range(2):
-        for step in range(5):
+        for step in range(STEPS):
             service.Act(session_id=session, step=step, observation=OBSERVATION, reward=1.0)
         service.EndEpisode(session_id=session, reward=1.0, terminated=True)
     play_robot(service)
@@ -203,10 +204,14 @@ def prometheus(server, tmp_path_factory):
     with running_prometheus(tmp_path_factory.mktemp("prometheus"), server.http) as api:
         # A rate needs two samples of every series.
         errors = 'spikeserve_rpc_duration_seconds_count{code="INVALID_ARGUMENT"}'
+        decisions = 'spikeserve_decisions_total{policy="cartpole",version="2"}'
         [(_, before)] = wait_for(lambda: api.query(errors), "the first scrape")
+        [(_, decided)] = wait_for(lambda: api.query(decisions), "the first scrape")
         with grpc.insecure_channel(server.grpc) as channel:
             play(Service(channel, POLICY))
         wait_for(lambda: api.query(f"{errors} > {before}"), "a scrape after the play")
+        # The first play's last error may have been counted after the first scrape, and be the one that is seen.
+        wait_for(lambda: api.query(f"{decisions} >= {decided + 2 * STEPS}"), "a scrape with the play's decisions")
         # The shadow computes later than the answers, and later still on a busy machine.
         shadowed = "increase(spikeserve_shadow_decisions_total[1m]) > 0"
         wait_for(lambda: api.query(shadowed), "a scrape after the shadow's decisions")
