@@ -42,8 +42,11 @@ for compiler in "$@"; do
   "$compiler" --version | head -1
   train=ON
   [[ $compiler == g++* ]] || train=OFF
+  # The static libraries of the release need the C++ library of its own GCC. An older one would link against its own.
+  mkdir -p build/newest
+  ln -sf /usr/lib/*-linux-gnu/libstdc++.so.6 build/newest/libstdc++.so
   cmake --preset release -B "build/$compiler" --log-level=WARNING \
-    "-DCMAKE_CXX_COMPILER=$compiler" "-DSPIKESERVE_BUILD_TRAIN=$train"
+    "-DCMAKE_CXX_COMPILER=$compiler" "-DSPIKESERVE_BUILD_TRAIN=$train" "-DCMAKE_EXE_LINKER_FLAGS=-L$PWD/build/newest"
   # shellcheck disable=SC2086
   cmake --build "build/$compiler" ${targets:+--target $targets} -- -k 0  # shows all warnings
   for test in golden_test engine_parity_test; do
