@@ -99,7 +99,7 @@ std::vector<ClaimState> RunClaims(RedisClient& client, const RedisClaimant& clai
       continue;
     }
     ClaimedJournal journal = {.epoch = state.epoch, .records = {}};
-    absl::SimpleAtoi(state.found, &journal.claimed_from);
+    if (!absl::SimpleAtoi(state.found, &journal.claimed_from)) journal.claimed_from = 0;
     for (size_t i = 0; i < (*reply)->elements; ++i) journal.records.push_back(TextAt(**reply, i));
     *state.result = std::move(journal);
   }
