@@ -45,7 +45,10 @@ for compiler in "$@"; do
   # The static libraries of the release need the C++ library of its own GCC. An older one would link against its own.
   mkdir -p build/newest
   ln -sf /usr/lib/*-linux-gnu/libstdc++.so.6 build/newest/libstdc++.so
-  cmake --preset release -B "build/$compiler" --log-level=WARNING \
+  # Since version 18 clang mangles some templates of Abseil otherwise than the GCC that Debian made it with.
+  abi=
+  [[ $compiler != clang* ]] || abi=-fclang-abi-compat=17
+  cmake --preset release -B "build/$compiler" --log-level=WARNING "-DCMAKE_CXX_FLAGS=$abi" \
     "-DCMAKE_CXX_COMPILER=$compiler" "-DSPIKESERVE_BUILD_TRAIN=$train" "-DCMAKE_EXE_LINKER_FLAGS=-L$PWD/build/newest"
   # shellcheck disable=SC2086
   cmake --build "build/$compiler" ${targets:+--target $targets} -- -k 0  # shows all warnings
