@@ -1,8 +1,8 @@
 // Trains a policy on recorded episodes with AdamW.
 //
 // Not thread-safe. Every random draw is a pure function of seed and iteration, so a run is
-// determined by its options and the data. A run resumed from a checkpoint
-// computes exactly the same weights as an uninterrupted one. Example:
+// determined by its options and the data. A run resumed from a checkpoint computes exactly the same
+// weights as an uninterrupted one. Example:
 //
 //   EpisodeSource source(dataset);
 //   Trainer trainer(InitialPolicy(config, source, seed), source, options);
@@ -52,7 +52,7 @@ struct TrainOptions {
   PatchShape patches;                            // of image observations; only for new policies
   Arithmetic arithmetic = Arithmetic::kFloat32;  // of the forward pass and of the policy it makes
   HeadPlasticity plasticity;
-  // Tensors of the policy that keep their values, by name or by the part of it that ends at a dot:
+  // Tensors of the policy that keep their values, by name or by a part of it between dots:
   // `head`, `layers.0.routing.hidden`, `routing.hidden`.
   std::vector<std::string> frozen;
 
@@ -71,7 +71,7 @@ class Trainer {
  public:
   // Keeps a reference to `source`. REQUIRES: valid options, whose frozen tensors the policy has,
   // and a valid policy in float32 for the source's environment; with Arithmetic::kInt8 one that
-  // Quantize() accepts.
+  // Quantize() accepts. Sets the number of threads of libtorch in this process.
   Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options);
   ~Trainer();
 

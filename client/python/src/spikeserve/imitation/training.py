@@ -58,6 +58,7 @@ class Spiketrain:
             f"--out={self._relative(out)}",
             f"--seed={training.seed}",
             f"--iterations={training.iterations}",
+            *([f"--threads={self.threads}"] if self.threads != 1 else []),
             "--episodes=1",  # of its own evaluation, which is not used here
             "--no_baselines",  # compare() fits them once, on all data
             "--resume",
@@ -93,7 +94,7 @@ class Spiketrain:
     def _run(self, *arguments: str) -> None:
         command = [self.program, *arguments]
         self.commands.append(shlex.join(command))
-        environment = os.environ | {"OMP_NUM_THREADS": str(self.threads)}
+        environment = os.environ | {"OMP_NUM_THREADS": str(self.threads)}  # of `compare`
         finished = subprocess.run(
             command,
             cwd=self.folder,
