@@ -367,10 +367,7 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
   RETURN_IF_ERROR(MakeDirectory(flags.out));
   ASSIGN_OR_RETURN(const Policy initial, MakeInitialPolicy(flags, source, options.patches));
   RETURN_IF_ERROR(CheckFrozen(options.frozen, initial));
-  if (flags.activity_router) {
-    const std::vector<std::string> kept = ActivityRouterTensors();
-    options.frozen.insert(options.frozen.end(), kept.begin(), kept.end());
-  }
+  if (flags.activity_router) options.frozen.emplace_back(kActivityRouterTensors);
   ASSIGN_OR_RETURN(const nlohmann::ordered_json sources, IdentifySources(flags.init, flags.data));
 
   Trainer trainer(initial, source, options);

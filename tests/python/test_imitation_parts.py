@@ -265,7 +265,7 @@ def test_patience_ends_a_run_early(tmp_path):
 
 
 def test_the_best_of_several_first_trainings_is_continued(tmp_path):
-    several = ImitationOptions(**(vars(SMALLEST) | {"seeds": 3, "silence": (), "episodes": 2}))
+    several = ImitationOptions(**(vars(SMALLEST) | {"seeds": 3, "silence": (), "episodes": 2, "threads": 2}))
     arguments = ("home_made:HomeMade-v0", home_made.go_to_corner)
     spikeserve.imitate(*arguments, tmp_path, options=several, spiketrain=SPIKETRAIN)
     first = ["1-play", "2-play", "3-play"]
@@ -274,6 +274,7 @@ def test_the_best_of_several_first_trainings_is_continued(tmp_path):
     record = json.loads(spikeserve.engine.Engine(tmp_path / "stages/4-round1/policy.safetensors").training)
     best = tmp_path / "stages" / first[int(np.argmax(returns))] / "policy.safetensors"
     assert record["parent_sha256"] == digest(best)
+    assert "--threads=2" in record["command"].split()
     spread = f"{np.mean(returns):.3f} ± {np.std(returns, ddof=1):.3f}"
     assert f"3 first trainings differ only in their seeds. Mean and standard deviation of their returns: {spread}" in (
         (tmp_path / "report.md").read_text()

@@ -67,7 +67,7 @@ def train_all(study, runs, command, jobs):
     open_runs = [run for run in runs if not study.is_finished(run)]
 
     def train(run):
-        print(f"study: {run.name}", file=sys.stderr, flush=True)
+        sys.stderr.write(f"study: {run.name}\n")  # whole: print() writes the end of the line on its own
         return subprocess.run([*command, f"--only={run.name}"], check=False).returncode == 0
 
     with concurrent.futures.ThreadPoolExecutor(jobs) as pool:

@@ -17,9 +17,8 @@ import numpy as np
 import seed_statistics
 import study_parts
 import study_plan
-from study_tables import joined, row, score
+from study_tables import ALPHA, joined, read_runs, row, score
 
-ALPHA = 0.05
 MARGIN = 5.0  # points of the score: a smaller difference counts as none
 
 
@@ -56,11 +55,8 @@ STATEMENTS = (
 
 def read_results(folder):
     """Returns the results of the study by task, arm and seed."""
-    results = {task: {arm: {} for arm in study_plan.ARMS} for task in study_plan.TASKS}
-    for result in map(json.loads, map(pathlib.Path.read_text, folder.glob("*.json"))):
-        if result["arm"] in study_plan.ARMS:
-            results[result["task"]][result["arm"]][result["seed"]] = result
-    return results
+    runs = read_runs(folder)
+    return {task: {arm: runs.get((task, arm), {}) for arm in study_plan.ARMS} for task in study_plan.TASKS}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,26 +1,12 @@
 """The tables of the parts: `full` with one thing changed, longer contexts, and shorter trainings."""
 
-import json
-import pathlib
-
 import numpy as np
 import seed_statistics
 import study_plan
-from study_tables import joined, row, score
+from study_tables import ALPHA, joined, read_runs, row, score
 
-ALPHA = 0.05
-MODES_THAT_PLAY_LONGER = ("dense", "baseline", "pos", "route", "full")
 ENERGY = "nanojoules_per_decision"
 FIGURES = (("mean_return", 1), ("spikes_per_decision", 0), (ENERGY, 1))
-MODES_OF_SHARES = ("baseline", "pos", "full")
-
-
-def read_runs(folder):
-    """Returns all results of a folder by task and arm, and each of these by seed."""
-    runs = {}
-    for result in map(json.loads, map(pathlib.Path.read_text, sorted(folder.glob("*.json")))):
-        runs.setdefault((result["task"], result["arm"]), {})[result["seed"]] = result
-    return runs
 
 
 def paired(runs, task, arm, measure):
@@ -76,7 +62,7 @@ def difference(sample, p_value):
 def longer_tables(runs):
     """The returns of policies in a context that is longer than that of their training."""
     for name, task in study_plan.TASKS.items():
-        arms = [arm for arm in MODES_THAT_PLAY_LONGER if runs.get((name, arm))]
+        arms = [arm for arm in study_plan.MODES if runs.get((name, arm))]
         if not task.longer or not arms:
             continue
         trained = next(flag.removeprefix("--context=") for flag in task.flags if flag.startswith("--context="))
@@ -94,15 +80,15 @@ def longer_tables(runs):
 
 def shares_table(runs):
     """Return and loss after trainings of several lengths; the whole one is that of the study."""
-    arms = {(mode, share): f"{mode}-{share}" for share in study_plan.SHARES for mode in MODES_OF_SHARES}
-    arms |= {(mode, "whole"): mode for mode in MODES_OF_SHARES}
+    arms = {(mode, share): f"{mode}-{share}" for share in study_plan.SHARES for mode in study_plan.MODES_OF_SHARES}
+    arms |= {(mode, "whole"): mode for mode in study_plan.MODES_OF_SHARES}
     shares = [*study_plan.SHARES, "whole"]
-    if not any((task, arms[mode, "quarter"]) in runs for task in study_plan.PART_TASKS for mode in MODES_OF_SHARES):
+    if not any((task, arms[mode, "quarter"]) in runs for task in study_plan.PART_TASKS for mode in study_plan.MODES_OF_SHARES):
         return
     yield row(["return, validation loss", *(f"{share} of the iterations" for share in shares), "seeds"])
     yield row(["---"] + ["---:"] * (1 + len(shares)))
     for task in study_plan.PART_TASKS:
-        for mode in MODES_OF_SHARES:
+        for mode in study_plan.MODES_OF_SHARES:
             found = [runs.get((task, arms[mode, share]), {}) for share in shares]
             seeds = set.intersection(*(set(seeds) for seeds in found))
             if not seeds:

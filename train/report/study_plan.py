@@ -100,8 +100,11 @@ class Arm:
     priced: bool = False  # also in integers
 
 
-# The paper's modes, the ordinary decision transformer, and `full` trained with a context of one step, which has no past.
-ARMS = {mode: Arm(mode, priced=True) for mode in ("dense", "baseline", "pos", "route", "full")}
+MODES = ("dense", "baseline", "pos", "route", "full")  # the ordinary decision transformer, and the paper's
+MODES_OF_SHARES = ("baseline", "pos", "full")  # of shorter trainings
+
+# The modes, and `full` trained with a context of one step, which has no past.
+ARMS = {mode: Arm(mode, priced=True) for mode in MODES}
 ARMS["full-n1"] = Arm(flags=("--context=1",), priced=True)
 # `full` with one thing changed, and shorter trainings.
 PARTS = {
@@ -122,7 +125,7 @@ PARTS = {
     },
     "long": Arm(clip=64, share=4),
     "tick-1": Arm(flags=("--ticks=1",), clip=64, share=4, priced=True),  # a tick costs an eighth
-    **{f"{mode}-{name}": Arm(mode, share=share) for name, share in SHARES.items() for mode in ("baseline", "pos", "full")},
+    **{f"{mode}-{name}": Arm(mode, share=share) for name, share in SHARES.items() for mode in MODES_OF_SHARES},
 }
 PART_TASKS = ("cartpole", "pendulum", "repeat-4")  # the shortest
 

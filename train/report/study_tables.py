@@ -1,6 +1,19 @@
 """What the tables of the study have in common."""
 
+import json
+import pathlib
+
 import study_plan
+
+ALPHA = 0.05
+
+
+def read_runs(folder):
+    """Returns all results of a folder by task and arm, and each of these by seed."""
+    runs = {}
+    for result in map(json.loads, map(pathlib.Path.read_text, sorted(folder.glob("*.json")))):
+        runs.setdefault((result["task"], result["arm"]), {})[result["seed"]] = result
+    return runs
 
 
 def row(cells):

@@ -29,6 +29,4 @@ absl::Status RouteByActivity(Policy* policy) {
   return absl::OkStatus();
 }
 
-std::vector<std::string> ActivityRouterTensors() { return {"routing.hidden"}; }
-
 }  // namespace spikeserve

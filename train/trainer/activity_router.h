@@ -4,9 +4,6 @@
 #ifndef TRAIN_TRAINER_ACTIVITY_ROUTER_H_
 #define TRAIN_TRAINER_ACTIVITY_ROUTER_H_
 
-#include <string>
-#include <vector>
-
 #include "absl/status/status.h"
 #include "core/model/policy.h"
 
@@ -21,8 +18,8 @@ namespace spikeserve {
 // hidden size is the number of heads.
 absl::Status RouteByActivity(Policy* policy);
 
-// The tensors that have to keep their values in training (TrainOptions::frozen).
-std::vector<std::string> ActivityRouterTensors();
+// What has to keep its values in training (TrainOptions::frozen).
+inline constexpr char kActivityRouterTensors[] = "routing.hidden";
 
 }  // namespace spikeserve
 

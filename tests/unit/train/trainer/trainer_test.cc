@@ -223,8 +223,6 @@ TEST_F(TrainerTest, IntegerTrainingReportsWeightsThatCannotBeRounded) {
   EXPECT_THAT(std::string(status.message()), HasSubstr("tensor \""));
 }
 
-class TrainerModeTest : public TrainerTest, public testing::WithParamInterface<Mode> {};
-
 TEST_F(TrainerTest, FrozenTensorsKeepTheirValuesAndTheHeadLearnsLocally) {
   TrainOptions options = options_;
   options.frozen = {"head", "routing.hidden", "layers.0.coder"};
@@ -253,6 +251,8 @@ TEST_F(TrainerTest, FrozenTensorsKeepTheirValuesAndTheHeadLearnsLocally) {
   EXPECT_THAT(CheckFrozen({"heads"}, initial).message(),
               testing::AllOf(HasSubstr("--freeze: "), HasSubstr("received heads")));
 }
+
+class TrainerModeTest : public TrainerTest, public testing::WithParamInterface<Mode> {};
 
 TEST_P(TrainerModeTest, LearnsToImitate) {
   const EpisodeSource experts(*RecordDataset({.seed = 0, .steps = 2000, .expert_fraction = 1.0}));
