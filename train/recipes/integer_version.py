@@ -101,7 +101,8 @@ def main():
             record_calibration(factory, out / first, out / data)
         command = ["quantize", "--to=integer", "--prune", *shlex.split(arguments.flags)]
         command += [f"--policy={first}", f"--data={data}", f"--out={stage}"]
-    subprocess.run([find_spiketrain(arguments.spiketrain), *command], cwd=out, check=True)
+    if not (out / stage).is_file():  # a recipe that was interrupted continues
+        subprocess.run([find_spiketrain(arguments.spiketrain), *command], cwd=out, check=True)
     before = Figures.from_json(json.loads((out / "evaluations/version-1.json").read_text()))
     evaluator = Evaluator(factory, ENVIRONMENTS)
     after = evaluator.evaluate_policy(out / stage, before.first_seed, len(before.returns), "version 3 plays unseen starts")
