@@ -99,6 +99,13 @@ def test_less_within_the_margin_is_not_worse(tmp_path, less, verdict):
     assert tests[study_page.STATEMENTS[0], "cartpole"].verdict == verdict
 
 
+def test_no_run_looks_further_back_than_its_context():
+    tasks = list(study_plan.TASKS)
+    for run in [*study_plan.study_runs(tasks, 1), *study_plan.part_runs(tasks, 1)]:
+        flags = dict(flag.split("=") for flag in study_plan.train_flags(run, "1e-3", study_plan.Budget()) if "=" in flag)
+        assert int(flags.get("--lookback", 0)) < int(flags["--context"]), run.name
+
+
 def study(folder, *arguments):
     program = [sys.executable, REPORT / "study.py", "--smoke", f"--work={folder}/work", f"--out={folder}/out", *arguments]
     paths = os.pathsep.join([os.environ["PYTHONPATH"], str(ROOT / "train/recipes")])
