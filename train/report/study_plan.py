@@ -186,9 +186,10 @@ def train_flags(run, rate, budget):
     """Returns the flags of `spiketrain train` for a run, without data and folder. `rate` is the learning rate."""
     task, arm = TASKS[run.task], (ARMS | PARTS)[run.arm]
     flags = [f"--mode={arm.mode}", f"--seed={run.seed}", *COMMON, *task.flags, f"--learning_rate={rate}"]
-    if task.lookback is not None and arm.mode in ("pos", "full") and "--context=1" not in arm.flags:
-        flags.append(f"--lookback={task.lookback}")
     number = {flag.partition("=")[0]: int(flag.partition("=")[2]) for flag in task.flags if flag.partition("=")[2].isdigit()}
+    context = next((int(flag.partition("=")[2]) for flag in arm.flags if flag.startswith("--context=")), number["--context"])
+    if task.lookback is not None and arm.mode in ("pos", "full") and task.lookback < context:
+        flags.append(f"--lookback={task.lookback}")
     if arm.clip is not None:
         steps = number["--batch"] * number["--clip_steps"]
         flags += [f"--clip_steps={arm.clip}", f"--batch={max(1, steps // arm.clip)}"]
