@@ -102,6 +102,7 @@ study: build setup
 	  build/venv/bin/python train/report/study.py --work=build/study --out=docs/evidence/study \
 	  --spiketrain=$(BIN)/spiketrain $(STUDY_FLAGS)
 	build/venv/bin/python train/report/study_page.py docs/evidence/study docs/evidence/study.md
+	build/venv/bin/python train/report/study_curves.py docs/evidence/study docs/evidence/study/settings.png
 
 # Runs all benchmarks, which takes about eighteen minutes on an idle machine. BENCH_FLAGS="--rounds=20" makes the runs
 # longer, "--sections engine" selects a part.

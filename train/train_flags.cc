@@ -81,7 +81,10 @@ void AddTrainerFlags(Command command, TrainerFlags* flags) {
       .Add("iterations", "N", &options.iterations, "Iterations")
       .Add("batch", "N", &options.batch, "Clips of an iteration")
       .Add("clip_steps", "N", &options.clip_steps, "Timesteps of a clip; 0: the policy's context")
+      .Add("padding", EnumKind<Padding>(), &options.padding,
+           "Where a clip has zeros that is longer than its episode")
       .Add("learning_rate", "RATE", &options.learning_rate, "Peak learning rate of AdamW")
+      .Add("schedule", EnumKind<Schedule>(), &options.schedule, "Learning rate after the warm-up")
       .Add("weight_decay", "X", &options.weight_decay, "Weight decay of AdamW")
       .Add("warmup", "N", &options.warmup, "Iterations of linear warm-up")
       .Add("clip_norm", "X", &options.clip_norm, "Largest norm of the gradient")

@@ -17,6 +17,7 @@ import seed_statistics  # noqa: E402
 import study_page  # noqa: E402
 import study_parts  # noqa: E402
 import study_plan  # noqa: E402
+import study_settings  # noqa: E402
 
 COMMITTED = ROOT / "docs/evidence/study"
 
@@ -173,6 +174,43 @@ def test_a_miniature_of_the_parts(tmp_path):
     assert {"--context=100", "--clip_steps=100", "--batch=2"} <= set(longer)
 
 
+def test_a_miniature_of_the_settings(tmp_path):
+    """A run with the paper's settings has the losses of its epochs, and a table and a figure."""
+    for mode in ("baseline", "full"):
+        only = study(tmp_path, "--settings", f"--only=cartpole-table1-{mode}-1")
+        assert only.returncode == 0, only.stderr
+    results = {path.stem: json.loads(path.read_text()) for path in (tmp_path / "out/settings").glob("*.json")}
+    assert results.keys() == {"cartpole-table1-baseline-1", "cartpole-table1-full-1"}
+    assert all(len(result["losses"]) == 1 for result in results.values())
+    flags = {"--weight_decay=1e-2", "--schedule=constant", "--padding=front", "--learning_rate=3e-4"}
+    assert flags <= set(results["cartpole-table1-full-1"]["training"].split())
+    program = [sys.executable, REPORT / "study_curves.py", tmp_path / "out", tmp_path / "curves.png"]
+    subprocess.run(program, check=True)
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_run_of_the_settings_has_the_papers_epochs():
+    settings = study_plan.SETTINGS
+    assert (settings["table1"].epoch, settings["table5"].epoch) == (7, 11)
+    flags = study_plan.train_flags(study_plan.Run("pendulum-table5", "full", 1), "1e-4", study_plan.Budget())
+    assert {"--batch=16", "--context=50", "--iterations=2200", "--validate_every=55", "--hidden_size=128"} <= set(flags)
+    assert len(study_plan.settings_runs(1)) == 2 * 4 * 5
+
+
+def test_the_table_of_the_settings_compares_with_baseline(tmp_path):
+    (tmp_path / "settings").mkdir()
+    curves = {"baseline": [0.6, 0.5, 0.45, 0.4], "pos": [0.5, 0.4, 0.35, 0.2], "route": [0.6, 0.6, 0.6, 0.5]}
+    for arm, losses in curves.items():
+        result = {"task": "acrobot-table1", "arm": arm, "seed": 1, "mean_return": -80.0, "spikes_per_decision": 3}
+        result["losses"] = dict(zip(("5", "20", "40", "50"), losses, strict=True))
+        (tmp_path / f"settings/{arm}.json").write_text(json.dumps(result))
+    text = study_settings.tables(tmp_path)
+    assert "| acrobot-table1 | epoch 20 | epoch 50 | lowest, of `baseline`'s | speed | return | spikes |" in text
+    assert "| `baseline` | 0.500 | 0.400 |  |  | -80.0 | 3 |" in text
+    assert "| `pos` | 0.400 | 0.200 | 0.50 | 2.50 | -80.0 | 3 |" in text
+    assert "| `route` | 0.600 | 0.500 | 1.25 | never | -80.0 | 3 |" in text
+
+
 def test_the_study_orders_seeds_before_tasks():
     runs = study_plan.study_runs(list(study_plan.TASKS), 2)
     half = len(runs) // 2
@@ -196,3 +234,5 @@ def test_the_committed_runs_have_the_settings_of_the_plan():
         assert path.stem == run.name
         assert result["training"] == " ".join(study_plan.train_flags(run, rate, budget))
         assert (result["starts"], result["first_start"]) == (budget.starts, run.first_start)
+        settings = run.plan.settings
+        assert not settings or list(result["losses"]) == [str(epoch) for epoch in range(5, settings.epochs + 1, 5)]

@@ -59,8 +59,8 @@ void FillClip(const Dataset& dataset, const Episode& episode,
   for (int i = 0; i < clips->timesteps_per_clip; ++i) {
     const size_t slot = static_cast<size_t>(clip) * clips->timesteps_per_clip + i;
     const int step = begin + i;
-    clips->timesteps[slot] = step;
-    if (step >= episode.steps()) continue;
+    clips->timesteps[slot] = std::max(0, step);
+    if (step < 0 || step >= episode.steps()) continue;
     clips->mask[slot] = 1.0f;
     clips->return_to_go[slot] = returns_to_go[step];
     std::copy_n(observation(step), obs,
@@ -77,9 +77,10 @@ void FillClip(const Dataset& dataset, const Episode& episode,
 
 }  // namespace
 
-ClipPlaces::ClipPlaces(const std::vector<int>& lengths, int timesteps) : timesteps_(timesteps) {
+ClipPlaces::ClipPlaces(const std::vector<int>& lengths, const ClipShape& shape)
+    : timesteps_(shape.timesteps), padding_(shape.padding) {
   SPIKESERVE_DCHECK(!lengths.empty());
-  SPIKESERVE_DCHECK_GE(timesteps, 1);
+  SPIKESERVE_DCHECK_GE(timesteps_, 1);
   int64_t steps = 0;
   for (const int length : lengths) {
     steps_before_.push_back(steps);
@@ -96,25 +97,30 @@ ClipPlaces::Place ClipPlaces::Draw(uint64_t key, int clip) const {
   const auto episode = static_cast<int>(after - steps_before_.begin()) - 1;
   const auto offset = static_cast<int64_t>(
       Below(RandomBits({of_clip, kOffset}), static_cast<uint64_t>(timesteps_)));
-  const int64_t begin = std::max<int64_t>(0, step - steps_before_[episode] - offset);
-  return {.episode = episode, .begin = static_cast<int>(begin)};
+  const int64_t of_episode = step - steps_before_[episode];
+  if (padding_ == Padding::kEnd) {
+    return {.episode = episode,
+            .begin = static_cast<int>(std::max<int64_t>(0, of_episode - offset))};
+  }
+  const int64_t steps = steps_before_[episode + 1] - steps_before_[episode];
+  const int64_t end = std::min(steps, of_episode + offset + 1);
+  return {.episode = episode, .begin = static_cast<int>(end - timesteps_)};
 }
 
-ClipSampler::ClipSampler(const Dataset& dataset, std::vector<int> episodes, int timesteps,
-                         DelayRange delay)
+ClipSampler::ClipSampler(const Dataset& dataset, std::vector<int> episodes, const ClipShape& shape)
     : dataset_(dataset),
       episodes_(std::move(episodes)),
-      places_(LengthsOf(dataset, episodes_), timesteps),
-      delay_(delay) {
+      shape_(shape),
+      places_(LengthsOf(dataset, episodes_), shape) {
   for (const int index : episodes_) returns_to_go_.push_back(ReturnsToGo(dataset.episodes[index]));
 }
 
 Clips ClipSampler::Sample(uint64_t key, int count, double action_noise) const {
-  Clips clips = EmptyClips(dataset_, count, places_.timesteps());
+  Clips clips = EmptyClips(dataset_, count, shape_.timesteps);
   for (int clip = 0; clip < count; ++clip) {
     const ClipPlaces::Place place = places_.Draw(key, clip);
     FillClip(dataset_, dataset_.episodes[episodes_[place.episode]], returns_to_go_[place.episode],
-             place.begin, DrawDelay(delay_, key, clip), clip, &clips);
+             place.begin, DrawDelay(shape_.delay, key, clip), clip, &clips);
   }
   if (action_noise > 0.0) AddActionNoise(key, action_noise, &clips);
   return clips;
@@ -141,17 +147,17 @@ void ClipSampler::AddActionNoise(uint64_t key, double action_noise, Clips* clips
 }
 
 absl::StatusOr<Clips> ReadClips(const EpisodeSource& source, const std::vector<int>& episodes,
-                                int timesteps, uint64_t key, int count, DelayRange delay) {
+                                const ClipShape& shape, uint64_t key, int count) {
   std::vector<int> lengths;
   for (const int index : episodes) lengths.push_back(source.entries()[index].steps);
-  const ClipPlaces places(lengths, timesteps);
-  Clips clips = EmptyClips(source.dataset(), count, timesteps);
+  const ClipPlaces places(lengths, shape);
+  Clips clips = EmptyClips(source.dataset(), count, shape.timesteps);
   for (int clip = 0; clip < count; ++clip) {
     const ClipPlaces::Place place = places.Draw(key, clip);
     ASSIGN_OR_RETURN(const std::vector<Episode> read, source.Read({episodes[place.episode]}));
     const Episode& episode = read.front();
     FillClip(source.dataset(), episode, ReturnsToGo(episode), place.begin,
-             DrawDelay(delay, key, clip), clip, &clips);
+             DrawDelay(shape.delay, key, clip), clip, &clips);
   }
   return clips;
 }

@@ -58,7 +58,7 @@ class Gru:
 
     def gradients(self, inputs, labels, weights):
         """Returns the mean cross-entropy and its gradients. `inputs` are [steps, rows, inputs], the others [steps, rows]."""
-        size, p = self._hidden, self.parameters
+        p = self.parameters
         drive = inputs @ p["w"] + p["b"]
         states, tape = [self.first_state(inputs.shape[1])], []
         for x in drive:

@@ -2,11 +2,12 @@
 
     python train/report/study.py --work=build/study --out=docs/evidence/study
     python train/report/study.py --work=build/study --out=docs/evidence/study --parts
+    python train/report/study.py --work=build/study --out=docs/evidence/study --settings --seeds=1
 
 Needs `spiketrain` and a Python with what docs/guides/imitation.md installs, popgym and minigrid; PYTHONPATH names
 train/recipes. The learning rate of `dense` is chosen first. The same command continues after an interruption, and
-leaves out what is finished. `--jobs=2` runs two processes. `--parts` trains the variants of one mode instead.
-study_page.py makes a page of the files.
+leaves out what is finished. `--jobs=2` runs two processes. `--parts` trains the variants of one mode instead, and
+`--settings` the modes on the paper's tasks with the paper's settings. study_page.py makes a page of the files.
 """
 
 import argparse
@@ -30,13 +31,13 @@ class Study:
         self._budget = budget
 
     def path(self, run):
-        folder = self._out / "sweep" if run.rate else self._out
-        return folder / f"{run.name}.json"
+        part = "sweep" if run.rate else "settings" if run.plan.settings else "."
+        return self._out / part / f"{run.name}.json"
 
     def rate_of(self, run):
         """Returns the learning rate of a run. That of `dense` is the best of the sweep."""
-        if run.rate or run.arm != "dense":
-            return run.rate or study_plan.TASKS[run.task].rate
+        if run.rate or run.arm != "dense" or run.plan.settings:
+            return run.rate or run.plan.rate
         means = {}
         for tried in study_plan.sweep_runs([run.task]):
             means.setdefault(tried.rate, []).append(json.loads(self.path(tried).read_text())["mean_return"])
@@ -55,7 +56,8 @@ class Study:
 
 
 def run_named(name, tasks, seeds):
-    runs = [*study_plan.sweep_runs(tasks), *study_plan.study_runs(tasks, seeds), *study_plan.part_runs(tasks, seeds)]
+    runs = [*study_plan.settings_runs(seeds), *study_plan.sweep_runs(tasks), *study_plan.study_runs(tasks, seeds)]
+    runs += study_plan.part_runs(tasks, seeds)
     run = next((run for run in runs if run.name == name), None)
     if run is None:
         sys.exit(f"study: --only: expected a run of the plan, such as {runs[-1].name}, received {name}")
@@ -83,6 +85,7 @@ def main():
     parser.add_argument("--tasks", default=",".join(study_plan.TASKS), help="tasks of study_plan.py")
     parser.add_argument("--jobs", default=1, type=int, help="runs at the same time")
     parser.add_argument("--parts", action="store_true", help="train the variants of `full`")
+    parser.add_argument("--settings", action="store_true", help="train on the paper's four tasks with its settings")
     parser.add_argument("--only", help="the name of one run, such as cartpole-full-3")
     parser.add_argument("--smoke", action="store_true", help="tiny models and hardly any training: a test in seconds")
     arguments = parser.parse_args()
@@ -99,6 +102,8 @@ def main():
     stages = [study_plan.sweep_runs(tasks), study_plan.study_runs(tasks, arguments.seeds)]
     if arguments.parts:
         stages = [study_plan.part_runs(tasks, arguments.seeds)]
+    if arguments.settings:
+        stages = [study_plan.settings_runs(arguments.seeds)]
     return 0 if all(train_all(study, runs, command, arguments.jobs) for runs in stages) else 1
 
 

@@ -17,6 +17,7 @@ import numpy as np
 import seed_statistics
 import study_parts
 import study_plan
+import study_settings
 from study_tables import ALPHA, joined, read_runs, row, score
 
 MARGIN = 5.0  # points of the score: a smaller difference counts as none
@@ -180,6 +181,7 @@ def tables(folder):
 GENERATED = (
     ("<!-- tables of the study -->", "<!-- end of the tables of the study -->", tables),
     ("<!-- tables of the parts -->", "<!-- end of the tables of the parts -->", study_parts.tables),
+    ("<!-- tables of the settings -->", "<!-- end of the tables of the settings -->", study_settings.tables),
 )
 
 

@@ -4,6 +4,7 @@ A seed decides the data, the initial weights and the order of the clips. All arm
 """
 
 import dataclasses
+import math
 
 WRAPPERS_OF_MEMORY = ("minigrid.wrappers:OneHotPartialObsWrapper", "minigrid.wrappers:ImgObsWrapper")
 FIRST_UNSEEN_SEED = 2_000_000  # starts of the evaluation
@@ -29,11 +30,13 @@ class Task:
     chance: float
     expert_return: float
     data: tuple[str, ...] = ()  # flags of `spiketrain dataset`, for its own environments
+    steps: int = 20_000  # of data
     expert: str = ""  # `module:function`, for those of Gymnasium
     wrappers: tuple[str, ...] = ()
     disturbed: float = 0.0  # share of the episodes with bursts of random actions, for those of Gymnasium
     lookback: int | None = None  # where attention by phase spikes begins
     longer: tuple[int, ...] = ()  # further contexts in which the trained policies play
+    settings: "Settings | None" = None  # those of the paper
 
     @property
     def is_gymnasium(self):
@@ -47,7 +50,7 @@ TASKS = {
         rate="2e-3",
         chance=22.6,
         expert_return=500.0,
-        data=("--steps=20000", "--expert_fraction=0.3", "--disturbed_fraction=0.7"),
+        data=("--expert_fraction=0.3", "--disturbed_fraction=0.7"),
         longer=(20, 50),
     ),
     "pendulum": Task(
@@ -56,7 +59,7 @@ TASKS = {
         rate="3e-3",
         chance=-1217.3,
         expert_return=-143.6,
-        data=("--expert=robust", "--steps=20000", "--expert_fraction=0", "--disturbed_fraction=1", "--wide_start_fraction=0.25"),
+        data=("--expert=robust", "--expert_fraction=0", "--disturbed_fraction=1", "--wide_start_fraction=0.25"),
         longer=(10, 25),
     ),
     "repeat-4": Task(
@@ -86,6 +89,51 @@ TASKS = {
         wrappers=WRAPPERS_OF_MEMORY,
         disturbed=0.5,
     ),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Values of the optimiser that the paper prints. An epoch draws as many steps as are trained on."""
+
+    rate: str
+    batch: int  # clips
+    steps: int  # of a clip, and of the context
+    epochs: int
+
+    @property
+    def epoch(self):
+        """Returns the iterations of an epoch. A tenth of the data is held out."""
+        return round(0.9 * STEPS_OF_THE_PAPER / (self.batch * self.steps))
+
+    @property
+    def flags(self):
+        iterations = self.epochs * self.epoch
+        validations = f"--validate_every={EPOCHS_BETWEEN_VALIDATIONS * self.epoch}"
+        sizes = (f"--context={self.steps}", f"--batch={self.batch}", f"--iterations={iterations}", validations)
+        return (*sizes, "--hidden_size=128", "--ticks=10", "--slope=10", *OPTIMISER_OF_THE_PAPER)
+
+
+STEPS_OF_THE_PAPER = 10_000  # of data
+OPTIMISER_OF_THE_PAPER = ("--weight_decay=1e-2", "--schedule=constant", "--warmup=0", "--padding=front")
+EPOCHS_BETWEEN_VALIDATIONS = 5
+# The paper's tables 1 and 5; by its section 5.4 sequences of table 5 have 50 steps, and by 9.3.1 its curves 200 epochs.
+SETTINGS = {"table1": Settings("3e-4", 64, 20, 50), "table5": Settings("1e-4", 16, 50, 200)}
+PAPER_TASKS = {"acrobot": "Acrobot-v1", "cartpole": "CartPole-v1", "mountaincar": "MountainCar-v0", "pendulum": "Pendulum-v1"}
+# The paper's tasks with its settings. Their returns are not scored.
+TASKS_OF_SETTINGS = {
+    f"{name}-{setting}": Task(
+        environment,
+        settings.flags,
+        rate=settings.rate,
+        chance=math.nan,
+        expert_return=math.nan,
+        data=("--expert_fraction=0.5",),
+        steps=STEPS_OF_THE_PAPER,
+        settings=settings,
+    )
+    for setting, settings in SETTINGS.items()
+    for name, environment in PAPER_TASKS.items()
 }
 
 
@@ -134,7 +182,7 @@ PART_TASKS = ("cartpole", "pendulum", "repeat-4")  # the shortest
 class Budget:
     """What a run may cost besides its training."""
 
-    steps: int = 20_000  # of data
+    steps: int | None = None  # of data; None: those of the task
     starts: int = 100  # that a policy plays
     priced_starts: int = 5  # that its integer form plays, for the energy
     further: tuple[str, ...] = ()  # flags of `spiketrain train`, after those of the task
@@ -163,6 +211,11 @@ class Run:
         return "-".join([self.task, self.arm, *([f"rate{self.rate}"] if self.rate else []), str(self.seed)])
 
     @property
+    def plan(self):
+        """Returns its task's plan."""
+        return (TASKS | TASKS_OF_SETTINGS)[self.task]
+
+    @property
     def first_start(self):
         return FIRST_SELECTION_SEED if self.rate else FIRST_UNSEEN_SEED
 
@@ -182,9 +235,14 @@ def part_runs(tasks, seeds):
     return [Run(task, arm, seed) for seed in range(1, seeds + 1) for task in tasks if task in PART_TASKS for arm in PARTS]
 
 
+def settings_runs(seeds):
+    """Returns the runs with the paper's settings: all of a seed before the next, all of a setting before the next."""
+    return [Run(task, mode, seed) for seed in range(1, seeds + 1) for task in TASKS_OF_SETTINGS for mode in MODES]
+
+
 def train_flags(run, rate, budget):
     """Returns the flags of `spiketrain train` for a run, without data and folder. `rate` is the learning rate."""
-    task, arm = TASKS[run.task], (ARMS | PARTS)[run.arm]
+    task, arm = run.plan, (ARMS | PARTS)[run.arm]
     flags = [f"--mode={arm.mode}", f"--seed={run.seed}", *COMMON, *task.flags, f"--learning_rate={rate}"]
     number = {flag.partition("=")[0]: int(flag.partition("=")[2]) for flag in task.flags if flag.partition("=")[2].isdigit()}
     context = next((int(flag.partition("=")[2]) for flag in arm.flags if flag.startswith("--context=")), number["--context"])

@@ -1,6 +1,7 @@
 """One run of the study: records the data of its seed, trains, plays unseen starts, and prices the policy in integers."""
 
 import contextlib
+import csv
 import fcntl
 import json
 import os
@@ -47,7 +48,7 @@ class Workshop:
 
     def carry_out(self, run, rate):
         """Returns the result of a run, an object for JSON. Continues a training that was interrupted."""
-        task = study_plan.TASKS[run.task]
+        task = run.plan
         data = self._data(run, task)
         flags = study_plan.train_flags(run, rate, self._budget)
         policy = f"{run.name}/policy.safetensors"
@@ -56,14 +57,21 @@ class Workshop:
                 self._program("train", f"--data={data}", f"--out={run.name}", "--resume", *flags)
         result = {"task": run.task, "arm": run.arm, "seed": run.seed, "learning_rate": rate, "training": " ".join(flags)}
         result |= self._play(task, policy, run.first_start)
-        losses = (self._folder / run.name / "learning_curve.csv").read_text().splitlines()
-        if len(losses) > 1:
-            result["validation_loss"] = float(losses[-1].rpartition(",")[2])
+        losses = self._losses(run.name)
+        if losses:
+            result["validation_loss"] = list(losses.values())[-1]
+        if task.settings:
+            return result | {"losses": {iteration // task.settings.epoch: loss for iteration, loss in losses.items()}}
         if run.rate is None and (study_plan.ARMS | study_plan.PARTS)[run.arm].priced:
             result["integer"] = self._price(task, policy, data, run.first_start)
         if run.rate is None and run.arm in study_plan.ARMS:
             result |= self._play_longer(task, policy, run)
         return result
+
+    def _losses(self, name):
+        """Returns the validation losses of a training by iteration."""
+        with (self._folder / name / "learning_curve.csv").open() as file:
+            return {int(line["iteration"]): float(line["validation_loss"]) for line in csv.DictReader(file)}
 
     def _program(self, *arguments):
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
@@ -86,16 +94,17 @@ class Workshop:
         return data
 
     def _record(self, run, task, data):
+        steps = self._budget.steps or task.steps
         if task.is_gymnasium:
             factory = factory_of(task)
             actor = ExpertActor(load_expert(task.expert), Bursts(run.seed, task.disturbed, BURST_RATE, LONGEST_BURST))
-            seeds = Starts(run.seed * study_plan.STARTS_OF_A_SEED, self._budget.steps)
+            seeds = Starts(run.seed * study_plan.STARTS_OF_A_SEED, steps)
             episodes = [seeds.counted(episode) for episode in play(factory.make, actor, seeds, ENVIRONMENTS)]
             with contextlib.closing(factory.make()) as environment:
                 write_dataset(self._folder / data, episodes, environment, factory.name)
             return
         partial = data.replace(".cbor", ".partial.cbor")
-        flags = study_plan.without_repetition([*task.data, f"--steps={self._budget.steps}", f"--seed={run.seed}"])
+        flags = [*task.data, f"--steps={steps}", f"--seed={run.seed}"]
         self._program("dataset", f"--env={task.environment}", *flags, "--tables=data", f"--out={partial}")
         (self._folder / partial).rename(self._folder / data)
 

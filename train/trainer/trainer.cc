@@ -59,8 +59,10 @@ bool IsFrozen(const std::string& name, const std::vector<std::string>& frozen) {
                      [&](const std::string& part) { return HasPart(name, part); });
 }
 
-int ClipSteps(const TrainOptions& options, const ModelConfig& config) {
-  return options.clip_steps == 0 ? config.context : options.clip_steps;
+ClipShape ShapeOfClips(const TrainOptions& options, const ModelConfig& config) {
+  return {.timesteps = options.clip_steps == 0 ? config.context : options.clip_steps,
+          .padding = options.padding,
+          .delay = options.delay};
 }
 
 // Returns the text that identifies a run in its checkpoints.
@@ -129,6 +131,12 @@ std::string TrainOptions::ToFlags() const {
                           plasticity.rate, std::string(ToString(plasticity.rule)),
                           plasticity.trace_decay);
   }
+  if (padding != Padding::kEnd) {
+    absl::StrAppend(&flags, " --padding=", std::string(ToString(padding)));
+  }
+  if (schedule != Schedule::kCosine) {
+    absl::StrAppend(&flags, " --schedule=", std::string(ToString(schedule)));
+  }
   if (threads != 1) absl::StrAppend(&flags, " --threads=", threads);
   if (!frozen.empty()) absl::StrAppend(&flags, " --freeze=", absl::StrJoin(frozen, ","));
   return flags;
@@ -187,17 +195,16 @@ Trainer::Trainer(Policy initial, const EpisodeSource& source, const TrainOptions
       config_(initial.config),
       action_space_(source.dataset().action_space),
       observation_size_(source.dataset().observation_size),
-      clip_steps_(ClipSteps(options, initial.config)),
+      clip_(ShapeOfClips(options, initial.config)),
       split_(SplitEpisodes(source.entries(), options.validation)),
       spread_(torch::tensor(EncodedLabels(source).std)),
       model_(initial, options.surrogate, options.arithmetic, options.patches, options.seed),
       optimizer_(Optimizer::Make(model_.parameters(), options)) {
   at::set_num_threads(options.threads);
   if (source.resident()) {
-    clips_ = std::make_unique<ClipSampler>(source.dataset(), split_.training, clip_steps_,
-                                           options.delay);
+    clips_ = std::make_unique<ClipSampler>(source.dataset(), split_.training, clip_);
     if (!has_validation()) return;
-    const ClipSampler validation(source.dataset(), split_.validation, clip_steps_, options.delay);
+    const ClipSampler validation(source.dataset(), split_.validation, clip_);
     for (uint64_t i = 0; i < kValidationBatches; ++i) {
       validation_.push_back(validation.Sample(ValidationKey(i), options.batch, 0.0));
     }
@@ -206,7 +213,7 @@ Trainer::Trainer(Policy initial, const EpisodeSource& source, const TrainOptions
   plan_ = std::make_unique<ChunkPlan>(
       source.entries(), split_.training,
       ChunkPlan::Options{.memory = source.memory(),
-                         .steps_per_iteration = int64_t{options.batch} * clip_steps_,
+                         .steps_per_iteration = int64_t{options.batch} * clip_.timesteps,
                          .seed = options.seed});
 }
 
@@ -224,7 +231,7 @@ absl::Status Trainer::ReadEpisodes() {
   ASSIGN_OR_RETURN(resident_.episodes, source_.Read(chunk_.episodes));
   std::vector<int> all(resident_.episodes.size());
   std::iota(all.begin(), all.end(), 0);
-  clips_ = std::make_unique<ClipSampler>(resident_, std::move(all), clip_steps_, options_.delay);
+  clips_ = std::make_unique<ClipSampler>(resident_, std::move(all), clip_);
   return absl::OkStatus();
 }
 
@@ -232,8 +239,8 @@ absl::Status Trainer::ReadValidation() {
   if (!has_validation() || !validation_.empty()) return absl::OkStatus();
   std::vector<Clips> read;
   for (uint64_t i = 0; i < kValidationBatches; ++i) {
-    ASSIGN_OR_RETURN(Clips clips, ReadClips(source_, split_.validation, clip_steps_,
-                                            ValidationKey(i), options_.batch, options_.delay));
+    ASSIGN_OR_RETURN(Clips clips, ReadClips(source_, split_.validation, clip_, ValidationKey(i),
+                                            options_.batch));
     read.push_back(std::move(clips));
   }
   validation_ = std::move(read);
@@ -269,7 +276,8 @@ torch::Tensor Trainer::Loss(const Batch& batch, const ModelOutput& output) const
 void Trainer::SetLearningRate() {
   const double warm =
       options_.warmup == 0 ? 1.0 : std::min(1.0, (iteration_ + 1.0) / options_.warmup);
-  const double cosine = 0.5 * (1.0 + std::cos(std::numbers::pi * iteration_ / options_.iterations));
+  const int at = options_.schedule == Schedule::kConstant ? 0 : iteration_;
+  const double cosine = 0.5 * (1.0 + std::cos(std::numbers::pi * at / options_.iterations));
   const double rate =
       options_.learning_rate * warm * (kFinalRateFactor + (1.0 - kFinalRateFactor) * cosine);
   auto& groups = optimizer_->adamw.param_groups();

@@ -11,6 +11,7 @@
 #ifndef TRAIN_TRAINER_TRAINER_H_
 #define TRAIN_TRAINER_TRAINER_H_
 
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -18,6 +19,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "core/base/enum_names.h"
 #include "core/model/policy.h"
 #include "train/data/chunk_plan.h"
 #include "train/data/clip_sampler.h"
@@ -30,20 +32,29 @@
 
 namespace spikeserve {
 
+// The learning rate after the warm-up: a cosine that ends at 2 % of the peak, or the peak.
+enum class Schedule { kCosine, kConstant };
+
+constexpr std::array<EnumName<Schedule>, 2> EnumNames(Schedule) {
+  return {{{Schedule::kCosine, "cosine"}, {Schedule::kConstant, "constant"}}};
+}
+
 struct TrainOptions {
   uint64_t seed = 0;
   int iterations = 400;
-  int batch = 32;               // clips per iteration
-  int clip_steps = 0;           // timesteps per clip; 0: the policy's context
-  double learning_rate = 1e-3;  // the peak; the rate of omega and phi is 0.3 times it
-  double weight_decay = 1e-4;   // not applied to omega and phi
-  int warmup = 50;              // iterations of linear warm-up of the cosine that ends at 2 %
-  double clip_norm = 1.0;       // largest norm of the whole gradient
-  double action_noise = 0.0;    // probability that an action token is replaced by a random one
-  DelayRange delay;             // beats until a decision is executed
-  double validation = 0.1;      // share of each actor's episodes that is held out
-  RateTargets rate_targets;     // the penalty grows linearly over the first third of the iterations
-  double spike_penalty = 1.0;   // weight of the penalty on firing rates
+  int batch = 32;                   // clips per iteration
+  int clip_steps = 0;               // timesteps per clip; 0: the policy's context
+  Padding padding = Padding::kEnd;  // of clips
+  double learning_rate = 1e-3;      // the peak; the rate of omega and phi is 0.3 times it
+  double weight_decay = 1e-4;       // not applied to omega and phi
+  int warmup = 50;                  // iterations of linear warm-up
+  Schedule schedule = Schedule::kCosine;
+  double clip_norm = 1.0;      // largest norm of the whole gradient
+  double action_noise = 0.0;   // probability that an action token is replaced by a random one
+  DelayRange delay;            // beats until a decision is executed
+  double validation = 0.1;     // share of each actor's episodes that is held out
+  RateTargets rate_targets;    // the penalty grows linearly over the first third of the iterations
+  double spike_penalty = 1.0;  // weight of the penalty on firing rates
   double operation_penalty = 0.0;  // weight of the penalty on synaptic operations; grows alike
   // Of the whole process. The number decides the order of sums, and so the last bits of the
   // weights. On a busy machine, or with small models, one thread is the fastest.
@@ -60,7 +71,7 @@ struct TrainOptions {
   absl::Status Validate() const;
 
   // Returns the flags of `spiketrain train` for these options, including defaults except those of
-  // `arithmetic`, `patches`, `delay`, `plasticity`, `frozen` and `threads`.
+  // `padding`, `schedule`, `arithmetic`, `patches`, `delay`, `plasticity`, `frozen` and `threads`.
   std::string ToFlags() const;
 };
 
@@ -134,7 +145,7 @@ class Trainer {
   const ModelConfig config_;
   const ActionSpace action_space_;
   const int observation_size_;
-  const int clip_steps_;
+  const ClipShape clip_;
   const Split split_;
   const torch::Tensor spread_;  // deviations of the encoded targets of a Box, [act]
   TorchModel model_;

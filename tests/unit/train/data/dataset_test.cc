@@ -81,7 +81,8 @@ TEST(DatasetTest, LabelsOfABoxHaveMoments) {
 
 TEST(DatasetTest, ClipsKnowTheObservationBeforeThem) {
   const Dataset dataset = DatasetOf({Counting(9)});
-  const Clips clips = ClipSampler(dataset, {0}, 3).Sample(/*key=*/1, /*count=*/40, 0.0);
+  const Clips clips =
+      ClipSampler(dataset, {0}, {.timesteps = 3}).Sample(/*key=*/1, /*count=*/40, 0.0);
   for (int clip = 0; clip < clips.count; ++clip) {
     const float first = clips.observations[static_cast<size_t>(clip) * 3];
     EXPECT_EQ(clips.previous[clip], std::max(0.0f, first - 1.0f));
@@ -256,11 +257,38 @@ TEST(ClipSamplerTest, WeightsAreOfTheSteps) {
   Episode episode = Counting(3);
   episode.weights = {0.5f, 1.0f, 2.0f};
   const Dataset dataset = DatasetOf({episode});
-  const Clips clips = ClipSampler(dataset, {0}, 2).Sample(/*key=*/1, /*count=*/20, 0.0);
+  const Clips clips =
+      ClipSampler(dataset, {0}, {.timesteps = 2}).Sample(/*key=*/1, /*count=*/20, 0.0);
   for (size_t slot = 0; slot < clips.mask.size(); ++slot) {
     const int64_t t = clips.timesteps[slot];
     EXPECT_EQ(clips.weights[slot], t < 3 ? episode.weights[t] : 0.0f);
   }
+}
+
+// The last steps of a clip are those of the episode, and what is missing before them is 0.
+TEST(ClipSamplerTest, FrontPaddingIsBeforeTheFirstStep) {
+  const Dataset dataset = DatasetOf({Counting(3)});
+  constexpr int kClip = 5;
+  const Clips clips = ClipSampler(dataset, {0}, {.timesteps = kClip, .padding = Padding::kFront})
+                          .Sample(/*key=*/1, /*count=*/40, 0.0);
+  std::vector<bool> seen(kClip);
+  for (int clip = 0; clip < clips.count; ++clip) {
+    const auto mask = absl::MakeSpan(clips.mask).subspan(size_t{kClip} * clip, kClip);
+    const auto padded = std::find(mask.begin(), mask.end(), 1.0f) - mask.begin();
+    ASSERT_LT(padded, kClip);
+    seen[padded] = true;
+    for (int i = 0; i < kClip; ++i) {
+      const size_t slot = size_t{kClip} * clip + i;
+      const bool in_episode = i >= padded;
+      ASSERT_EQ(mask[i], in_episode ? 1.0f : 0.0f);
+      ASSERT_EQ(clips.weights[slot], mask[i]);
+      ASSERT_EQ(clips.timesteps[slot], in_episode ? i - padded : 0);
+      ASSERT_EQ(clips.observations[slot], static_cast<float>(clips.timesteps[slot]));
+      ASSERT_EQ(clips.targets[2 * slot] + clips.targets[2 * slot + 1], mask[i]);
+    }
+    ASSERT_EQ(clips.previous[clip], 0.0f);
+  }
+  EXPECT_THAT(seen, ElementsAre(false, false, true, true, true));
 }
 
 // Step t is decided at its observation and executed two steps later, where the label is.
@@ -272,7 +300,8 @@ TEST(ClipSamplerTest, WithADelayTheTargetIsTheLabelOfTheStepThatIsExecuted) {
   const Dataset dataset = DatasetOf({episode});
   const std::vector<float> weights = {3.0f, 4.0f, 5.0f, 0.0f, 0.0f};
   const std::vector<float> targets = {1.0f, 1.0f, 0.0f, 0.0f, 0.0f};  // of action 1
-  const Clips clips = ClipSampler(dataset, {0}, 3, {.least = 2, .most = 2}).Sample(1, 20, 0.0);
+  const Clips clips = ClipSampler(dataset, {0}, {.timesteps = 3, .delay = {.least = 2, .most = 2}})
+                          .Sample(1, 20, 0.0);
   for (size_t slot = 0; slot < clips.mask.size(); ++slot) {
     const int64_t t = clips.timesteps[slot];
     ASSERT_EQ(clips.mask[slot], t < 5 ? 1.0f : 0.0f);
@@ -287,8 +316,9 @@ TEST(ClipSamplerTest, WithADelayTheTargetIsTheLabelOfTheStepThatIsExecuted) {
 TEST(ClipSamplerTest, EveryClipDrawsADelayOfItsOwn) {
   const Dataset dataset = DatasetOf({Counting(40)});
   constexpr int kClip = 4, kCount = 400;
-  const Clips clips = ClipSampler(dataset, {0}, kClip, {.least = 1, .most = 3})
-                          .Sample(/*key=*/1, kCount, /*action_noise=*/0.0);
+  const Clips clips =
+      ClipSampler(dataset, {0}, {.timesteps = kClip, .delay = {.least = 1, .most = 3}})
+          .Sample(/*key=*/1, kCount, /*action_noise=*/0.0);
   int same = 0, other = 0;  // clips far from the end, by whether the label is the executed action
   for (int clip = 0; clip < kCount; ++clip) {
     const auto first = static_cast<size_t>(clip) * kClip;
@@ -318,7 +348,8 @@ TEST(ClipSamplerTest, LabelsAreTheTargetsAndActionsTheTokens) {
   Episode episode = Counting(2);
   episode.labels = {episode.actions[1], episode.actions[1]};
   const Dataset dataset = DatasetOf({episode});
-  const Clips clips = ClipSampler(dataset, {0}, 1).Sample(/*key=*/1, /*count=*/20, 0.0);
+  const Clips clips =
+      ClipSampler(dataset, {0}, {.timesteps = 1}).Sample(/*key=*/1, /*count=*/20, 0.0);
   for (int clip = 0; clip < clips.count; ++clip) {
     EXPECT_EQ(clips.targets[2 * clip + 1], 1.0f);
     EXPECT_EQ(clips.actions[2 * clip + 1], static_cast<float>(clips.timesteps[clip]));
@@ -328,7 +359,8 @@ TEST(ClipSamplerTest, LabelsAreTheTargetsAndActionsTheTokens) {
 TEST(ClipSamplerTest, ClipsEndWithTheirEpisodeAndTheRestIsMasked) {
   constexpr int kSteps = 7, kClip = 5;
   const Dataset dataset = DatasetOf({Counting(kSteps)});
-  const Clips clips = ClipSampler(dataset, {0}, kClip).Sample(/*key=*/1, /*count=*/200, 0.0);
+  const Clips clips =
+      ClipSampler(dataset, {0}, {.timesteps = kClip}).Sample(/*key=*/1, /*count=*/200, 0.0);
   std::set<int64_t> begins;
   for (int clip = 0; clip < clips.count; ++clip) {
     begins.insert(clips.timesteps[clip * kClip]);
@@ -348,7 +380,7 @@ TEST(ClipSamplerTest, ClipsEndWithTheirEpisodeAndTheRestIsMasked) {
 
 TEST(ClipSamplerTest, ActionNoiseChangesTokensAndNotTargets) {
   const Dataset dataset = DatasetOf({Counting(400)});
-  const ClipSampler sampler(dataset, {0}, 20);
+  const ClipSampler sampler(dataset, {0}, {.timesteps = 20});
   const Clips clean = sampler.Sample(3, 50, 0.0), noisy = sampler.Sample(3, 50, 0.4);
   EXPECT_EQ(clean.actions, clean.targets);
   EXPECT_EQ(noisy.targets, clean.targets);

@@ -76,6 +76,21 @@ TEST_F(TrainerTest, ResumedRunEqualsTheUninterruptedOne) {
   EXPECT_NE(AllWeights(second), AllWeights(first));
 }
 
+// A constant rate does not know how long the training is; without penalties nothing else does.
+TEST_F(TrainerTest, WithAConstantRateALongerRunBeginsAsAShortOne) {
+  const auto weights_after_four = [&](Schedule schedule, int iterations) {
+    TrainOptions options = options_;
+    options.schedule = schedule;
+    options.iterations = iterations;
+    options.rate_targets = {};
+    Trainer trainer(Initial(), source_, options);
+    for (int i = 0; i < 4; ++i) EXPECT_TRUE(trainer.Step().ok());
+    return AllWeights(trainer);
+  };
+  EXPECT_EQ(weights_after_four(Schedule::kConstant, 4), weights_after_four(Schedule::kConstant, 8));
+  EXPECT_NE(weights_after_four(Schedule::kCosine, 4), weights_after_four(Schedule::kCosine, 8));
+}
+
 TEST_F(TrainerTest, CheckpointsOfAnotherRunAreRefused) {
   const std::string path = testing::TempDir() + "/other.pt";
   ASSERT_TRUE(Trainer(Initial(), source_, options_).SaveCheckpoint(path).ok());
