@@ -129,7 +129,9 @@ absl::Status SetShape(const ShapeFlags& flags, ModelConfig* config) {
   return absl::OkStatus();
 }
 
-absl::Status CheckShape(const ShapeFlags& flags, const ModelConfig& config) {
+absl::Status ContinueShape(const ShapeFlags& flags, ModelConfig* config) {
+  config->ticks = flags.ticks.value_or(config->ticks);
+  if (absl::Status valid = config->Validate(); !valid.ok()) return NameFlag(valid);
   absl::Status status;
   const auto check = [&](const char* name, const auto& flag, const auto& field) {
     if (!flag.has_value() || *flag == field) return;
@@ -137,9 +139,8 @@ absl::Status CheckShape(const ShapeFlags& flags, const ModelConfig& config) {
         absl::StrCat("--", name, ": expected what --init has, ", FlagValueText(field),
                      ", or no such flag, received ", FlagValueText(*flag))));
   };
-  ModelConfig copy = config;
-  ForEachFlag(flags, copy, check);
-  check("ffn_size", flags.ffn_size, config.ffn_size);
+  ForEachFlag(flags, *config, check);
+  check("ffn_size", flags.ffn_size, config->ffn_size);
   return status;
 }
 

@@ -53,9 +53,11 @@ absl::StatusOr<TrainOptions> MakeTrainOptions(const TrainerFlags& flags);
 // flag, if a value is invalid.
 absl::Status SetShape(const ShapeFlags& flags, ModelConfig* config);
 
-// Returns INVALID_ARGUMENT, which names the flag, if a flag contradicts `config`, the configuration
-// of the policy of --init.
-absl::Status CheckShape(const ShapeFlags& flags, const ModelConfig& config);
+// Sets the ticks of `config`, the configuration of the policy of --init: no tensor depends on them,
+// and training with ever fewer ticks can end at a single one (Chowdhury, Rathi and Roy, "One
+// timestep is all you need", 2021). Returns INVALID_ARGUMENT, which names the flag, if another flag
+// contradicts `config`, or a value is invalid.
+absl::Status ContinueShape(const ShapeFlags& flags, ModelConfig* config);
 
 }  // namespace spikeserve
 

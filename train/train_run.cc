@@ -185,7 +185,7 @@ absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const std::string& e
         absl::StrCat("--init: expected a policy in float32, received one in ",
                      std::string(ToString(policy.config.arithmetic))));
   }
-  RETURN_IF_ERROR(CheckShape(flags.shape, policy.config));
+  RETURN_IF_ERROR(ContinueShape(flags.shape, &policy.config));
   if (flags.lookback.has_value()) {
     return absl::InvalidArgumentError(absl::StrCat(
         "--lookback: expected no such flag beside --init, received ", *flags.lookback));

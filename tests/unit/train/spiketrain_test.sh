@@ -255,6 +255,11 @@ refuses 'command: expected one of expert, dataset, train, quantize, eval, compar
 refuses '--out: expected the directory to write into, received none' train
 refuses '--heads: expected what --init has, 2, or no such flag, received 8' \
   train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8
+refuses '--ticks: expected 1 to 256, received 0' train --data=data.cbor --init=whole/policy.safetensors --out=x --ticks=0
+"$spiketrain" train --data=data.cbor --init=whole/policy.safetensors --out=fewer --ticks=1 --iterations=1 --batch=2 --episodes=1 \
+  --no_baselines >/dev/null 2>&1 || fail "a policy cannot go on with fewer ticks"
+grep -aq '"ticks":1[,}]' fewer/policy.safetensors || grep -aq 'ticks\\":1[,}]' fewer/policy.safetensors ||
+  fail "fewer/policy.safetensors has not one tick"
 refuses '--env: expected CartPole-v1 as in --data, received Acrobot-v1' train --data=data.cbor --env=Acrobot-v1 --out=x
 refuses 'none.safetensors: no such file' eval --policy=none.safetensors
 refuses '--steps: expected no such flag beside --data, received 5' train --data=data.cbor --out=x --steps=5
