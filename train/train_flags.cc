@@ -22,7 +22,6 @@ void ForEachFlag(const ShapeFlags& flags, ModelConfig& config, const Visit& visi
   visit("heads", flags.heads, config.heads);
   visit("layers", flags.layers, config.layers);
   visit("ticks", flags.ticks, config.ticks);
-  visit("refractory", flags.refractory, config.refractory);
   visit("context", flags.context, config.context);
   visit("routing_hidden_size", flags.routing_hidden_size, config.routing_hidden_size);
   visit("coder", flags.coder, config.coder);
@@ -65,8 +64,6 @@ void AddShapeFlags(FlagGroup& group, ShapeFlags* flags) {
   AddOptional(group, "heads", "H", &flags->heads, paper.heads, "Attention heads");
   AddOptional(group, "layers", "L", &flags->layers, paper.layers, "Layers");
   AddOptional(group, "ticks", "T", &flags->ticks, paper.ticks, "Ticks of a token");
-  AddOptional(group, "refractory", "TICKS", &flags->refractory, paper.refractory,
-              "Ticks without input after a spike");
   AddOptional(group, "context", "N", &flags->context, paper.context, "Context in timesteps");
   AddOptional(group, "routing_hidden_size", "M", &flags->routing_hidden_size,
               paper.routing_hidden_size, "Hidden size of the routing");

@@ -20,7 +20,6 @@ struct ShapeFlags {
   std::optional<int> heads;
   std::optional<int> layers;
   std::optional<int> ticks;
-  std::optional<int> refractory;
   std::optional<int> context;
   std::optional<int> routing_hidden_size;
   std::optional<int> ffn_size;

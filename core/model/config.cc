@@ -99,14 +99,6 @@ absl::Status ModelConfig::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("threshold: expected a positive finite number, received ", threshold));
   }
-  if (refractory < 0 || refractory > ticks) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("refractory: expected 0 to the ticks, received ", refractory));
-  }
-  if (refractory > 0 && arithmetic != Arithmetic::kFloat32) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("refractory: expected 0 unless arithmetic is float32, received ", refractory));
-  }
   if (is_integer()) return CheckFixedPoint(*this);
   return arithmetic == Arithmetic::kInt8 ? CheckInteger(*this) : absl::OkStatus();
 }

@@ -85,7 +85,6 @@ struct ModelConfig {
   int ffn_size = 512;            // 4d
   float membrane_decay = 0.95f;  // 1 - dt/tau_m
   float threshold = 1.0f;        // V_th
-  int refractory = 0;            // ticks after a spike; only with Arithmetic::kFloat32
   CoderKind coder = CoderKind::kLif;
   PhaseClock phase_clock = PhaseClock::kTimestep;
   Merge merge = Merge::kSum;

@@ -95,7 +95,6 @@ std::string FormatConfig(const ModelConfig& config) {
   }
   if (config.is_integer()) VisitIntegerConfig(config, write);
   if (config.observation_changes) object["observation_changes"] = true;
-  if (config.refractory > 0) object["refractory"] = config.refractory;
   return object.dump();
 }
 
@@ -113,7 +112,6 @@ absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
   VisitConfig(*config, read);
   reader.Optional("arithmetic", &config->arithmetic);
   reader.Optional("observation_changes", &config->observation_changes);
-  reader.Optional("refractory", &config->refractory);
   if (config->is_integer()) VisitIntegerConfig(*config, read);
   return reader.Finish();
 }

@@ -16,9 +16,6 @@ namespace spikeserve {
 struct Lif {
   float decay = 0.95f;     // 1 - dt/tau_m, for ticks of 1 ms and tau_m = 20 ms
   float threshold = 1.0f;  // V_th
-  // Ticks after a spike in which the membrane stays 0 and the input is lost (the paper's section
-  // 3.2). Only neurons with a current per tick have them: the coder's periods do not.
-  int refractory = 0;
 
   // Advances `membrane` by one tick. Returns whether the neuron fires.
   bool Step(float current, float& membrane) const {

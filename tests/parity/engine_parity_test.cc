@@ -193,10 +193,6 @@ std::vector<Shape> IntegerShapes() {
 // Returns every shape in every arithmetic that its mode has.
 std::vector<Shape> Shapes() {
   std::vector<Shape> shapes = Float32Shapes();
-  Shape refractory = {.name = "Refractory", .config = ConfigOf(32, 4)};
-  refractory.config.refractory = 2;
-  refractory.config.threshold = 0.3f;
-  shapes.push_back(refractory);
   for (Shape& shape : Float32Shapes()) {
     if (shape.config.is_dense()) continue;
     shape.name += "_int8";

@@ -102,7 +102,6 @@ std::vector<Shape> Shapes() {
     s.policies = 1;
   });
   const std::vector<Shape> floats = shapes;
-  add("refractory", [](Shape& s) { s.config.refractory = 2; });
   for (Shape shape : floats) {
     if (shape.config.is_dense()) continue;
     shape.name += "_int8";

@@ -30,10 +30,7 @@ class ForwardPass {
         p_(parameters),
         rounded_(rounded),
         surrogate_(surrogate),
-        lif_{{config_.membrane_decay, config_.threshold, config_.refractory},
-             config_.ticks,
-             surrogate},
-        coder_lif_{{config_.membrane_decay, config_.threshold}, config_.ticks, surrogate},
+        lif_{{config_.membrane_decay, config_.threshold}, config_.ticks, surrogate},
         clips_(clips),
         timesteps_(clips.timesteps.repeat_interleave(kTokens, 1)),
         mask_(BandMask(clips.timesteps.size(1), config_.context)) {}
@@ -87,7 +84,7 @@ class ForwardPass {
                      int site) {
     const torch::Tensor current = x * p_[name + ".gain"] + p_[name + ".bias"];
     if (config_.coder == CoderKind::kLif) {
-      output_.populations.push_back({stage, layer, LifConstant(current, coder_lif_), current});
+      output_.populations.push_back({stage, layer, LifConstant(current, lif_), current});
     } else {
       const bool all = x.size(1) == timesteps_.size(1);
       std::vector<int> kinds(x.size(1), 1);
@@ -179,7 +176,6 @@ class ForwardPass {
   const RoundedMaps* const rounded_;
   const Surrogate surrogate_;
   const LifOptions lif_;
-  const LifOptions coder_lif_;
   const ClipTensors& clips_;
   const torch::Tensor timesteps_;  // [B, 3n]
   const torch::Tensor mask_;       // [3n, 3n]

@@ -53,7 +53,6 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
     context->saved_data["per_tick"] = per_tick;
     context->saved_data["ticks"] = static_cast<int64_t>(options.ticks);
     context->saved_data["decay"] = static_cast<double>(options.neuron.decay);
-    context->saved_data["refractory"] = static_cast<int64_t>(options.neuron.refractory);
     context->saved_data["threshold"] = static_cast<double>(options.neuron.threshold);
     SaveSurrogate(options.surrogate, context);
     return spikes;
@@ -65,8 +64,7 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
     const bool per_tick = saved["per_tick"].toBool();
     const int ticks = static_cast<int>(saved["ticks"].toInt());
     const Lif neuron = {.decay = static_cast<float>(saved["decay"].toDouble()),
-                        .threshold = static_cast<float>(saved["threshold"].toDouble()),
-                        .refractory = static_cast<int>(saved["refractory"].toInt())};
+                        .threshold = static_cast<float>(saved["threshold"].toDouble())};
     const Surrogate surrogate = SavedSurrogate(context);
     const int64_t neurons = per_tick ? current.numel() / ticks : current.numel();
     const bool same = SameAtEveryTick(gradients[0]);

@@ -20,11 +20,6 @@ namespace {
 // Number of neurons processed at a time, so that their state over all ticks stays in the L1 cache.
 constexpr int64_t kBlock = 512;
 
-// The distances of neurons that cannot fire at a tick. No surrogate has a gradient there. Resting
-// neurons lose their input, too.
-constexpr float kCannotFire = -1e9f;
-constexpr float kRests = -1e30f;
-
 // Computes the distances u = V - V_th of the membranes before the reset, distances[tick * kBlock +
 // i], of `size` neurons from `begin` on. The neuron fires where u >= 0.
 inline __attribute__((always_inline)) void Distances(const LifRange& range, int64_t begin,
@@ -33,17 +28,13 @@ inline __attribute__((always_inline)) void Distances(const LifRange& range, int6
   const float decay = range.neuron.decay;
   const float threshold = range.neuron.threshold;
   float kept[kBlock] = {};  // membranes after the reset
-  int32_t rest[kBlock] = {};
   for (int tick = 0; tick < range.ticks; ++tick) {
     const float* input = current.data + tick * current.tick_stride + begin;
     float* row = distances + tick * kBlock;
     for (int64_t i = 0; i < size; ++i) {
       const float v = decay * kept[i] + input[i];
-      const bool rests = rest[i] > 0;
-      const bool fires = !rests && v >= threshold;
-      row[i] = rests ? kRests : v - threshold;
-      kept[i] = rests || fires ? 0.0f : v;
-      rest[i] = fires ? range.neuron.refractory : rest[i] - 1;
+      row[i] = v - threshold;
+      kept[i] = v >= threshold ? 0.0f : v;
     }
   }
 }
@@ -62,6 +53,9 @@ struct IntegerBlock {
     }
   }
 };
+
+// The distance of a neuron that cannot fire at a tick. No surrogate has a gradient there.
+constexpr float kCannotFire = -1e9f;
 
 int32_t Saturate(int32_t value) {
   using Limits = std::numeric_limits<int16_t>;
@@ -170,8 +164,7 @@ inline __attribute__((always_inline)) void Backward(const BackwardBlock& block,
     const float* row = block.distances + tick * kBlock;
     for (int64_t i = 0; i < block.size; ++i) {
       const float u = row[i];
-      const float g =
-          u == kRests ? 0.0f : gradient[i] * derivative(u) + (u >= 0.0f ? 0.0f : later[i]);
+      const float g = gradient[i] * derivative(u) + (u >= 0.0f ? 0.0f : later[i]);
       later[i] = block.decay * g;
       sum[i] = g + (block.current.tick_stride == 0 ? sum[i] : 0.0f);
     }
@@ -188,17 +181,13 @@ void LifForward(const LifRange& range, TickRows current, float* spikes, int64_t 
   for (int64_t begin = range.begin; begin < range.end; begin += kBlock) {
     const int64_t size = std::min(kBlock, range.end - begin);
     float kept[kBlock] = {};
-    int32_t rest[kBlock] = {};
     for (int tick = 0; tick < range.ticks; ++tick) {
       const float* input = current.data + tick * current.tick_stride + begin;
       float* output = spikes + tick * spike_stride + begin;
       for (int64_t i = 0; i < size; ++i) {
         const float v = decay * kept[i] + input[i];
-        const bool rests = rest[i] > 0;
-        const bool fires = !rests && v >= threshold;
-        output[i] = fires ? 1.0f : 0.0f;
-        kept[i] = rests || fires ? 0.0f : v;
-        rest[i] = fires ? range.neuron.refractory : rest[i] - 1;
+        output[i] = v >= threshold ? 1.0f : 0.0f;
+        kept[i] = v >= threshold ? 0.0f : v;
       }
     }
   }

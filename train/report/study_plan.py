@@ -160,7 +160,6 @@ PARTS = {
     "surrogate-piecewise": Arm(flags=("--surrogate=piecewise_linear",)),
     **{f"ticks-{ticks}": Arm(flags=(f"--ticks={ticks}",)) for ticks in (5, 10, 20, 40)},
     **{f"context-{context}": Arm(flags=(f"--context={context}",), clip=context) for context in (20, 50, 100)},
-    **{f"refractory-{ticks}": Arm(flags=(f"--refractory={ticks}",)) for ticks in (1, 3)},
     "gate-sigmoid": Arm(flags=("--gate=sigmoid",)),
     "router-activity": Arm(flags=("--gate=sigmoid", "--routing_hidden_size=4", "--activity_router")),
     "clock-window": Arm(flags=("--phase_clock=window",)),

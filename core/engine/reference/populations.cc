@@ -62,17 +62,13 @@ float Rate(const SpikeTrain& train, int neuron) {
 
 SpikeTrain Fire(const ModelConfig& config, const Linear& linear, const CodedToken& coded,
                 const SpikeTrain& phase) {
-  const Lif lif = {config.membrane_decay, config.threshold, config.refractory};
+  const Lif lif = {config.membrane_decay, config.threshold};
   const int outputs = linear.weight.shape[0];
   SpikeTrain train(config.ticks, std::vector<uint8_t>(outputs, 0));
   for (int i = 0; i < outputs; ++i) {
     float membrane = 0.0f;
-    int rest = 0;
     for (int tick = 1; tick <= config.ticks; ++tick) {
-      if (rest-- > 0) continue;
-      const bool spike = lif.Step(Current(linear, i, coded, phase, tick), membrane);
-      train[tick - 1][i] = spike;
-      rest = spike ? lif.refractory : 0;
+      train[tick - 1][i] = lif.Step(Current(linear, i, coded, phase, tick), membrane);
     }
   }
   return train;

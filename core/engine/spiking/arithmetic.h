@@ -24,7 +24,7 @@ struct Float32Arithmetic {
 
   static auto& MapsOf(auto& layer) { return layer; }  // a LayerWeights, const or not
   static Neuron NeuronOf(const ModelConfig& config) {
-    return {config.membrane_decay, config.threshold, config.refractory};
+    return {config.membrane_decay, config.threshold};
   }
   static Population PackPopulations(std::initializer_list<const Linear*> linears,
                                     int /*hidden_size*/) {

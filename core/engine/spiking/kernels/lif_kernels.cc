@@ -97,9 +97,7 @@ HWY_INLINE void RunLif(const Lif& lif, const float* bias, const Drive<float>& dr
   const float* const* terms = drive.terms.data();
   bias = Opaque(bias + lane);
   VecF membrane[kVectors];
-  VecF rest[kVectors];  // ticks until a neuron may integrate again
-  const auto refractory = hn::Set(d, static_cast<float>(lif.refractory));
-  for (int v = 0; v < kVectors; ++v) membrane[v] = rest[v] = hn::Zero(d);
+  for (int v = 0; v < kVectors; ++v) membrane[v] = hn::Zero(d);
   for (int tick = 0, k = 0; tick < ticks; ++tick) {
     VecF current[kVectors];
     for (int v = 0; v < kVectors; ++v) current[v] = hn::LoadU(d, bias + v * kVector);
@@ -111,12 +109,6 @@ HWY_INLINE void RunLif(const Lif& lif, const float* bias, const Drive<float>& dr
     }
     for (int v = 0; v < kVectors; ++v) {
       membrane[v] = hn::Add(hn::Mul(decay, membrane[v]), current[v]);
-      if (lif.refractory > 0) {
-        const auto resting = hn::Gt(rest[v], hn::Zero(d));
-        membrane[v] = hn::IfThenZeroElse(resting, membrane[v]);
-        rest[v] = hn::IfThenElse(resting, hn::Sub(rest[v], hn::Set(d, 1.0f)),
-                                 hn::IfThenElseZero(hn::Ge(membrane[v], threshold), refractory));
-      }
       const auto spike = hn::Ge(membrane[v], threshold);
       membrane[v] = hn::IfThenZeroElse(spike, membrane[v]);
       on_spike(tick, v, spike);
