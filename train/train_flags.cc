@@ -9,6 +9,7 @@
 #include "absl/strings/str_split.h"
 #include "core/base/status_macros.h"
 #include "train/record_flags.h"
+#include "train/trainer/device.h"
 
 namespace spikeserve {
 namespace {
@@ -93,6 +94,7 @@ void AddTrainerFlags(Command command, TrainerFlags* flags) {
            "Beats until a decision is executed: 3, or 0..5 drawn by clip")
       .Add("validation", "SHARE", &options.validation, "Share of episodes held out")
       .Add("threads", "N", &options.threads, "Threads; their number decides the last bits")
+      .Add("device", "cpu|cuda|cuda:N", &flags->device, "Where to compute; CUDA is not tested")
       .AddList("freeze", "NAME,...", &options.frozen,
                "Tensors that are not trained, by name or part: head, routing.hidden");
   command.Flags("Plasticity")
@@ -114,6 +116,7 @@ void AddTrainerFlags(Command command, TrainerFlags* flags) {
 absl::StatusOr<TrainOptions> MakeTrainOptions(const TrainerFlags& flags) {
   TrainOptions options = flags.options;
   ASSIGN_OR_RETURN(options.delay, ParseDelay(flags.delay));
+  ASSIGN_OR_RETURN(options.device, DeviceNamed(flags.device));
   options.rate_targets = {.hidden = flags.target_rate / 100.0,
                           .readout = flags.readout_rate / 100.0};
   if (absl::Status status = options.Validate(); !status.ok()) return NameFlag(status);

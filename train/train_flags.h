@@ -31,7 +31,8 @@ struct ShapeFlags {
 };
 
 struct TrainerFlags {
-  TrainOptions options;        // without the targets of the firing rates
+  TrainOptions options;  // without the targets of the firing rates
+  std::string device = "cpu";
   double target_rate = 100.0;  // percent of the ticks
   double readout_rate = 100.0;
   std::string delay = "0";  // beats, "3" or "0..5"

@@ -17,7 +17,7 @@ torch::Tensor Gates(const Parameters& parameters, const std::string& layer,
                     const ModelConfig& config, const torch::Tensor& heads_by_token) {
   const bool side_by_side = config.merge == Merge::kConcat;
   if (!config.has_routing()) {
-    return torch::full({1}, side_by_side ? 1.0 : 1.0 / config.heads);
+    return torch::full({1}, side_by_side ? 1.0 : 1.0 / config.heads, heads_by_token.options());
   }
   const torch::Tensor u = heads_by_token.flatten(-2);
   const torch::Tensor hidden = torch::relu(parameters.Linear(u, layer + ".routing.hidden"));
@@ -29,13 +29,13 @@ torch::Tensor Gates(const Parameters& parameters, const std::string& layer,
 
 }  // namespace
 
-torch::Tensor BandMask(int64_t timesteps, int context) {
+torch::Tensor BandMask(int64_t timesteps, int context, torch::Device device) {
   constexpr double kUnseen = -1e9;
-  const torch::Tensor index = torch::arange(3 * timesteps);
+  const torch::Tensor index = torch::arange(3 * timesteps, device);
   const torch::Tensor timestep = torch::div(index, 3, "floor");
   const torch::Tensor later = index.unsqueeze(0) > index.unsqueeze(1);
   const torch::Tensor forgotten = timestep.unsqueeze(0) <= timestep.unsqueeze(1) - context;
-  return torch::zeros(later.sizes()).masked_fill(later | forgotten, kUnseen);
+  return torch::zeros(later.sizes(), device).masked_fill(later | forgotten, kUnseen);
 }
 
 torch::Tensor Attend(const torch::Tensor& q, const torch::Tensor& k, const torch::Tensor& v,

@@ -16,7 +16,7 @@ namespace spikeserve {
 // Element (i, j) is 0 if token i may attend to token j, which is the case if j <= i and j's
 // timestep is one of the last `context` timesteps up to i's; otherwise it is a large negative
 // number.
-torch::Tensor BandMask(int64_t timesteps, int context);
+torch::Tensor BandMask(int64_t timesteps, int context, torch::Device device);
 
 // Computes y = softmax(scale q k^T + mask) v for every head and leading dimension: q [..., Q, d], k
 // and v [..., S, d], mask [Q, S], scale [H] or [1]. Returns [..., H, Q, d_h].

@@ -6,6 +6,13 @@ torch::Tensor StateTokens(const torch::Tensor& x, int64_t dimension) {
   return x.slice(dimension, 1, torch::indexing::None, kTokens);
 }
 
+// Not repeat_interleave(), which not every device has.
+torch::Tensor ForEachToken(const torch::Tensor& x, int64_t dimension, int64_t times) {
+  std::vector<int64_t> shape = x.sizes().vec();
+  shape.insert(shape.begin() + dimension + 1, times);
+  return x.unsqueeze(dimension + 1).expand(shape).flatten(dimension, dimension + 1);
+}
+
 torch::Tensor ReturnInput(const Policy& policy, const ClipTensors& clips) {
   return ((clips.return_to_go - policy.return_offset) / policy.return_scale).unsqueeze(-1);
 }
@@ -21,7 +28,8 @@ torch::Tensor StateInput(const Policy& policy, const Parameters& parameters,
 }
 
 torch::Tensor PhaseTimes(const ModelConfig& config, const torch::Tensor& timesteps) {
-  const torch::Tensor tick = torch::arange(config.ticks, torch::kDouble).view({-1, 1, 1, 1});
+  const torch::Tensor tick =
+      torch::arange(config.ticks, timesteps.options().dtype(torch::kDouble)).view({-1, 1, 1, 1});
   const torch::Tensor timestep = timesteps.to(torch::kDouble).unsqueeze(0).unsqueeze(-1);
   return config.phase_clock == PhaseClock::kWindow
              ? (tick + 1.0).expand({-1, timestep.size(1), timestep.size(2), 1})

@@ -51,6 +51,10 @@ inline constexpr int kTokens = 3;
 // Returns the state tokens: every third token along `dimension`, starting with the second.
 torch::Tensor StateTokens(const torch::Tensor& x, int64_t dimension);
 
+// Returns a tensor with one entry for each of the `times` tokens of a timestep along `dimension`,
+// which has one for each timestep.
+torch::Tensor ForEachToken(const torch::Tensor& x, int64_t dimension, int64_t times = kTokens);
+
 // Return the inputs of the return and state tokens (see SetStateInput): [B, n, 1] and [B, n, state
 // inputs].
 torch::Tensor ReturnInput(const Policy& policy, const ClipTensors& clips);

@@ -37,7 +37,7 @@ class IntegerPass {
         p_(parameters),
         coder_(coder),
         clips_(clips),
-        band_(BandMask(clips.timesteps.size(1), config_.context) == 0.0) {}
+        band_(BandMask(clips.timesteps.size(1), config_.context, torch::kCPU) == 0.0) {}
 
   ModelOutput Run() {
     Fixed x = Embed();
@@ -102,7 +102,7 @@ class IntegerPass {
     }
     const torch::Tensor spikes = StraightThrough(exact, real);
     output_.populations.push_back({Stage::kPhase, -1, spikes, {}});
-    phase_ = spikes.repeat_interleave(kTokens, 2);
+    phase_ = ForEachToken(spikes, 2);
   }
 
   // Returns a coder's spikes [T, B, tokens, d].

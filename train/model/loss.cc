@@ -9,7 +9,7 @@ constexpr double kLeastWeight = 1e-12;  // of a batch
 torch::Tensor Rate(const torch::Tensor& spikes, const torch::Tensor& mask) {
   const int64_t tokens_per_step = spikes.size(2) / mask.size(1);
   const torch::Tensor token_mask =
-      tokens_per_step == 1 ? mask : mask.repeat_interleave(tokens_per_step, 1);
+      tokens_per_step == 1 ? mask : ForEachToken(mask, 1, tokens_per_step);
   const torch::Tensor per_token = spikes.mean(std::vector<int64_t>{0, 3});
   return (per_token * token_mask).sum() / token_mask.sum();
 }

@@ -40,16 +40,18 @@ std::map<std::string, torch::Tensor> CopyTensors(const Policy& policy) {
   return tensors;
 }
 
-Parameters::Parameters(const Policy& policy, const PatchShape& patches, uint64_t seed)
+Parameters::Parameters(const Policy& policy, const PatchShape& patches, uint64_t seed,
+                       torch::Device device)
     : patches_(patches), tensors_(CopyTensors(policy)) {
   for (auto& [name, tensor] : tensors_) {
+    tensor = tensor.to(device);
     tensor.set_requires_grad(!absl::StartsWith(name, "observation."));
   }
   if (!patches.used()) return;
   tensors_.erase(kStateWeight);
   const PatchMaps maps = RandomPatchMaps(patches, policy.config.hidden_size, seed);
-  tensors_.emplace(kPatchEmbedding, maps.embedding.set_requires_grad(true));
-  tensors_.emplace(kPatchMix, maps.mix.set_requires_grad(true));
+  tensors_.emplace(kPatchEmbedding, maps.embedding.to(device).set_requires_grad(true));
+  tensors_.emplace(kPatchMix, maps.mix.to(device).set_requires_grad(true));
 }
 
 torch::Tensor Parameters::Linear(const torch::Tensor& x, const std::string& name) const {
@@ -68,7 +70,7 @@ torch::Tensor Parameters::Exported(const std::string& name) const {
 
 void Parameters::Store(Policy* policy) const {
   for (const TensorSlot& slot : Slots(policy)) {
-    const torch::Tensor tensor = Exported(slot.name).detach().contiguous();
+    const torch::Tensor tensor = Exported(slot.name).detach().cpu().contiguous();
     std::copy_n(tensor.data_ptr<float>(), tensor.numel(), slot.floats()->values.begin());
   }
 }

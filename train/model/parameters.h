@@ -22,8 +22,9 @@ class Parameters {
   // Copies the policy's weights. All tensors require a gradient except `observation.*`, which are
   // computed from the data and not trained. With patches, random maps `patch.embedding` and
   // `patch.mix` replace `embed.state.weight`, which is their product. REQUIRES: the policy is
-  // float32, and `patches` are not used or valid for it.
-  Parameters(const Policy& policy, const PatchShape& patches, uint64_t seed);
+  // float32, and `patches` are not used or valid for it. The tensors are on `device`.
+  Parameters(const Policy& policy, const PatchShape& patches, uint64_t seed,
+             torch::Device device = torch::kCPU);
   // As above, without patches.
   explicit Parameters(const Policy& policy) : Parameters(policy, PatchShape(), /*seed=*/0) {}
 

@@ -32,8 +32,8 @@ class ForwardPass {
         surrogate_(surrogate),
         lif_{{config_.membrane_decay, config_.threshold}, config_.ticks, surrogate},
         clips_(clips),
-        timesteps_(clips.timesteps.repeat_interleave(kTokens, 1)),
-        mask_(BandMask(clips.timesteps.size(1), config_.context)) {}
+        timesteps_(ForEachToken(clips.timesteps, 1)),
+        mask_(BandMask(clips.timesteps.size(1), config_.context, clips.timesteps.device())) {}
 
   ModelOutput Run() {
     torch::Tensor x = Embed();
@@ -76,7 +76,7 @@ class ForwardPass {
     const torch::Tensor spikes = PhaseSpikes(p_["phase.omega"], p_["phase.phi"],
                                              PhaseTimes(config_, clips_.timesteps), surrogate_);
     output_.populations.push_back({Stage::kPhase, -1, spikes, {}});
-    phase_ = spikes.repeat_interleave(kTokens, 2);
+    phase_ = ForEachToken(spikes, 2);
   }
 
   // Returns a coder's spikes [T, B, tokens, d] for x [B, tokens, d].
@@ -152,7 +152,7 @@ class ForwardPass {
     const std::string name = absl::StrCat("layers.", layer);
     const std::string attention = name + ".attention";
     const torch::Tensor asking = IsLast(layer) ? StateTokens(x, 1) : x;
-    const torch::Tensor scale = torch::full({1}, 1.0 / std::sqrt(config_.head_size()));
+    const torch::Tensor scale = torch::full({1}, 1.0 / std::sqrt(config_.head_size()), x.options());
     const torch::Tensor y =
         Attend(p_.Linear(asking, attention + ".query"), p_.Linear(x, attention + ".key"),
                p_.Linear(x, attention + ".value"), scale, Mask(layer), config_.heads);
@@ -198,10 +198,10 @@ absl::StatusOr<Policy> RoundTo(Arithmetic arithmetic, const Policy& policy) {
 }
 
 TorchModel::TorchModel(Policy policy, const Surrogate& surrogate, Arithmetic arithmetic,
-                       const PatchShape& patches, uint64_t seed)
+                       const PatchShape& patches, uint64_t seed, torch::Device device)
     : policy_(std::move(policy)),
       surrogate_(surrogate),
-      parameters_(policy_, patches, seed),
+      parameters_(policy_, patches, seed, device),
       arithmetic_(arithmetic) {
   if (arithmetic_ != Arithmetic::kFloat32) SetRounded(*RoundTo(arithmetic_, policy_));
 }

@@ -25,11 +25,12 @@ class TorchModel {
  public:
   // Copies the policy's weights as initial parameters. Runs the policy as RoundTo() rounds it. With
   // patches, the state embedding starts from random patch maps that are drawn from `seed`.
-  // REQUIRES: a valid policy in float32 that RoundTo() accepts; patches that are not used or valid
-  // for it.
+  // Computes on `device`, where the tensors of clips have to be. REQUIRES: a valid policy in
+  // float32 that RoundTo() accepts; patches that are not used or valid for it; the processor, for
+  // integers and the Bernoulli coder.
   TorchModel(Policy policy, const Surrogate& surrogate,
              Arithmetic arithmetic = Arithmetic::kFloat32, const PatchShape& patches = {},
-             uint64_t seed = 0);
+             uint64_t seed = 0, torch::Device device = torch::kCPU);
 
   // Runs the model on all clips; records the autograd graph unless gradients are disabled. In
   // integers, computes with the weights of the last Round(), or else of the initial policy.

@@ -4,6 +4,7 @@
 #include <torch/csrc/autograd/custom_function.h>
 
 #include "train/neuron/lif_kernels.h"
+#include "train/neuron/lif_operators.h"
 
 namespace spikeserve {
 namespace {
@@ -40,6 +41,15 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
   static torch::Tensor forward(AutogradContext* context, const torch::Tensor& input, bool per_tick,
                                const LifOptions& options) {
     const torch::Tensor current = input.contiguous();
+    context->save_for_backward({current});
+    context->saved_data["per_tick"] = per_tick;
+    context->saved_data["ticks"] = static_cast<int64_t>(options.ticks);
+    context->saved_data["decay"] = static_cast<double>(options.neuron.decay);
+    context->saved_data["threshold"] = static_cast<double>(options.neuron.threshold);
+    SaveSurrogate(options.surrogate, context);
+    if (!current.is_cpu()) {
+      return LifForwardOperators(options.neuron, options.ticks, !per_tick, current);
+    }
     const int64_t neurons = per_tick ? current.numel() / options.ticks : current.numel();
     std::vector<int64_t> shape = current.sizes().vec();
     if (!per_tick) shape.insert(shape.begin(), options.ticks);
@@ -49,12 +59,6 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
       LifForward({options.neuron, options.ticks, begin, end}, Rows(current, per_tick, neurons), out,
                  neurons);
     });
-    context->save_for_backward({current});
-    context->saved_data["per_tick"] = per_tick;
-    context->saved_data["ticks"] = static_cast<int64_t>(options.ticks);
-    context->saved_data["decay"] = static_cast<double>(options.neuron.decay);
-    context->saved_data["threshold"] = static_cast<double>(options.neuron.threshold);
-    SaveSurrogate(options.surrogate, context);
     return spikes;
   }
 
@@ -66,6 +70,10 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
     const Lif neuron = {.decay = static_cast<float>(saved["decay"].toDouble()),
                         .threshold = static_cast<float>(saved["threshold"].toDouble())};
     const Surrogate surrogate = SavedSurrogate(context);
+    if (!current.is_cpu()) {
+      return {LifBackwardOperators(neuron, ticks, !per_tick, surrogate, current, gradients[0]),
+              torch::Tensor(), torch::Tensor()};
+    }
     const int64_t neurons = per_tick ? current.numel() / ticks : current.numel();
     const bool same = SameAtEveryTick(gradients[0]);
     const torch::Tensor spike_gradient = same ? gradients[0] : gradients[0].contiguous();

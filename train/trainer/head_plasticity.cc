@@ -17,8 +17,8 @@ torch::Tensor Postsynaptic(Rule rule, const ActionSpace& space, const torch::Ten
 }
 
 // Returns [n, n] with lambda^(t - s) in row s and column t, 0 for t < s.
-torch::Tensor Decays(double trace_decay, int64_t timesteps) {
-  const torch::Tensor t = torch::arange(timesteps);
+torch::Tensor Decays(double trace_decay, int64_t timesteps, torch::Device device) {
+  const torch::Tensor t = torch::arange(timesteps, device);
   const torch::Tensor distance = (t.unsqueeze(0) - t.unsqueeze(1)).to(torch::kFloat);
   return torch::pow(trace_decay, distance.clamp_min(0.0)).masked_fill(distance < 0.0, 0.0);
 }
@@ -32,8 +32,9 @@ torch::Tensor HeadChange(const HeadPlasticity& plasticity, const ActionSpace& sp
   const torch::Tensor modulator =
       ((inputs.return_to_go - inputs.mean) / inputs.deviation).clamp(-1.0, 1.0) * inputs.mask;
   // sum_t delta_t E_t = sum_s (sum_{t >= s} lambda^{t - s} delta_t) y_s r_s^T
-  const torch::Tensor weight =
-      torch::matmul(modulator, Decays(plasticity.trace_decay, modulator.size(1)).transpose(0, 1));
+  const torch::Tensor weight = torch::matmul(
+      modulator,
+      Decays(plasticity.trace_decay, modulator.size(1), modulator.device()).transpose(0, 1));
   const torch::Tensor y = Postsynaptic(plasticity.rule, space, output.logits, inputs.targets);
   const torch::Tensor credit = (y * weight.unsqueeze(-1)).flatten(0, 1);
   const torch::Tensor sum = torch::matmul(credit.transpose(0, 1), output.readout.flatten(0, 1));

@@ -138,6 +138,7 @@ std::string TrainOptions::ToFlags() const {
     absl::StrAppend(&flags, " --schedule=", std::string(ToString(schedule)));
   }
   if (threads != 1) absl::StrAppend(&flags, " --threads=", threads);
+  if (!device.is_cpu()) absl::StrAppend(&flags, " --device=", device.str());
   if (!frozen.empty()) absl::StrAppend(&flags, " --freeze=", absl::StrJoin(frozen, ","));
   return flags;
 }
@@ -197,8 +198,9 @@ Trainer::Trainer(Policy initial, const EpisodeSource& source, const TrainOptions
       observation_size_(source.dataset().observation_size),
       clip_(ShapeOfClips(options, initial.config)),
       split_(SplitEpisodes(source.entries(), options.validation)),
-      spread_(torch::tensor(EncodedLabels(source).std)),
-      model_(initial, options.surrogate, options.arithmetic, options.patches, options.seed),
+      spread_(torch::tensor(EncodedLabels(source).std).to(options.device)),
+      model_(initial, options.surrogate, options.arithmetic, options.patches, options.seed,
+             options.device),
       optimizer_(Optimizer::Make(model_.parameters(), options)) {
   at::set_num_threads(options.threads);
   if (source.resident()) {
@@ -257,16 +259,21 @@ Trainer::Batch Trainer::MakeBatch(const Clips& clips, uint64_t key) const {
   for (int64_t i = 0; i < count; ++i) {
     seeds[i] = static_cast<int64_t>(RandomBits({kBernoulliSeeds, key, static_cast<uint64_t>(i)}));
   }
-  return {.clips = {.return_to_go = Copy(clips.return_to_go, {count, n}, torch::kFloat),
-                    .observations =
-                        Copy(clips.observations, {count, n, observation_size_}, torch::kFloat),
-                    .actions = Copy(clips.actions, {count, n, act}, torch::kFloat),
-                    .timesteps = Copy(clips.timesteps, {count, n}, torch::kLong),
-                    .seeds = Copy(seeds, {count}, torch::kLong),
-                    .previous = Copy(clips.previous, {count, observation_size_}, torch::kFloat)},
-          .targets = Copy(clips.targets, {count, n, act}, torch::kFloat),
-          .mask = Copy(clips.mask, {count, n}, torch::kFloat),
-          .weights = Copy(clips.weights, {count, n}, torch::kFloat)};
+  const auto on_device = [this](const auto& values, std::vector<int64_t> shape,
+                                torch::ScalarType type) {
+    return Copy(values, std::move(shape), type).to(options_.device);
+  };
+  return {
+      .clips = {.return_to_go = on_device(clips.return_to_go, {count, n}, torch::kFloat),
+                .observations =
+                    on_device(clips.observations, {count, n, observation_size_}, torch::kFloat),
+                .actions = on_device(clips.actions, {count, n, act}, torch::kFloat),
+                .timesteps = on_device(clips.timesteps, {count, n}, torch::kLong),
+                .seeds = on_device(seeds, {count}, torch::kLong),
+                .previous = on_device(clips.previous, {count, observation_size_}, torch::kFloat)},
+      .targets = on_device(clips.targets, {count, n, act}, torch::kFloat),
+      .mask = on_device(clips.mask, {count, n}, torch::kFloat),
+      .weights = on_device(clips.weights, {count, n}, torch::kFloat)};
 }
 
 torch::Tensor Trainer::Loss(const Batch& batch, const ModelOutput& output) const {

@@ -59,6 +59,7 @@ struct TrainOptions {
   // Of the whole process. The number decides the order of sums, and so the last bits of the
   // weights. On a busy machine, or with small models, one thread is the fastest.
   int threads = 1;
+  torch::Device device = torch::kCPU;  // other devices compute other last bits
   Surrogate surrogate;
   PatchShape patches;                            // of image observations; only for new policies
   Arithmetic arithmetic = Arithmetic::kFloat32;  // of the forward pass and of the policy it makes
@@ -71,7 +72,8 @@ struct TrainOptions {
   absl::Status Validate() const;
 
   // Returns the flags of `spiketrain train` for these options, including defaults except those of
-  // `padding`, `schedule`, `arithmetic`, `patches`, `delay`, `plasticity`, `frozen` and `threads`.
+  // `padding`, `schedule`, `arithmetic`, `patches`, `delay`, `plasticity`, `frozen`, `threads` and
+  // `device`.
   std::string ToFlags() const;
 };
 
@@ -81,8 +83,9 @@ absl::Status CheckFrozen(const std::vector<std::string>& frozen, const Policy& p
 class Trainer {
  public:
   // Keeps a reference to `source`. REQUIRES: valid options, whose frozen tensors the policy has,
-  // and a valid policy in float32 for the source's environment; with Arithmetic::kInt8 one that
-  // Quantize() accepts. Sets the number of threads of libtorch in this process.
+  // and a valid policy in float32 for the source's environment that
+  // CheckDevice() accepts; with Arithmetic::kInt8 one that Quantize() accepts. Sets the number of
+  // threads of libtorch in this process.
   Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options);
   ~Trainer();
 

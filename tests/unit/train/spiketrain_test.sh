@@ -255,6 +255,7 @@ refuses 'command: expected one of expert, dataset, train, quantize, eval, compar
 refuses '--out: expected the directory to write into, received none' train
 refuses '--heads: expected what --init has, 2, or no such flag, received 8' \
   train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8
+refuses '--device: expected cpu, cuda or cuda:N, received gpu' train --data=data.cbor --out=x --device=gpu
 refuses '--ticks: expected 1 to 256, received 0' train --data=data.cbor --init=whole/policy.safetensors --out=x --ticks=0
 "$spiketrain" train --data=data.cbor --init=whole/policy.safetensors --out=fewer --ticks=1 --iterations=1 --batch=2 --episodes=1 \
   --no_baselines >/dev/null 2>&1 || fail "a policy cannot go on with fewer ticks"

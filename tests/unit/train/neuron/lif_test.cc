@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "train/neuron/lif_function.h"
+#include "train/neuron/lif_operators.h"
 #include "train/neuron/surrogate.h"
 
 namespace spikeserve {
@@ -111,6 +112,39 @@ TEST(LifFunctionTest, ConstantCurrentFiresWithTheCodersPeriod) {
     }
   }
 }
+
+class LifOperatorsTest : public testing::TestWithParam<SurrogateKind> {};
+
+// What runs on other devices computes what the kernels of the processor compute.
+TEST_P(LifOperatorsTest, AreTheKernels) {
+  const LifOptions options = {.neuron = {.decay = 0.9f, .threshold = 0.8f},
+                              .ticks = kTicks,
+                              .surrogate = {GetParam(), 4.0f}};
+  const torch::Tensor gradient = torch::randn({kTicks, kNeurons});
+  for (const bool constant : {false, true}) {
+    torch::Tensor current = RandomCurrent(constant ? std::vector<int64_t>{kNeurons}
+                                                   : std::vector<int64_t>{kTicks, kNeurons});
+    current.requires_grad_();
+    const torch::Tensor spikes =
+        constant ? LifConstant(current, options) : LifPerTick(current, options);
+    EXPECT_TRUE(torch::equal(
+        spikes, LifForwardOperators(options.neuron, kTicks, constant, current.detach())));
+    (spikes * gradient).sum().backward();
+    const torch::Tensor by_operators = LifBackwardOperators(
+        options.neuron, kTicks, constant, options.surrogate, current.detach(), gradient);
+    EXPECT_TRUE(torch::allclose(current.grad(), by_operators, 1e-5, 1e-6));
+  }
+  const torch::Tensor u = torch::linspace(-0.5, 0.5, 11);
+  const torch::Tensor derivatives = SurrogateDerivative(options.surrogate, u);
+  for (int64_t i = 0; i < u.numel(); ++i) {
+    EXPECT_NEAR(derivatives[i].item<float>(), Derivative(GetParam(), 4.0f, u[i].item<float>()),
+                1e-6);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Kinds, LifOperatorsTest,
+                         testing::Values(SurrogateKind::kFastSigmoid, SurrogateKind::kSigmoid,
+                                         SurrogateKind::kPiecewiseLinear));
 
 class LifGradientTest : public testing::TestWithParam<SurrogateKind> {};
 

@@ -1,0 +1,23 @@
+// Where a training computes.
+#ifndef TRAIN_TRAINER_DEVICE_H_
+#define TRAIN_TRAINER_DEVICE_H_
+
+#include <torch/types.h>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "core/model/config.h"
+
+namespace spikeserve {
+
+// Returns the device with a name: cpu, cuda, or cuda:N. Returns INVALID_ARGUMENT for other names,
+// and for a device that this machine or this libtorch does not have.
+absl::StatusOr<torch::Device> DeviceNamed(absl::string_view name);
+
+// Returns INVALID_ARGUMENT if a policy of this configuration can be trained on the processor alone:
+// integers and the Bernoulli coder compute there exactly what the engines do.
+absl::Status CheckDevice(torch::Device device, const ModelConfig& config, Arithmetic arithmetic);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_TRAINER_DEVICE_H_
