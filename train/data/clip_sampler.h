@@ -30,7 +30,7 @@ constexpr std::array<EnumName<Padding>, 2> EnumNames(Padding) {
 struct ClipShape {
   int timesteps = 1;  // n >= 1
   Padding padding = Padding::kEnd;
-  DelayRange delay;  // each clip draws a delay of its own
+  DelayRange delay = {};  // each clip draws a delay of its own
 };
 
 // A batch of clips as row-major arrays. At timesteps outside an episode `mask` is 0 and all other
