@@ -22,9 +22,9 @@
 #include "train/model/torch_model.h"
 #include "train/progress_bar.h"
 #include "train/trainer/activity_router.h"
+#include "train/trainer/device.h"
 #include "train/trainer/initial_policy.h"
 #include "train/trainer/lookback.h"
-#include "train/trainer/device.h"
 #include "train/trainer/return_scaling.h"
 #include "train/trainer/trainer.h"
 

@@ -270,7 +270,7 @@ TEST(ClipSamplerTest, FrontPaddingIsBeforeTheFirstStep) {
   const Dataset dataset = DatasetOf({Counting(3)});
   constexpr int kClip = 5;
   const Clips clips = ClipSampler(dataset, {0}, {.timesteps = kClip, .padding = Padding::kFront})
-                          .Sample(/*key=*/1, /*count=*/40, 0.0);
+                          .Sample(/*key=*/1, /*count=*/200, 0.0);
   std::vector<bool> seen(kClip);
   for (int clip = 0; clip < clips.count; ++clip) {
     const auto mask = absl::MakeSpan(clips.mask).subspan(size_t{kClip} * clip, kClip);
