@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 #include <torch/library.h>
 #include <torch/types.h>
+#include <torch/version.h>
 
 #include <array>
 #include <string>
@@ -20,9 +21,9 @@ namespace spikeserve {
 namespace {
 
 using torch::Tensor;
+#if TORCH_VERSION_MAJOR < 2  // has not all operators on `meta`
 using OptionalTensor = c10::optional<Tensor>;
 
-// What libtorch 1.13 lacks on `meta`.
 Tensor ReluOnMeta(const Tensor& x) { return torch::empty_like(x); }
 Tensor& AbsOnMeta(const Tensor& x, Tensor& out) {
   out.resize_(x.sizes());
@@ -50,6 +51,7 @@ TORCH_LIBRARY_IMPL(aten, Meta, library) {
   library.impl("native_layer_norm", LayerNormOnMeta);
   library.impl("native_layer_norm_backward", LayerNormBackwardOnMeta);
 }
+#endif
 
 constexpr int64_t kClips = 2, kSteps = 5;
 
