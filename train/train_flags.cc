@@ -83,7 +83,7 @@ void AddTrainerFlags(Command command, TrainerFlags* flags) {
       .Add("batch", "N", &options.batch, "Clips of an iteration")
       .Add("clip_steps", "N", &options.clip_steps, "Timesteps of a clip; 0: the policy's context")
       .Add("padding", EnumKind<Padding>(), &options.padding,
-           "Where a clip has zeros that is longer than its episode")
+           "Where clips that exceed an episode have zeros")
       .Add("learning_rate", "RATE", &options.learning_rate, "Peak learning rate of AdamW")
       .Add("schedule", EnumKind<Schedule>(), &options.schedule, "Learning rate after the warm-up")
       .Add("weight_decay", "X", &options.weight_decay, "Weight decay of AdamW")

@@ -194,7 +194,7 @@ def test_a_run_of_the_settings_has_the_papers_epochs():
     assert (settings["table1"].epoch, settings["table5"].epoch) == (7, 11)
     flags = study_plan.train_flags(study_plan.Run("pendulum-table5", "full", 1), "1e-4", study_plan.Budget())
     assert {"--batch=16", "--context=50", "--iterations=2200", "--validate_every=55", "--hidden_size=128"} <= set(flags)
-    assert len(study_plan.settings_runs(1)) == 2 * 4 * 5
+    assert len(study_plan.settings_runs()) == 2 * 4 * 5
 
 
 def test_the_table_of_the_settings_compares_with_baseline(tmp_path):

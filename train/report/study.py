@@ -2,7 +2,7 @@
 
     python train/report/study.py --work=build/study --out=docs/evidence/study
     python train/report/study.py --work=build/study --out=docs/evidence/study --parts
-    python train/report/study.py --work=build/study --out=docs/evidence/study --settings --seeds=1
+    python train/report/study.py --work=build/study --out=docs/evidence/study --settings
 
 Needs `spiketrain` and a Python with what docs/guides/imitation.md installs, popgym and minigrid; PYTHONPATH names
 train/recipes. The learning rate of `dense` is chosen first. The same command continues after an interruption, and
@@ -56,7 +56,7 @@ class Study:
 
 
 def run_named(name, tasks, seeds):
-    runs = [*study_plan.settings_runs(seeds), *study_plan.sweep_runs(tasks), *study_plan.study_runs(tasks, seeds)]
+    runs = [*study_plan.settings_runs(), *study_plan.sweep_runs(tasks), *study_plan.study_runs(tasks, seeds)]
     runs += study_plan.part_runs(tasks, seeds)
     run = next((run for run in runs if run.name == name), None)
     if run is None:
@@ -103,7 +103,7 @@ def main():
     if arguments.parts:
         stages = [study_plan.part_runs(tasks, arguments.seeds)]
     if arguments.settings:
-        stages = [study_plan.settings_runs(arguments.seeds)]
+        stages = [study_plan.settings_runs()]
     return 0 if all(train_all(study, runs, command, arguments.jobs) for runs in stages) else 1
 
 

@@ -1,4 +1,4 @@
-// Where a training computes.
+// Where a training computes. Free functions, safe to call from many threads.
 #ifndef TRAIN_TRAINER_DEVICE_H_
 #define TRAIN_TRAINER_DEVICE_H_
 

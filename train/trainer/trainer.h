@@ -83,9 +83,9 @@ absl::Status CheckFrozen(const std::vector<std::string>& frozen, const Policy& p
 class Trainer {
  public:
   // Keeps a reference to `source`. REQUIRES: valid options, whose frozen tensors the policy has,
-  // and a valid policy in float32 for the source's environment that
-  // CheckDevice() accepts; with Arithmetic::kInt8 one that Quantize() accepts. Sets the number of
-  // threads of libtorch in this process.
+  // and a valid policy in float32 for the source's environment that CheckDevice() accepts; with
+  // Arithmetic::kInt8 one that Quantize() accepts. Sets the number of threads of libtorch in this
+  // process.
   Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options);
   ~Trainer();
 

@@ -113,13 +113,15 @@ TEST(LifFunctionTest, ConstantCurrentFiresWithTheCodersPeriod) {
   }
 }
 
+LifOptions LeakyOptions(SurrogateKind kind) {
+  return {.neuron = {.decay = 0.9f, .threshold = 0.8f}, .ticks = kTicks, .surrogate = {kind, 4.0f}};
+}
+
 class LifOperatorsTest : public testing::TestWithParam<SurrogateKind> {};
 
 // What runs on other devices computes what the kernels of the processor compute.
 TEST_P(LifOperatorsTest, AreTheKernels) {
-  const LifOptions options = {.neuron = {.decay = 0.9f, .threshold = 0.8f},
-                              .ticks = kTicks,
-                              .surrogate = {GetParam(), 4.0f}};
+  const LifOptions options = LeakyOptions(GetParam());
   const torch::Tensor gradient = torch::randn({kTicks, kNeurons});
   for (const bool constant : {false, true}) {
     torch::Tensor current = RandomCurrent(constant ? std::vector<int64_t>{kNeurons}
@@ -151,9 +153,7 @@ class LifGradientTest : public testing::TestWithParam<SurrogateKind> {};
 // Checks the backward pass of both variants, with a gradient that differs between ticks and with
 // one that does not.
 TEST_P(LifGradientTest, EqualsTheGraphOverTicks) {
-  const LifOptions options = {.neuron = {.decay = 0.9f, .threshold = 0.8f},
-                              .ticks = kTicks,
-                              .surrogate = {GetParam(), 4.0f}};
+  const LifOptions options = LeakyOptions(GetParam());
   const torch::Tensor weight = torch::randn({kTicks, kNeurons});
   for (const bool constant : {false, true}) {
     for (const bool same_at_every_tick : {false, true}) {
