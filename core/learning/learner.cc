@@ -44,17 +44,17 @@ std::optional<UpdateOutcome> Learner::OnDecision(const LearningOptions& options,
   episode.AddDecision(Discount(options));
 
   thread_local std::vector<float> y;  // reused, so that a decision allocates no memory
-  PostsynapticActivity(options.rule, choice, &y);
+  PostsynapticActivity(options.rule, policy.action_space, choice, &y);
   const auto decay = static_cast<float>(options.trace_decay);
   auto matrix = AsMatrix(trace, static_cast<Eigen::Index>(y.size()));
   matrix.noalias() = decay * matrix + AsVector(y) * AsVector(rates).transpose();  // eq. 4.1
-  if (options.rule == Rule::kPolicyGradient) {
+  if (DependsOnAction(options.rule)) {
     post = AsVector(y);
     readout = AsVector(rates);
   }
 
   if (options.modulator == Modulator::kTarget) {
-    if (options.rule == Rule::kPolicyGradient) before_update = head_delta;
+    if (DependsOnAction(options.rule)) before_update = head_delta;
     return ApplyTarget(options, policy, return_to_go);
   }
   trace_sum += trace.cast<double>();
@@ -71,8 +71,8 @@ std::optional<UpdateOutcome> Learner::OnExecuted(const LearningOptions& options,
   if (suspended || post.size() == 0) return std::nullopt;
   const Eigen::VectorXf y = std::exchange(post, {});
   std::vector<float> corrected(y.begin(), y.end());
-  ReplaceAction(policy.action_space, logits, selection.temperature, answered, executed,
-                absl::MakeSpan(corrected));
+  ReplaceAction(options.rule, policy.action_space, logits, selection.temperature, answered,
+                executed, absl::MakeSpan(corrected));
   Eigen::VectorXf change(head_delta.size());
   AsMatrix(change, y.size()).noalias() = (AsVector(corrected) - y) * readout.transpose();
   trace += change;

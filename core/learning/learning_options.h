@@ -14,7 +14,7 @@
 namespace spikeserve {
 
 // Selects the postsynaptic factor y of eq. 4.1; see postsynaptic.h.
-enum class Rule { kPolicyGradient, kHebbian };
+enum class Rule { kPolicyGradient, kHebbian, kHebbianAction };
 
 // Selects the return G of eq. 4.2: the return-to-go that conditioned the decision (target), or the
 // return that followed it (realized); see learner.h.
@@ -25,8 +25,10 @@ enum class Modulator { kTarget, kRealized };
 enum class Scope { kSession, kFleet };
 
 // Names on the wire and in a stored session; see enum_names.h.
-constexpr std::array<EnumName<Rule>, 2> EnumNames(Rule) {
-  return {{{Rule::kPolicyGradient, "policy_gradient"}, {Rule::kHebbian, "hebbian"}}};
+constexpr std::array<EnumName<Rule>, 3> EnumNames(Rule) {
+  return {{{Rule::kPolicyGradient, "policy_gradient"},
+           {Rule::kHebbian, "hebbian"},
+           {Rule::kHebbianAction, "hebbian_action"}}};
 }
 constexpr std::array<EnumName<Modulator>, 2> EnumNames(Modulator) {
   return {{{Modulator::kTarget, "target"}, {Modulator::kRealized, "realized"}}};

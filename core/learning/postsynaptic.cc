@@ -8,14 +8,33 @@
 #include "core/math/vector_view.h"
 
 namespace spikeserve {
+namespace {
 
-void PostsynapticActivity(Rule rule, const ActionChoice& choice, std::vector<float>* post) {
+// Returns element i of a continuous action, mapped from its bounds to [-1, 1].
+double Unit(const ActionSpace& space, const Action& action, size_t i) {
+  const double low = space.low[i];
+  return 2.0 * (action.continuous[i] - low) / (static_cast<double>(space.high[i]) - low) - 1.0;
+}
+
+}  // namespace
+
+void PostsynapticActivity(Rule rule, const ActionSpace& space, const ActionChoice& choice,
+                          std::vector<float>* post) {
+  SPIKESERVE_DCHECK_EQ(choice.probabilities.empty(), !space.is_discrete());
   SPIKESERVE_DCHECK_EQ(rule == Rule::kPolicyGradient && choice.probabilities.empty(),
                        rule == Rule::kPolicyGradient && !choice.noise.empty());
-  const bool discrete = !choice.probabilities.empty();
+  const bool discrete = space.is_discrete();
   if (rule == Rule::kHebbian) {
     *post = discrete ? choice.probabilities : choice.logits;
     if (!discrete) AsVector(*post) = AsVector(*post).unaryExpr(&Tanh);
+    return;
+  }
+  if (rule == Rule::kHebbianAction) {
+    post->assign(choice.logits.size(), 0.0f);
+    if (discrete) (*post)[static_cast<size_t>(choice.action.discrete)] = 1.0f;
+    for (size_t i = 0; !discrete && i < post->size(); ++i) {
+      (*post)[i] = static_cast<float>(Unit(space, choice.action, i));
+    }
     return;
   }
   *post = discrete ? choice.probabilities : choice.noise;
@@ -24,8 +43,10 @@ void PostsynapticActivity(Rule rule, const ActionChoice& choice, std::vector<flo
   (*post)[static_cast<size_t>(choice.action.discrete)] += 1.0f;
 }
 
-void ReplaceAction(const ActionSpace& space, absl::Span<const float> logits, float temperature,
-                   const Action& answered, const Action& executed, absl::Span<float> post) {
+void ReplaceAction(Rule rule, const ActionSpace& space, absl::Span<const float> logits,
+                   float temperature, const Action& answered, const Action& executed,
+                   absl::Span<float> post) {
+  SPIKESERVE_DCHECK(DependsOnAction(rule));
   SPIKESERVE_DCHECK(space.Contains(answered).ok());
   SPIKESERVE_DCHECK(space.Contains(executed).ok());
   SPIKESERVE_DCHECK_EQ(post.size(), static_cast<size_t>(space.size()));
@@ -35,10 +56,12 @@ void ReplaceAction(const ActionSpace& space, absl::Span<const float> logits, flo
     return;
   }
   for (size_t i = 0; i < post.size(); ++i) {
-    const float value = executed.continuous[i];
-    if (value == answered.continuous[i]) continue;
-    const double low = space.low[i];
-    const double unit = 2.0 * (value - low) / (static_cast<double>(space.high[i]) - low) - 1.0;
+    if (executed.continuous[i] == answered.continuous[i]) continue;
+    const double unit = Unit(space, executed, i);
+    if (rule == Rule::kHebbianAction) {
+      post[i] = static_cast<float>(unit);
+      continue;
+    }
     const double inverse = 0.5 * portable::Log((1.0 + unit) / (1.0 - unit));  // of tanh
     const double score = (inverse - static_cast<double>(logits[i])) / temperature;
     post[i] = std::clamp(static_cast<float>(score), -kLargestExecutedScore, kLargestExecutedScore);

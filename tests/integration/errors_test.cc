@@ -92,7 +92,7 @@ TEST_F(OpenErrorsTest, Learning) {
   request_.mutable_learning()->set_scope(static_cast<v1::LearningConfig::Scope>(7));
   refuse("learning.scope: expected SESSION or FLEET, received 7");
   request_.mutable_learning()->set_rule("sarsa");
-  refuse("learning.rule: expected policy_gradient or hebbian, received \"sarsa\"");
+  refuse("learning.rule: expected policy_gradient, hebbian or hebbian_action, received \"sarsa\"");
   request_.mutable_learning()->set_modulator("dopamine");
   refuse("learning.modulator: expected target or realized, received \"dopamine\"");
   request_.mutable_learning()->set_learning_rate(-1);

@@ -135,7 +135,7 @@ def test_evaluate_takes_an_environment_and_leaves_it_open(client):
 @pytest.mark.parametrize(
     "flags, message",
     [
-        (["--rule=foo"], '--rule: expected policy_gradient or hebbian, received "foo"'),
+        (["--rule=foo"], '--rule: expected policy_gradient, hebbian or hebbian_action, received "foo"'),
         (["--modulator=foo"], '--modulator: expected target or realized, received "foo"'),
         (["--scope=foo"], '--scope: expected session or fleet, received "foo"'),
         (["--learning_rate=-1"], "--learning_rate: expected a finite number above 0, received -1"),

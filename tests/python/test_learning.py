@@ -115,13 +115,18 @@ class Plasticity:
     def postsynaptic(self, rates, action):
         """Returns the factor y of eq. 4.1. `action` is an Action message."""
         hebbian = self.config["rule"] == "hebbian"
+        drawn = self.config["rule"] == "hebbian_action"
         if action.WhichOneof("kind") == "discrete":
+            if drawn:
+                return np.eye(2)[action.discrete]
             probabilities = self.probabilities(rates)
             return probabilities if hebbian else np.eye(2)[action.discrete] - probabilities
         z = self.logits(rates)
         if hebbian:
             return np.tanh(z)
         unit = 2 * (np.array(action.continuous.values, "f8") - LOW) / (HIGH - LOW) - 1
+        if drawn:
+            return unit
         with np.errstate(divide="ignore"):  # a value on its bound
             return (np.arctanh(unit) - z) / self.temperature
 
@@ -274,7 +279,7 @@ DISCOUNT = {"own": {"discount": 0.9}, "bounded": {"discount": 1.0}}  # realized 
 
 @pytest.mark.parametrize("settings", SETTINGS)
 @pytest.mark.parametrize("modulator", ["target", "realized"])
-@pytest.mark.parametrize("rule", ["policy_gradient", "hebbian"])
+@pytest.mark.parametrize("rule", ["policy_gradient", "hebbian", "hebbian_action"])
 @pytest.mark.parametrize("policy", ["discrete", "box"])
 def test_the_head_follows_the_equations(policies, policy_service, policy, rule, modulator, settings):
     temperature = 0.5 if policy == "box" else 2.0
@@ -296,7 +301,7 @@ def test_the_head_follows_the_equations(policies, policy_service, policy, rule, 
 
 
 @pytest.mark.parametrize("modulator", ["target", "realized"])
-@pytest.mark.parametrize("rule", ["policy_gradient", "hebbian"])
+@pytest.mark.parametrize("rule", ["policy_gradient", "hebbian", "hebbian_action"])
 @pytest.mark.parametrize("policy", ["discrete", "box"])
 def test_a_fleets_head_follows_the_equations(policies, policy_service, admin, policy, rule, modulator):
     admin.RollbackHead(policy=policy)
@@ -342,7 +347,7 @@ def safety_layer(step, answered):
 
 
 @pytest.mark.parametrize("modulator", ["target", "realized"])
-@pytest.mark.parametrize("rule", ["policy_gradient", "hebbian"])
+@pytest.mark.parametrize("rule", ["policy_gradient", "hebbian", "hebbian_action"])
 @pytest.mark.parametrize("policy", ["discrete", "box"])
 def test_the_score_is_that_of_the_executed_action(policies, policy_service, policy, rule, modulator):
     config = {"rule": rule, "modulator": modulator, "learning_rate": 5e-3}

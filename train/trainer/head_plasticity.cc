@@ -9,6 +9,7 @@ namespace {
 // Returns y of eq. 4.1, [B, n, act].
 torch::Tensor Postsynaptic(Rule rule, const ActionSpace& space, const torch::Tensor& logits,
                            const torch::Tensor& targets) {
+  if (rule == Rule::kHebbianAction) return targets;
   const torch::Tensor answer =
       space.is_discrete() ? torch::softmax(logits, -1) : torch::tanh(logits);
   if (rule == Rule::kHebbian) return answer;

@@ -8,6 +8,8 @@
 #include <ostream>
 #include <random>
 
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
 #include "core/journal/journal_entry.h"
 #include "core/journal/session_bytes.h"
 #include "core/journal/session_export.h"
@@ -67,11 +69,11 @@ std::vector<BeatCase> BeatCases() {
       {"SampledBox", box, sampled},
       {"Int8", discrete, sampled, {}, Arithmetic::kInt8},
       {"Int8Learning", box, sampled, LearningOptions{.learning_rate = 0.05}, Arithmetic::kInt8}};
-  for (const Rule rule : {Rule::kPolicyGradient, Rule::kHebbian}) {
+  for (const Rule rule : {Rule::kPolicyGradient, Rule::kHebbian, Rule::kHebbianAction}) {
     for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
       const LearningOptions learning = {
           .rule = rule, .modulator = modulator, .learning_rate = 0.05};
-      cases.push_back({absl::StrCat(rule == Rule::kHebbian ? "Hebbian" : "Gradient",
+      cases.push_back({absl::StrCat(absl::StrReplaceAll(ToString(rule), {{"_", ""}}),
                                     modulator == Modulator::kTarget ? "Target" : "Realized"),
                        discrete, sampled, learning});
     }

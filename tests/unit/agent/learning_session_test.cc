@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 #include <ostream>
 
+#include "absl/strings/str_replace.h"
 #include "core/agent/agent_session.h"
 #include "core/journal/session_bytes.h"
 #include "core/session/session_value.h"
@@ -30,15 +31,14 @@ std::vector<LearningCase> LearningCases() {
   const ActionSpace discrete = ActionSpace::Discrete(3);
   const ActionSpace box = ActionSpace::Box({-2.0f, 0.0f}, {2.0f, 1.0f});
   std::vector<LearningCase> cases;
-  for (const Rule rule : {Rule::kPolicyGradient, Rule::kHebbian}) {
+  for (const Rule rule : {Rule::kPolicyGradient, Rule::kHebbian, Rule::kHebbianAction}) {
     for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
       for (const Scope scope : {Scope::kSession, Scope::kFleet}) {
         const LearningOptions learning = {
             .scope = scope, .rule = rule, .modulator = modulator, .learning_rate = 0.05};
-        const std::string name =
-            std::string(rule == Rule::kHebbian ? "Hebbian" : "PolicyGradient") +
-            (modulator == Modulator::kTarget ? "Target" : "Realized") +
-            (scope == Scope::kFleet ? "Fleet" : "Session");
+        const std::string name = absl::StrReplaceAll(ToString(rule), {{"_", ""}}) +
+                                 (modulator == Modulator::kTarget ? "Target" : "Realized") +
+                                 (scope == Scope::kFleet ? "Fleet" : "Session");
         cases.push_back({name + "Discrete", discrete, learning});
         cases.push_back({name + "Box", box, learning});
       }
@@ -123,7 +123,7 @@ TEST_P(LearningSessionTest, ExecutedActionsAreLearnedBitForBitAfterARestart) {
     if (t % 3 == 0) steady.AppendPendingAction();
   }
   EXPECT_EQ(SerializeSession(moved.session()), SerializeSession(steady.session()));
-  const bool changed = GetParam().learning.rule == Rule::kPolicyGradient;
+  const bool changed = GetParam().learning.rule != Rule::kHebbian;
   const auto difference = (answered.session().learner->trace - steady.session().learner->trace);
   if (changed) {
     EXPECT_GT(difference.norm(), 0.0f);
@@ -234,7 +234,7 @@ TEST(ParseLearningSessionTest, WrongFieldsAreNamed) {
     EXPECT_THAT(std::string(parsed.status().message()), HasSubstr(message));
   };
   refuse("/1/7/0", "universe", "session.options.learning.scope: expected session or fleet");
-  refuse("/1/7/1", "sarsa", "session.options.learning.rule: expected policy_gradient or hebbian");
+  refuse("/1/7/1", "sarsa", "session.options.learning.rule: expected policy_gradient, hebbian or hebbian_action");
   refuse("/1/7", nullptr, "session.learner: expected one if and only if");
   refuse("/15/1/1", -1.0, "session.learner.returns.variance: expected at least 0");
   refuse("/15/2/2", Json::array(), "session.learner.guard.good: expected 32 numbers, received 0");

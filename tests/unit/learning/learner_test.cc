@@ -97,6 +97,7 @@ TEST(FrobeniusNormTest, IsTheRootOfTheSumOfSquares) {
 
 TEST_F(LearnerTest, TheTraceDecaysAndAddsTheOuterProduct) {
   const LearningOptions options = {.trace_decay = 0.5};
+  policy_.action_space = ActionSpace::Box({-1.0f, -1.0f}, {1.0f, 1.0f});
   learner_ = NewLearner(options);
   ActionChoice choice;
   choice.noise = {1.0f, -2.0f};  // y of a sampled Box action
@@ -295,7 +296,7 @@ TEST(LearningOptionsTest, RefusalsNameTheField) {
   refuse({.clip = -1}, discrete, "learning.clip: expected a finite number above 0");
   refuse({.max_drift = nan}, discrete, "learning.max_drift: expected a finite number above 0");
   const ActionSpace box = ActionSpace::Box({-1}, {1});
-  refuse({}, box, "learning.rule: expected hebbian, or action_selection SAMPLE");
+  refuse({}, box, "learning.rule: expected hebbian or hebbian_action, or action_selection SAMPLE");
   EXPECT_TRUE(LearningOptions().Validate(box, {.sample = true}).ok());
   EXPECT_TRUE(LearningOptions({.rule = Rule::kHebbian}).Validate(box, {}).ok());
 }

@@ -64,7 +64,7 @@ class Learning:
     """How a session learns. None or an empty string selects the default of the server."""
 
     scope: str = "SESSION"  # SESSION: a private copy of the action head; FLEET: the shared head
-    rule: str = ""  # policy_gradient (default) or hebbian
+    rule: str = ""  # policy_gradient (default), hebbian or hebbian_action
     learning_rate: float | None = None
     trace_decay: float | None = None
     clip: float | None = None

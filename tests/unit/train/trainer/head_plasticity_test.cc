@@ -76,6 +76,8 @@ std::vector<float> Learned(const HeadPlasticity& plasticity, Policy policy, cons
     if (policy.action_space.is_discrete()) {
       choice.probabilities = Values(torch::softmax(logits, -1));
       choice.action.discrete = clips.inputs.targets[clip][t].argmax().item<int64_t>();
+    } else if (plasticity.rule == Rule::kHebbianAction) {
+      choice.action.continuous = Values(clips.inputs.targets[clip][t]);
     } else if (plasticity.rule == Rule::kPolicyGradient) {
       choice.noise = Values(torch::atanh(clips.inputs.targets[clip][t]) - logits);
     }
@@ -106,7 +108,8 @@ TEST_P(HeadPlasticityTest, ChangesTheHeadAsSessionsLearn) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Rules, HeadPlasticityTest,
-                         testing::Values(Rule::kHebbian, Rule::kPolicyGradient),
+                         testing::Values(Rule::kHebbian, Rule::kHebbianAction,
+                                         Rule::kPolicyGradient),
                          [](const auto& of) { return std::string(ToString(of.param)); });
 
 TEST(ActivityRouterTest, TheHiddenLayerHasTheMeanOfEachHead) {
