@@ -21,6 +21,7 @@ import study_settings
 from study_tables import ALPHA, joined, read_runs, row, score
 
 MARGIN = 5.0  # points of the score: a smaller difference counts as none
+SMALLEST_P = 1e-15  # smaller ones are rounding errors
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +85,8 @@ class Test:
         else:
             value = f"{np.mean(self.values):+z.1f}"
         p_value = self.equal if self.verdict.endswith("equal") else self.difference
-        return f"**{self.verdict}**: {value}, p = {p_value:.2g}, {len(self.values)}"
+        p_text = f"p = {p_value:.2g}" if p_value >= SMALLEST_P else f"p < {SMALLEST_P:.0e}"
+        return f"**{self.verdict}**: {value}, {p_text}, {len(self.values)}"
 
 
 def tests_of(results):
