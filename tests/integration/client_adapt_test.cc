@@ -65,8 +65,9 @@ TEST_F(SpikectlAdaptTest, SaysInOneLineWhatIsWrong) {
                      "--scope: expected session or fleet, received \"town\"");
   ExpectOneLineError(Adapt({"--scope=fleet", "--fleet=0"}),
                      "--fleet: expected 1 to 1000, received 0");
-  ExpectOneLineError(Adapt({"--rule=habit"}),
-                     "--rule: expected policy_gradient, hebbian or hebbian_action, received \"habit\"");
+  ExpectOneLineError(
+      Adapt({"--rule=habit"}),
+      "--rule: expected policy_gradient, hebbian or hebbian_action, received \"habit\"");
   ExpectOneLineError(Adapt({"--learning_rate=-1"}), "--learning_rate: expected");
   ExpectOneLineError(Adapt({"--episodes=0"}), "--episodes: expected at least 1, received 0");
 }
