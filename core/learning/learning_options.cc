@@ -37,8 +37,8 @@ absl::Status LearningOptions::Validate(const ActionSpace& space,
   if (rule == Rule::kPolicyGradient && !space.is_discrete() && !selection.sample) {
     return absl::InvalidArgumentError(
         "learning.rule: expected hebbian or hebbian_action, or action_selection SAMPLE, since a "
-        "greedy continuous "
-        "action has no score to learn from; received policy_gradient with GREEDY");
+        "greedy continuous action has no score to learn from; received policy_gradient with "
+        "GREEDY");
   }
   return absl::OkStatus();
 }

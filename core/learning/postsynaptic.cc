@@ -31,8 +31,11 @@ void PostsynapticActivity(Rule rule, const ActionSpace& space, const ActionChoic
   }
   if (rule == Rule::kHebbianAction) {
     post->assign(choice.logits.size(), 0.0f);
-    if (discrete) (*post)[static_cast<size_t>(choice.action.discrete)] = 1.0f;
-    for (size_t i = 0; !discrete && i < post->size(); ++i) {
+    if (discrete) {
+      (*post)[static_cast<size_t>(choice.action.discrete)] = 1.0f;
+      return;
+    }
+    for (size_t i = 0; i < post->size(); ++i) {
       (*post)[i] = static_cast<float>(Unit(space, choice.action, i));
     }
     return;

@@ -9,7 +9,6 @@
 #include <random>
 
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_replace.h"
 #include "core/journal/journal_entry.h"
 #include "core/journal/session_bytes.h"
 #include "core/journal/session_export.h"
@@ -69,13 +68,13 @@ std::vector<BeatCase> BeatCases() {
       {"SampledBox", box, sampled},
       {"Int8", discrete, sampled, {}, Arithmetic::kInt8},
       {"Int8Learning", box, sampled, LearningOptions{.learning_rate = 0.05}, Arithmetic::kInt8}};
-  for (const Rule rule : {Rule::kPolicyGradient, Rule::kHebbian, Rule::kHebbianAction}) {
+  for (const auto& [rule, rule_name] : EnumNames(Rule())) {
     for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
       const LearningOptions learning = {
           .rule = rule, .modulator = modulator, .learning_rate = 0.05};
-      cases.push_back({absl::StrCat(absl::StrReplaceAll(ToString(rule), {{"_", ""}}),
-                                    modulator == Modulator::kTarget ? "Target" : "Realized"),
-                       discrete, sampled, learning});
+      cases.push_back(
+          {absl::StrCat(rule_name, modulator == Modulator::kTarget ? "Target" : "Realized"),
+           discrete, sampled, learning});
     }
   }
   return cases;

@@ -6,7 +6,6 @@
 #include <nlohmann/json.hpp>
 #include <ostream>
 
-#include "absl/strings/str_replace.h"
 #include "core/agent/agent_session.h"
 #include "core/journal/session_bytes.h"
 #include "core/session/session_value.h"
@@ -31,12 +30,12 @@ std::vector<LearningCase> LearningCases() {
   const ActionSpace discrete = ActionSpace::Discrete(3);
   const ActionSpace box = ActionSpace::Box({-2.0f, 0.0f}, {2.0f, 1.0f});
   std::vector<LearningCase> cases;
-  for (const Rule rule : {Rule::kPolicyGradient, Rule::kHebbian, Rule::kHebbianAction}) {
+  for (const auto& [rule, rule_name] : EnumNames(Rule())) {
     for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
       for (const Scope scope : {Scope::kSession, Scope::kFleet}) {
         const LearningOptions learning = {
             .scope = scope, .rule = rule, .modulator = modulator, .learning_rate = 0.05};
-        const std::string name = absl::StrReplaceAll(ToString(rule), {{"_", ""}}) +
+        const std::string name = std::string(rule_name) +
                                  (modulator == Modulator::kTarget ? "Target" : "Realized") +
                                  (scope == Scope::kFleet ? "Fleet" : "Session");
         cases.push_back({name + "Discrete", discrete, learning});

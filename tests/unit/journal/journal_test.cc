@@ -8,7 +8,6 @@
 #include <nlohmann/json.hpp>
 #include <ostream>
 
-#include "absl/strings/str_replace.h"
 #include "core/agent/agent_session.h"
 #include "core/journal/journal_entry.h"
 #include "core/journal/session_bytes.h"
@@ -76,12 +75,12 @@ std::vector<JournalCase> JournalCases() {
                                     {"SampledDiscrete", discrete, sampled, {}},
                                     {"SampledBox", box, sampled, {}},
                                     {"Changes", box, {}, {}, /*observation_changes=*/true}};
-  for (const Rule rule : {Rule::kPolicyGradient, Rule::kHebbian, Rule::kHebbianAction}) {
+  for (const auto& [rule, rule_name] : EnumNames(Rule())) {
     for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
       const LearningOptions learning = {
           .rule = rule, .modulator = modulator, .learning_rate = 0.05};
-      const std::string name = absl::StrReplaceAll(ToString(rule), {{"_", ""}}) +
-                               (modulator == Modulator::kTarget ? "Target" : "Realized");
+      const std::string name =
+          std::string(rule_name) + (modulator == Modulator::kTarget ? "Target" : "Realized");
       cases.push_back({name + "Discrete", discrete, sampled, learning});
       cases.push_back({name + "Box", box, sampled, learning});
     }

@@ -299,6 +299,7 @@ TEST(LearningOptionsTest, RefusalsNameTheField) {
   refuse({}, box, "learning.rule: expected hebbian or hebbian_action, or action_selection SAMPLE");
   EXPECT_TRUE(LearningOptions().Validate(box, {.sample = true}).ok());
   EXPECT_TRUE(LearningOptions({.rule = Rule::kHebbian}).Validate(box, {}).ok());
+  EXPECT_TRUE(LearningOptions({.rule = Rule::kHebbianAction}).Validate(box, {}).ok());
 }
 
 }  // namespace
