@@ -53,11 +53,14 @@ absl::Status CheckFixedPoint(const ModelConfig& config) {
     return absl::InvalidArgumentError(absl::StrCat(
         "membrane_decay: expected 1 with leak none, received ", config.membrane_decay));
   }
-  const int64_t linear_sum =
-      int64_t{3} * config.context * config.ticks * config.ticks * config.head_size();
-  if (config.attention == Attention::kLinear && linear_sum > std::numeric_limits<int32_t>::max()) {
+  status.Update(CheckRange("ticks", config.ticks, ModelLimits::kIntegerTicks));
+  const int64_t overlap = int64_t{config.ticks} * config.head_size();
+  const int64_t sum = int64_t{3} * config.context * config.ticks * overlap;
+  if (config.attention == Attention::kLinear && (overlap > std::numeric_limits<int16_t>::max() ||
+                                                 sum > std::numeric_limits<int32_t>::max())) {
     return absl::InvalidArgumentError(
-        absl::StrCat("attention: expected shiftmax for sums of up to ", linear_sum,
+        absl::StrCat("attention: expected shiftmax for overlaps of up to ", overlap,
+                     " (ticks hidden_size / heads) and sums of up to ", sum,
                      " (3 context ticks^2 hidden_size / heads), received linear"));
   }
   return status;

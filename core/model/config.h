@@ -139,6 +139,7 @@ struct ModelLimits {
   static constexpr int kHeads = 64;
   static constexpr int kLayers = 64;
   static constexpr int kTicks = 256;
+  static constexpr int kIntegerTicks = 255;  // with integers: a spike count takes a byte
   static constexpr int kContext = 4096;
   static constexpr int kRoutingHiddenSize = 4096;
   static constexpr int kFfnSize = 16384;

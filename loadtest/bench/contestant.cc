@@ -13,6 +13,9 @@ double ProcessorSeconds() {
   return static_cast<double>(time.tv_sec) + 1e-9 * static_cast<double>(time.tv_nsec);
 }
 
+// Reading the processor time is a system call, which takes a tenth of the fastest decision.
+constexpr int kCallsPerReading = 16;
+
 }  // namespace
 
 void RunContestant(const std::function<Work()>& decide) {
@@ -23,9 +26,11 @@ void RunContestant(const std::function<Work()>& decide) {
     const double start = ProcessorSeconds();
     double now = start;
     for (; now - start < duration; now = ProcessorSeconds()) {
-      const Work work = decide();
-      total.decisions += work.decisions;
-      total.spikes += work.spikes;
+      for (int call = 0; call < kCallsPerReading; ++call) {
+        const Work work = decide();
+        total.decisions += work.decisions;
+        total.spikes += work.spikes;
+      }
     }
     std::cout << "{\"decisions\": " << total.decisions << ", \"seconds\": " << now - start
               << ", \"spikes\": " << total.spikes << "}" << std::endl;

@@ -1,6 +1,6 @@
 #include "core/engine/spiking/integer_attention.h"
 
-#include <numeric>
+#include <algorithm>
 
 #include "core/engine/spiking/packed/packed_linear.h"
 
@@ -10,58 +10,56 @@ void IntegerAttention::Attend(const ModelConfig& config, const std::vector<int16
                               const IntegerBand& band, const IntegerCache& cache,
                               const uint32_t* query, int16_t* y, Counts* counts) {
   const int size = config.head_size();
-  const int tokens = band.tokens();
-  slots_.resize(tokens);
-  for (int i = 0; i < tokens; ++i) slots_[i] = band.slot(i);
   for (int head = 0; head < config.heads; ++head) {
-    const int first = head * size;
+    ReadQuery(config, query, head);
+    const int32_t* sums = cache.sums() + head * size;
     int32_t weights = 0;
-    if (FindOverlaps(config, cache, query, head, counts)) {
-      weights = config.attention == Attention::kShiftmax
-                    ? kernels::Shiftmax(scales[head], tokens, overlaps_.data())
-                    : std::accumulate(overlaps_.begin(), overlaps_.begin() + tokens, 0);
-    } else {
+    if (query_.empty()) {
       counts->attention_bytes += static_cast<uint64_t>(size) * sizeof(int16_t);
+    } else {
+      weights = WeighKeys(config, scales[head], band, cache.head(head), counts);
     }
     if (weights == 0) {
-      counts->attention_scalings +=
-          kernels::ScaleSums(cache.sums() + first, size, tokens * config.ticks, y + first);
-      continue;
+      weights = band.tokens();
+    } else {
+      sums_.resize(PadToLanes(size));
+      counts->attention_products +=
+          kernels::WeighValues(weights_.data(), cache.head(head), band.used_slots(), sums_.data());
+      sums = sums_.data();
     }
-    WeighValues(config, cache, head, counts);
     counts->attention_scalings +=
-        kernels::ScaleSums(sums_.data(), size, weights * config.ticks, y + first);
+        kernels::ScaleSums(sums, size, weights * config.ticks, y + head * size);
   }
 }
 
-bool IntegerAttention::FindOverlaps(const ModelConfig& config, const IntegerCache& cache,
-                                    const uint32_t* query, int head, Counts* counts) {
-  query_.resize(cache.key_words());
-  if (!JoinTicks(config, query, head, query_.data())) return false;
-  const auto tokens = static_cast<int>(slots_.size());
-  counts->softmax_terms += static_cast<uint64_t>(tokens);
-  const int size = config.head_size();
-  counts->attention_bytes +=
-      static_cast<uint64_t>(tokens) * static_cast<uint64_t>((config.ticks * size + 7) / 8 + size);
-  overlaps_.resize(PadToLanes(tokens));
-  counts->attention_products +=
-      kernels::Overlaps(query_.data(), cache.key_words(), cache.keys(head), cache.key_stride(),
-                        slots_, overlaps_.data());
-  return true;
+void IntegerAttention::ReadQuery(const ModelConfig& config, const uint32_t* query, int head) {
+  query_.clear();
+  const int words = (config.head_size() + 31) / 32;
+  for (int tick = 0; tick < config.ticks; ++tick) {
+    const uint32_t* const own = query + (static_cast<size_t>(tick) * config.heads + head) * words;
+    for (int word = 0; word < words; ++word) {
+      if (own[word] != 0) query_.push_back({tick * words + word, own[word]});
+    }
+  }
 }
 
-void IntegerAttention::WeighValues(const ModelConfig& config, const IntegerCache& cache, int head,
-                                   Counts* counts) {
+int32_t IntegerAttention::WeighKeys(const ModelConfig& config, int32_t scale,
+                                    const IntegerBand& band, const kernels::HeadSlots& head,
+                                    Counts* counts) {
+  const auto tokens = static_cast<uint64_t>(band.tokens());
   const int size = config.head_size();
-  values_.clear();
-  for (size_t i = 0; i < slots_.size(); ++i) {
-    const int nonzero = cache.nonzero(slots_[i], head);
-    if (overlaps_[i] == 0 || nonzero == 0) continue;
-    counts->attention_products += static_cast<uint64_t>(nonzero);
-    values_.push_back({cache.counts(slots_[i]) + head * size, overlaps_[i]});
+  counts->softmax_terms += tokens;
+  counts->attention_bytes += tokens * static_cast<uint64_t>((config.ticks * size + 7) / 8 + size);
+  const int slots = band.used_slots();
+  overlaps_.resize(slots);
+  weights_.resize(slots);
+  const uint64_t products = kernels::Overlaps(query_, head, band.held(), slots, overlaps_.data());
+  counts->attention_products += products;
+  if (config.attention == Attention::kShiftmax) {
+    return kernels::Shiftmax(scale, overlaps_.data(), band.held(), slots, weights_.data());
   }
-  sums_.resize(PadToLanes(size));
-  kernels::WeighValues(values_, size, sums_.data());
+  std::copy(overlaps_.begin(), overlaps_.end(), weights_.begin());
+  return static_cast<int32_t>(products);
 }
 
 }  // namespace spikeserve

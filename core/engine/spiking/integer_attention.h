@@ -25,18 +25,16 @@ class IntegerAttention {
               Counts* counts);
 
  private:
-  // Sets query_ to the query of `head`, and overlaps_ to its overlaps with every key. Returns false
-  // if the query does not fire.
-  bool FindOverlaps(const ModelConfig& config, const IntegerCache& cache, const uint32_t* query,
-                    int head, Counts* counts);
-  // Sets sums_ to the values of `head`, weighted by overlaps_.
-  void WeighValues(const ModelConfig& config, const IntegerCache& cache, int head, Counts* counts);
+  // Sets query_ to the words of a head's query that are not 0.
+  void ReadQuery(const ModelConfig& config, const uint32_t* query, int head);
+  // Sets weights_ to those of the slots for query_, and returns their sum.
+  int32_t WeighKeys(const ModelConfig& config, int32_t scale, const IntegerBand& band,
+                    const kernels::HeadSlots& head, Counts* counts);
 
-  std::vector<int> slots_;           // of the tokens
-  std::vector<uint64_t> query_;      // see JoinTicks
-  AlignedVector<int32_t> overlaps_;  // [pad(tokens)]; then the weights of the keys
-  std::vector<kernels::WeightedValues> values_;
-  AlignedVector<int32_t> sums_;  // [pad(d_h)]
+  std::vector<kernels::QueryWord> query_;
+  AlignedVector<int32_t> overlaps_;  // [slots]
+  AlignedVector<int16_t> weights_;   // [slots]
+  AlignedVector<int32_t> sums_;      // [pad(d_h)]
 };
 
 }  // namespace spikeserve

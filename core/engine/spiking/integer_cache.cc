@@ -7,66 +7,72 @@
 
 namespace spikeserve {
 
+using kernels::kSlotBlock;
+using kernels::PairWidth;
+
 IntegerBand::IntegerBand(const ModelConfig& config)
-    : timesteps_(static_cast<size_t>(kTokensPerTimestep) * config.context) {}
+    : timesteps_(static_cast<size_t>(kTokensPerTimestep) * config.context),
+      held_(PadToLanes(static_cast<int>(timesteps_.size()), kSlotBlock)) {}
 
 int IntegerBand::Add(int64_t timestep) {
   const int added = slot(tokens_++);
   timesteps_[added] = timestep;
+  held_[added] = -1;
+  used_slots_ = std::max(used_slots_, PadToLanes(added + 1, kSlotBlock));
   return added;
 }
 
 int IntegerBand::Expire(int64_t first) {
   if (tokens_ == 0 || timesteps_[first_] >= first) return -1;
   const int expired = first_;
+  held_[expired] = 0;
   first_ = slot(1);
   --tokens_;
   return expired;
 }
 
-IntegerCache::IntegerCache(const ModelConfig& config, int slots)
+IntegerCache::IntegerCache(const ModelConfig& config)
     : heads_(config.heads),
-      size_(config.hidden_size),
-      key_words_((static_cast<size_t>(config.ticks) * ((config.head_size() + 31) / 32) + 1) / 2),
-      keys_(slots * heads_ * key_words_),
-      counts_(slots * size_ + kLanes),
-      nonzero_(slots * heads_),
-      sums_(size_ + kLanes, 0) {}
+      head_size_(config.head_size()),
+      ticks_(config.ticks),
+      words_((head_size_ + 31) / 32),
+      slots_(PadToLanes(kTokensPerTimestep * config.context, kSlotBlock)),
+      keys_(static_cast<size_t>(heads_) * slots_ * ticks_ * words_),
+      values_(static_cast<size_t>(heads_) * slots_ / 2 * PairWidth(head_size_) + kLanes),
+      nonzero_(static_cast<size_t>(heads_) * slots_),
+      sums_(config.hidden_size + kLanes) {}
 
-bool JoinTicks(const ModelConfig& config, const uint32_t* bits, int head, uint64_t* joined) {
-  const int words = (config.head_size() + 31) / 32;
-  uint64_t any = 0;
-  int n = 0;
-  for (int tick = 0; tick < config.ticks; ++tick) {
-    const uint32_t* const from = bits + (static_cast<size_t>(tick) * config.heads + head) * words;
-    for (int word = 0; word < words; ++word, ++n) {
-      const uint64_t low = n % 2 == 0 ? 0 : joined[n / 2];
-      joined[n / 2] = low | uint64_t{from[word]} << (n % 2 * 32);
-      any |= from[word];
+kernels::HeadSlots IntegerCache::head(int head) const {
+  const auto first = static_cast<size_t>(head) * slots_;
+  return {.keys = keys_.data() + first * ticks_ * words_,
+          .words = ticks_ * words_,
+          .values = values_.data() + first / 2 * PairWidth(head_size_),
+          .head_size = head_size_,
+          .nonzero = nonzero_.data() + first};
+}
+
+void IntegerCache::Store(int slot, const uint32_t* keys, const int16_t* counts) {
+  for (int head = 0; head < heads_; ++head) {
+    const size_t block = (static_cast<size_t>(head) * slots_ + slot) / kSlotBlock;
+    uint32_t* key = keys_.data() + block * ticks_ * words_ * kSlotBlock + slot % kSlotBlock;
+    for (int tick = 0; tick < ticks_; ++tick) {
+      const uint32_t* const own = keys + (static_cast<size_t>(tick) * heads_ + head) * words_;
+      for (int word = 0; word < words_; ++word, key += kSlotBlock) *key = own[word];
     }
   }
-  return any != 0;
+  kernels::StoreValues(counts, values_of(slot));
 }
 
-void IntegerCache::Store(const ModelConfig& config, int slot, const uint32_t* keys,
-                         const int16_t* counts) {
-  for (size_t head = 0; head < heads_; ++head) {
-    JoinTicks(config, keys, static_cast<int>(head),
-              keys_.data() + (slot * heads_ + head) * key_words_);
-  }
-  std::copy_n(counts, size_, counts_.data() + slot * size_);
-  for (size_t k = 0; k < size_; ++k) sums_[k] += counts[k];
-  const size_t head_size = size_ / heads_;
-  for (size_t head = 0; head < heads_; ++head) {
-    const int16_t* const first = counts + head * head_size;
-    nonzero_[slot * heads_ + head] =
-        static_cast<uint16_t>(head_size - std::count(first, first + head_size, 0));
-  }
-}
+void IntegerCache::Remove(int slot) { kernels::RemoveValues(values_of(slot)); }
 
-void IntegerCache::Remove(int slot) {
-  const int16_t* const values = counts(slot);
-  for (size_t k = 0; k < size_; ++k) sums_[k] -= values[k];
+kernels::SlotValues IntegerCache::values_of(int slot) {
+  return {.heads = heads_,
+          .head_size = head_size_,
+          .slots = slots_,
+          .slot = slot,
+          .pairs = values_.data(),
+          .nonzero = nonzero_.data(),
+          .sums = sums_.data()};
 }
 
 }  // namespace spikeserve

@@ -1,5 +1,5 @@
 // Stores the keys and values of one layer over the last N timesteps for attention in integer
-// arithmetic: a key as bits by head, a value as spike counts, and the sum of all values.
+// arithmetic: a key as the bits of its ticks, a value as spike counts, and the sum of all values.
 //
 // Not thread-safe.
 #ifndef CORE_ENGINE_SPIKING_INTEGER_CACHE_H_
@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/engine/spiking/kernels/integer_attention_kernels.h"
 #include "core/engine/spiking/packed/aligned_vector.h"
 #include "core/model/config.h"
 
@@ -26,52 +27,49 @@ class IntegerBand {
   int Expire(int64_t first);
 
   int tokens() const { return tokens_; }
-  // Returns the slot of a token, counted from the oldest one.
-  int slot(int i) const {
-    const int slot = first_ + i;
-    return slot < slots() ? slot : slot - slots();
-  }
-  int slots() const { return static_cast<int>(timesteps_.size()); }
+  // Returns the number of slots that have ever held a token, in whole blocks.
+  int used_slots() const { return used_slots_; }
+  // Returns for each slot all bits if it holds a token, and 0 otherwise, [used_slots()].
+  const int32_t* held() const { return held_.data(); }
 
  private:
+  // Returns the slot of a token, counted from the oldest one.
+  int slot(int i) const { return (first_ + i) % static_cast<int>(timesteps_.size()); }
+
   int first_ = 0;
   int tokens_ = 0;
+  int used_slots_ = 0;
   std::vector<int64_t> timesteps_;  // [3 N]
+  AlignedVector<int32_t> held_;     // [3 N], in whole blocks
 };
-
-// Copies the bits of a head from `bits` [T][H][W], where the W = ceil(d_h / 32) words are a head's
-// bits at a tick, to `joined` [ceil(T W / 2)], tick after tick. Returns whether one of them is set.
-bool JoinTicks(const ModelConfig& config, const uint32_t* bits, int head, uint64_t* joined);
 
 class IntegerCache {
  public:
-  IntegerCache(const ModelConfig& config, int slots);
+  explicit IntegerCache(const ModelConfig& config);
 
-  // Stores a token. `keys` is [T][H][W], as for JoinTicks; `counts` is [d].
-  void Store(const ModelConfig& config, int slot, const uint32_t* keys, const int16_t* counts);
+  // Stores a token. `keys` is [T][H][W], where the W = ceil(d_h / 32) words are a head's bits at a
+  // tick; `counts` is [d].
+  void Store(int slot, const uint32_t* keys, const int16_t* counts);
   // Subtracts the values of a token that leaves the band from their sum.
   void Remove(int slot);
 
-  // Returns the number of words of a head's key, as JoinTicks writes it.
-  int key_words() const { return static_cast<int>(key_words_); }
-  // Returns the keys of a head. That of slot s begins at word s * key_stride().
-  const uint64_t* keys(int head) const { return keys_.data() + head * key_words_; }
-  size_t key_stride() const { return heads_ * key_words_; }
-  // Returns the values of a token, [d] and kLanes more numbers, which mean nothing.
-  const int16_t* counts(int slot) const { return counts_.data() + slot * size_; }
-  // Returns the number of values of a head that are not 0.
-  int nonzero(int slot, int head) const { return nonzero_[slot * heads_ + head]; }
+  // Returns the keys and values of a head.
+  kernels::HeadSlots head(int head) const;
   // Returns the sums of the values of all tokens, [d] and kLanes zeros.
   const int32_t* sums() const { return sums_.data(); }
 
  private:
-  size_t heads_;
-  size_t size_;                    // d
-  size_t key_words_;               // J = ceil(T W / 2)
-  AlignedVector<uint64_t> keys_;   // [slots][H][J]
-  AlignedVector<int16_t> counts_;  // [slots][d], and kLanes zeros
-  std::vector<uint16_t> nonzero_;  // [slots][H]
-  AlignedVector<int32_t> sums_;    // [d], and kLanes zeros
+  kernels::SlotValues values_of(int slot);
+
+  int heads_;
+  int head_size_;
+  int ticks_;
+  int words_;                       // W
+  int slots_;                       // 3 N, in whole blocks
+  AlignedVector<uint32_t> keys_;    // [H], see HeadSlots
+  AlignedVector<uint16_t> values_;  // [H], see HeadSlots
+  AlignedVector<int16_t> nonzero_;  // [H], see HeadSlots
+  AlignedVector<int32_t> sums_;     // [d], and kLanes zeros
 };
 
 }  // namespace spikeserve

@@ -33,7 +33,7 @@ class IntegerContext : public Engine::Context {
  public:
   IntegerContext(const ModelConfig& config, int64_t first_timestep)
       : timestep(first_timestep), band(config) {
-    for (int layer = 0; layer < config.layers; ++layer) caches.emplace_back(config, band.slots());
+    for (int layer = 0; layer < config.layers; ++layer) caches.emplace_back(config);
   }
 
   // Removes the tokens of timestep - N from the band.
@@ -193,7 +193,7 @@ class IntegerTokenPass {
     counts_->attention_products += sums;
     counts_->attention_bytes +=
         static_cast<uint64_t>((config_.ticks * size + 7) / 8 + size) + sums * 2 * sizeof(int16_t);
-    context_->caches[layer].Store(config_, slot, scratch_.keys.data(), scratch_.counts.data());
+    context_->caches[layer].Store(slot, scratch_.keys.data(), scratch_.counts.data());
   }
 
   // Sets `heads` [T][H][W] to the spikes of the d neurons from lane `first` on. Returns their

@@ -93,6 +93,24 @@ TEST(ModelConfig, ValidateNamesTheField) {
       {{.membrane_decay = 32767.5f / 32768.0f, .arithmetic = Arithmetic::kInt8},
        "membrane_decay: expected at most 32767/32768 after rounding with arithmetic int8, "
        "received 0.999985"},
+      {{.ticks = 256, .membrane_decay = 0.9375f, .arithmetic = Arithmetic::kInteger},
+       "ticks: expected 1 to 255, received 256"},
+      {{.hidden_size = 129,
+        .heads = 1,
+        .ticks = 255,
+        .context = 1,
+        .membrane_decay = 0.9375f,
+        .arithmetic = Arithmetic::kInteger,
+        .attention = Attention::kLinear},
+       "attention: expected shiftmax for overlaps of up to 32895 (ticks hidden_size / heads) and "
+       "sums of up to 25164675 (3 context ticks^2 hidden_size / heads), received linear"},
+      {{.ticks = 100,
+        .context = 4096,
+        .membrane_decay = 0.9375f,
+        .arithmetic = Arithmetic::kInteger,
+        .attention = Attention::kLinear},
+       "attention: expected shiftmax for overlaps of up to 3200 (ticks hidden_size / heads) and "
+       "sums of up to 3932160000 (3 context ticks^2 hidden_size / heads), received linear"},
   };
   for (const auto& c : cases) {
     const absl::Status status = c.config.Validate();

@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <cstring>
+#include <limits>
+#include <numeric>
 
 #include "core/math/fixed_point.h"
 #include "core/model/fixed_point_weights.h"
@@ -19,67 +22,198 @@ HWY_BEFORE_NAMESPACE();
 namespace spikeserve::kernels::HWY_NAMESPACE {
 namespace {
 
-uint64_t OverlapsImpl(const uint64_t* query, int words, const uint64_t* keys, size_t stride,
-                      const std::vector<int>& slots, int32_t* overlaps) {
-  uint64_t sum = 0;
-  for (size_t i = 0; i < slots.size(); ++i) {
-    const uint64_t* const key = keys + static_cast<size_t>(slots[i]) * stride;
-    int bits = 0;
-    for (int word = 0; word < words; ++word) bits += __builtin_popcountll(query[word] & key[word]);
-    overlaps[i] = bits;
-    sum += static_cast<uint64_t>(bits);
+// Vectors that rows of pairs consist of.
+using Wide = hn::CappedTag<int32_t, 8>;
+using Narrow = hn::Rebind<int16_t, Wide>;
+
+// Calls visit(head, pairs, lane, count) for `count` values of a slot, at most a vector, until all
+// were visited. `lane` counts those of all heads.
+template <class Visit>
+HWY_INLINE void ForEachPart(const SlotValues& values, Visit visit) {
+  constexpr int kPart = static_cast<int>(hn::MaxLanes(Wide()));
+  const size_t width = PairWidth(values.head_size);
+  for (int head = 0; head < values.heads; ++head) {
+    const size_t row = (static_cast<size_t>(head) * values.slots + values.slot) / 2;
+    auto* const pairs = reinterpret_cast<int16_t*>(values.pairs) + row * width;
+    for (int k = 0; k < values.head_size; k += kPart) {
+      visit(head, pairs + k, head * values.head_size + k, std::min(kPart, values.head_size - k));
+    }
   }
-  return sum;
 }
 
-// Returns the largest overlap if `largest`, and the smallest one otherwise.
-HWY_INLINE int32_t Best(bool largest, int tokens, const int32_t* overlaps) {
+// A slot's values lie at the bits from `shift` on of each pair.
+template <int shift>
+void StoreIn(const int16_t* counts, const SlotValues& values) {
+  const Wide wide;
+  const Narrow narrow;
+  const auto neighbour = hn::Set(narrow, static_cast<int16_t>(shift == 0 ? 0xFF00 : 0x00FF));
+  for (int head = 0; head < values.heads; ++head) {
+    values.nonzero[head * values.slots + values.slot] = 0;
+  }
+  ForEachPart(values, [&](int head, int16_t* pairs, int lane, int count) HWY_ATTR {
+    const auto own =
+        hn::IfThenElseZero(hn::FirstN(narrow, count), hn::LoadU(narrow, counts + lane));
+    const auto nonzero = hn::CountTrue(narrow, hn::Ne(own, hn::Zero(narrow)));
+    values.nonzero[head * values.slots + values.slot] += static_cast<int16_t>(nonzero);
+    const auto kept = hn::And(hn::LoadU(narrow, pairs), neighbour);
+    hn::StoreU(hn::Or(kept, hn::ShiftLeft<shift>(own)), narrow, pairs);
+    const auto sum = hn::Add(hn::LoadU(wide, values.sums + lane), hn::PromoteTo(wide, own));
+    hn::StoreU(sum, wide, values.sums + lane);
+  });
+}
+
+void StoreValuesImpl(const int16_t* counts, const SlotValues& values) {
+  return values.slot % 2 == 0 ? StoreIn<0>(counts, values) : StoreIn<8>(counts, values);
+}
+
+template <int shift>
+void RemoveFrom(const SlotValues& values) {
+  const Wide wide;
+  const Narrow narrow;
+  const auto byte = hn::Set(wide, 0xFF);
+  ForEachPart(values, [&](int, int16_t* pairs, int lane, int count) HWY_ATTR {
+    const auto both = hn::IfThenElseZero(hn::FirstN(narrow, count), hn::LoadU(narrow, pairs));
+    const auto own = hn::And(hn::ShiftRight<shift>(hn::PromoteTo(wide, both)), byte);
+    hn::StoreU(hn::Sub(hn::LoadU(wide, values.sums + lane), own), wide, values.sums + lane);
+  });
+}
+
+void RemoveValuesImpl(const SlotValues& values) {
+  return values.slot % 2 == 0 ? RemoveFrom<0>(values) : RemoveFrom<8>(values);
+}
+
+using U8 = hn::Repartition<uint8_t, U32>;
+
+// Returns the sum of the four bytes of each lane.
+HWY_INLINE hn::Vec<U32> SumBytes(hn::Vec<U8> bytes) {
+  const U32 d;
+  const auto quads = hn::BitCast(d, bytes);
+  const auto even = hn::Set(d, 0x00FF00FFu);
+  const auto pairs = hn::Add(hn::And(quads, even), hn::And(hn::ShiftRight<8>(quads), even));
+  return hn::Add(hn::And(pairs, hn::Set(d, 0xFFFFu)), hn::ShiftRight<16>(pairs));
+}
+
+uint64_t OverlapsImpl(const std::vector<QueryWord>& query, const HeadSlots& head,
+                      const int32_t* held, int slots, int32_t* overlaps) {
+  const U32 d;
+  const U8 bytes;
+  constexpr size_t kBytesFill = 31;  // words whose bits fit a byte
+  auto sum = hn::Zero(d);
+  const uint32_t* block = head.keys;
+  for (int first = 0; first < slots; first += kSlotBlock, block += head.words * kSlotBlock) {
+    for (int i = 0; i < kSlotBlock; i += kVector) {
+      auto overlap = hn::Zero(d);
+      for (size_t begin = 0; begin < query.size(); begin += kBytesFill) {
+        const size_t end = std::min(query.size(), begin + kBytesFill);
+        auto bits = hn::Zero(bytes);
+        for (size_t n = begin; n < end; ++n) {
+          const auto key = hn::LoadU(d, block + query[n].number * kSlotBlock + i);
+          const auto both = hn::And(key, hn::Set(d, query[n].bits));
+          bits = hn::Add(bits, hn::PopulationCount(hn::BitCast(bytes, both)));
+        }
+        overlap = hn::Add(overlap, SumBytes(bits));
+      }
+      const auto kept = hn::And(overlap, hn::BitCast(d, hn::LoadU(I32(), held + first + i)));
+      hn::StoreU(hn::BitCast(I32(), kept), I32(), overlaps + first + i);
+      sum = hn::Add(sum, kept);
+    }
+  }
+  uint32_t lanes[kVector];
+  hn::StoreU(sum, d, lanes);
+  return std::accumulate(lanes, lanes + kVector, uint64_t{0});
+}
+
+// Returns the largest overlap of the slots that hold a token if `largest`, and the smallest one
+// otherwise.
+HWY_INLINE int32_t Best(bool largest, const int32_t* overlaps, const int32_t* held, int slots) {
   const I32 d;
-  auto best = hn::LoadU(d, overlaps);
-  for (int i = 0; i < tokens; i += kVector) {
-    const auto next = hn::LoadU(d, overlaps + i);
+  const auto worst = hn::Set(d, largest ? -1 : std::numeric_limits<int32_t>::max());
+  auto best = worst;
+  for (int i = 0; i < slots; i += kVector) {
+    const auto is_held = hn::MaskFromVec(hn::LoadU(d, held + i));
+    const auto next = hn::IfThenElse(is_held, hn::LoadU(d, overlaps + i), worst);
     best = largest ? hn::Max(best, next) : hn::Min(best, next);
   }
   return hn::GetLane(largest ? hn::MaxOfLanes(d, best) : hn::MinOfLanes(d, best));
 }
 
-int32_t ShiftmaxImpl(int32_t scale, int tokens, int32_t* overlaps) {
+int32_t ShiftmaxImpl(int32_t scale, const int32_t* overlaps, const int32_t* held, int slots,
+                     int16_t* weights) {
   const I32 d;
-  std::fill(overlaps + tokens, overlaps + PadToLanes(tokens), overlaps[0]);
-  const auto best = hn::Set(d, Best(scale >= 0, tokens, overlaps));
+  const hn::Rebind<int16_t, I32> narrow;  // as many lanes as I32, in half a vector
+  const auto best = hn::Set(d, Best(scale >= 0, overlaps, held, slots));
   const auto factor = hn::Set(d, std::abs(scale));
   const auto rounding = hn::Set(d, 1 << (kScaleFraction - 1));
   // Farther overlaps have weight 0, too, unless the scale is 0; the product has 31 bits.
   const auto farthest = hn::Set(d, 65535);
-  for (int i = 0; i < tokens; i += kVector) {
+  auto sum = hn::Zero(d);
+  for (int i = 0; i < slots; i += kVector) {
     const auto distance = hn::Min(hn::Abs(hn::Sub(hn::LoadU(d, overlaps + i), best)), farthest);
     const auto octaves =
         hn::ShiftRight<kScaleFraction>(hn::Add(hn::Mul(distance, factor), rounding));
-    const auto weight = hn::Shr(hn::Set(d, 256), hn::Min(octaves, hn::Set(d, 9)));
-    hn::StoreU(weight, d, overlaps + i);
+    const auto weight =
+        hn::And(hn::Shr(hn::Set(d, 256), hn::Min(octaves, hn::Set(d, 9))), hn::LoadU(d, held + i));
+    sum = hn::Add(sum, weight);
+    hn::StoreU(hn::DemoteTo(narrow, weight), narrow, weights + i);
   }
-  std::fill(overlaps + tokens, overlaps + PadToLanes(tokens), 0);
-  auto sum = hn::Zero(d);
-  for (int i = 0; i < tokens; i += kVector) sum = hn::Add(sum, hn::LoadU(d, overlaps + i));
   return hn::GetLane(hn::SumOfLanes(d, sum));
 }
 
-void WeighValuesImpl(const std::vector<WeightedValues>& tokens, int size, int32_t* sums) {
+// Returns whether a weight of the block of slots is not 0.
+HWY_INLINE bool HasWeight(const int16_t* weights) {
+  uint64_t words[kSlotBlock * sizeof(int16_t) / sizeof(uint64_t)];
+  std::memcpy(words, weights, sizeof(words));
+  uint64_t any = 0;
+  for (const uint64_t word : words) any |= word;
+  return any != 0;
+}
+
+// Sets sums[lane, lane + kVectors * kVector).
+template <int kVectors>
+HWY_INLINE void WeighLanes(const int16_t* weights, const HeadSlots& head, int slots, int lane,
+                           int32_t* sums) {
   const I32 d;
-  const hn::Rebind<int16_t, I32> narrow;  // as many lanes as I32, in half a vector
-  ForEachBlock<4>(0, PadToLanes(size), [&](int lane, auto vectors) HWY_ATTR {
-    VecI32 total[vectors];
-    for (int v = 0; v < vectors; ++v) total[v] = hn::Zero(d);
-    for (const WeightedValues& token : tokens) {
-      const auto weight = hn::Set(d, token.weight);
-      const int16_t* values = Opaque(token.values + lane);
-      for (int v = 0; v < vectors; ++v) {
-        const auto wide = hn::PromoteTo(d, hn::LoadU(narrow, values + v * kVector));
-        total[v] = hn::Add(total[v], hn::Mul(weight, wide));
+  const hn::Rebind<uint8_t, I16> bytes;
+  const size_t width = PairWidth(head.head_size);
+  PairSum total[2][kVectors];  // of even and odd pairs, so that the chains of additions overlap
+  for (int first = 0; first < slots; first += kSlotBlock) {
+    if (!HasWeight(weights + first)) continue;
+    const uint16_t* pairs = head.values + first / 2 * width + lane;
+    for (int slot = first; slot < first + kSlotBlock; slot += 4) {
+      for (int n = 0; n < 2; ++n, pairs += width) {
+        int32_t both;
+        std::memcpy(&both, weights + slot + 2 * n, sizeof(both));
+        const auto weight = hn::BitCast(I16(), hn::Set(d, both));
+        for (int v = 0; v < kVectors; ++v) {
+          const auto* const counts = reinterpret_cast<const uint8_t*>(pairs + v * kVector);
+          total[n][v].Add(hn::PromoteTo(I16(), hn::LoadU(bytes, counts)), weight);
+        }
       }
     }
-    for (int v = 0; v < vectors; ++v) hn::StoreU(total[v], d, sums + lane + v * kVector);
-  });
+  }
+  for (int v = 0; v < kVectors; ++v) {
+    hn::StoreU(hn::Add(total[0][v].Total(), total[1][v].Total()), d, sums + lane + v * kVector);
+  }
+}
+
+uint64_t WeighValuesImpl(const int16_t* weights, const HeadSlots& head, int slots, int32_t* sums) {
+  int lane = 0;
+  for (; lane + 3 * kVector < head.head_size; lane += 4 * kVector) {
+    WeighLanes<4>(weights, head, slots, lane, sums);
+  }
+  for (; lane + kVector < head.head_size; lane += 2 * kVector) {
+    WeighLanes<2>(weights, head, slots, lane, sums);
+  }
+  if (lane < head.head_size) WeighLanes<1>(weights, head, slots, lane, sums);
+  const I32 d;
+  const hn::Rebind<int16_t, I32> narrow;
+  auto nonzero = hn::Zero(d);
+  for (int i = 0; i < slots; i += kVector) {
+    const auto has_weight = hn::Ne(hn::LoadU(narrow, weights + i), hn::Zero(narrow));
+    const auto own = hn::IfThenElseZero(has_weight, hn::LoadU(narrow, head.nonzero + i));
+    nonzero = hn::Add(nonzero, hn::PromoteTo(d, own));
+  }
+  return static_cast<uint64_t>(hn::GetLane(hn::SumOfLanes(d, nonzero)));
 }
 
 // Returns the sums / divisor, as ScaleSums. REQUIRES: 0 < divisor < 2^29.
@@ -127,22 +261,31 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace spikeserve::kernels {
 
+HWY_EXPORT(StoreValuesImpl);
+HWY_EXPORT(RemoveValuesImpl);
 HWY_EXPORT(OverlapsImpl);
 HWY_EXPORT(ShiftmaxImpl);
 HWY_EXPORT(WeighValuesImpl);
 HWY_EXPORT(ScaleSumsImpl);
 
-uint64_t Overlaps(const uint64_t* query, int words, const uint64_t* keys, size_t stride,
-                  const std::vector<int>& slots, int32_t* overlaps) {
-  return HWY_DYNAMIC_DISPATCH(OverlapsImpl)(query, words, keys, stride, slots, overlaps);
+void StoreValues(const int16_t* counts, const SlotValues& values) {
+  HWY_DYNAMIC_DISPATCH(StoreValuesImpl)(counts, values);
 }
 
-int32_t Shiftmax(int32_t scale, int tokens, int32_t* overlaps) {
-  return HWY_DYNAMIC_DISPATCH(ShiftmaxImpl)(scale, tokens, overlaps);
+void RemoveValues(const SlotValues& values) { HWY_DYNAMIC_DISPATCH(RemoveValuesImpl)(values); }
+
+uint64_t Overlaps(const std::vector<QueryWord>& query, const HeadSlots& head, const int32_t* held,
+                  int slots, int32_t* overlaps) {
+  return HWY_DYNAMIC_DISPATCH(OverlapsImpl)(query, head, held, slots, overlaps);
 }
 
-void WeighValues(const std::vector<WeightedValues>& tokens, int size, int32_t* sums) {
-  HWY_DYNAMIC_DISPATCH(WeighValuesImpl)(tokens, size, sums);
+int32_t Shiftmax(int32_t scale, const int32_t* overlaps, const int32_t* held, int slots,
+                 int16_t* weights) {
+  return HWY_DYNAMIC_DISPATCH(ShiftmaxImpl)(scale, overlaps, held, slots, weights);
+}
+
+uint64_t WeighValues(const int16_t* weights, const HeadSlots& head, int slots, int32_t* sums) {
+  return HWY_DYNAMIC_DISPATCH(WeighValuesImpl)(weights, head, slots, sums);
 }
 
 int ScaleSums(const int32_t* sums, int size, int32_t divisor, int16_t* y) {

@@ -11,23 +11,61 @@
 
 namespace spikeserve::kernels {
 
-// Sets overlaps[i] to the number of bits that are set both in `query` [words] and in the key of
-// slot slots[i], which starts at keys[slots[i] * stride]. Returns the sum.
-uint64_t Overlaps(const uint64_t* query, int words, const uint64_t* keys, size_t stride,
-                  const std::vector<int>& slots, int32_t* overlaps);
+// Tokens are stored in slots. The kernels take slots in whole blocks of this number.
+inline constexpr int kSlotBlock = 16;
 
-// Replaces the overlaps [pad(tokens)] by the weights of shiftmax, and what is behind them by 0.
-// Returns the sum. `scale` is the head's. REQUIRES: tokens > 0.
-int32_t Shiftmax(int32_t scale, int tokens, int32_t* overlaps);
+// Returns the length of a row of pairs, see HeadSlots.
+constexpr size_t PairWidth(int head_size) { return static_cast<size_t>(head_size + 7) / 8 * 8; }
 
-// The values of a token and their weight.
-struct WeightedValues {
-  const int16_t* values;  // [pad(size)]
-  int32_t weight;
+// The keys and values of a head by slot.
+struct HeadSlots {
+  // The bits of a key are words of 32 neurons, by tick. [slots / kSlotBlock][words][kSlotBlock].
+  const uint32_t* keys;
+  int words;
+  // Pairs of spike counts, that of the even slot in the low bits. [slots / 2][PairWidth], and
+  // kLanes more pairs that mean nothing.
+  const uint16_t* values;
+  int head_size;
+  const int16_t* nonzero;  // number of values that are not 0, [slots]
 };
 
-// Sets sums[k] to the weighted sum of values[k] over all tokens, for k < pad(size).
-void WeighValues(const std::vector<WeightedValues>& tokens, int size, int32_t* sums);
+// The values of one slot.
+struct SlotValues {
+  int heads;
+  int head_size;
+  int slots;  // of each head
+  int slot;
+  uint16_t* pairs;   // [heads], see HeadSlots
+  int16_t* nonzero;  // [heads], see HeadSlots
+  int32_t* sums;     // of the values of all slots, [heads][head_size] and kLanes zeros
+};
+
+// Stores a token's spike counts, [heads][head_size] and kLanes more, and adds them to the sums.
+void StoreValues(const int16_t* counts, const SlotValues& values);
+
+// Subtracts the values from the sums.
+void RemoveValues(const SlotValues& values);
+
+// A word of a query, and its number.
+struct QueryWord {
+  int number;
+  uint32_t bits;
+};
+
+// Sets overlaps[s] to the number of bits that are set both in the query and in the key of slot s if
+// held[s] is -1, and to 0 if it is 0. Returns the sum. `query` has the words that are not 0.
+uint64_t Overlaps(const std::vector<QueryWord>& query, const HeadSlots& head, const int32_t* held,
+                  int slots, int32_t* overlaps);
+
+// Sets `weights` to those of shiftmax, and to 0 where held[s] is 0. Returns the sum. `scale` is the
+// head's. REQUIRES: a token is held.
+int32_t Shiftmax(int32_t scale, const int32_t* overlaps, const int32_t* held, int slots,
+                 int16_t* weights);
+
+// Sets sums[k] to the weighted sum of value k over all slots, for k < head_size. `sums` is
+// [pad(head_size)]. Returns the number of values that are not 0 in slots whose weight is not 0.
+// REQUIRES: weights are from 0 to 32767.
+uint64_t WeighValues(const int16_t* weights, const HeadSlots& head, int slots, int32_t* sums);
 
 // Sets y[k] to sums[k] / divisor with kGateFraction fraction bits, rounded as RoundDivide and
 // limited to kLargestAttended, for k < size. `sums` are [pad(size)], and from 0 to `divisor` for k
