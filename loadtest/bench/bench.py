@@ -140,6 +140,8 @@ def main():
         if name in arguments.sections:
             print(f"bench: {name}", file=sys.stderr, flush=True)
             result[name] = measure()
+            # After each section, so that a failure of the next one does not lose it.
+            arguments.json.write_text(json.dumps(result, indent=2) + "\n")
 
     section("engine", lambda: measure_engines(arguments))
     section("growth", lambda: run_contestants(growth_contestants(arguments), arguments.rounds, arguments.seconds / 2))

@@ -95,7 +95,9 @@ def measure_load(spikeload, server, cores=LOAD_CORES, **flags):
     flags = {"server": server.address, **flags}
     command = [spikeload, "--json", *(f"--{name}={value}" for name, value in flags.items())]
     before = server.processor_seconds()
-    result = subprocess.run(on_cores(cores, command), check=True, capture_output=True, text=True)
+    result = subprocess.run(on_cores(cores, command), check=False, capture_output=True, text=True)
+    if result.returncode != 0:
+        raise RuntimeError(f"{' '.join(map(str, command))}: expected status 0, received {result.returncode}: {result.stderr}")
     report = json.loads(result.stdout)
     used = server.processor_seconds() - before
     return {**report, "processor_seconds_per_decision": used / report["decisions"]}

@@ -34,6 +34,7 @@ void IntegerAttention::Attend(const ModelConfig& config, const std::vector<int16
 
 void IntegerAttention::ReadQuery(const ModelConfig& config, const uint32_t* query, int head) {
   query_.clear();
+  if (query == nullptr) return;
   const int words = (config.head_size() + 31) / 32;
   for (int tick = 0; tick < config.ticks; ++tick) {
     const uint32_t* const own = query + (static_cast<size_t>(tick) * config.heads + head) * words;

@@ -18,8 +18,9 @@ namespace spikeserve {
 // Buffers of one thread. Their contents do not outlive a call.
 class IntegerAttention {
  public:
-  // Sets y [d] to the outputs of all heads for a query [T][H][W]. A head whose query does not fire
-  // returns the mean of the values. `scales` are [H]. Adds the operations to `counts`.
+  // Sets y [d] to the outputs of all heads for a query [T][H][W], or null if no neuron fires. A
+  // head whose query does not fire returns the mean of the values. `scales` are [H]. Adds the
+  // operations to `counts`.
   void Attend(const ModelConfig& config, const std::vector<int16_t>& scales,
               const IntegerBand& band, const IntegerCache& cache, const uint32_t* query, int16_t* y,
               Counts* counts);

@@ -1,6 +1,7 @@
 #include "core/engine/spiking/integer_engine.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <cstdlib>
@@ -179,7 +180,8 @@ class IntegerTokenPass {
     counts_->spikes(Stage::kValue) +=
         kernels::LifCounts(lif_, population, drive, section, section, scratch_.counts.data());
     if (needs_query) {
-      counts_->spikes(Stage::kQuery) += FireBits(population, drive, 2 * section, scratch_.query);
+      query_spikes_ = FireBits(population, drive, 2 * section, scratch_.query);
+      counts_->spikes(Stage::kQuery) += query_spikes_;
     }
     uint64_t synapses = scratch_.spikes.Products(population.nonzero, &phase);
     if (!needs_query) synapses -= scratch_.spikes.Products(packed.nonzero_query, &phase);
@@ -219,40 +221,50 @@ class IntegerTokenPass {
     const auto& scales = policy_.weights.layers[layer].fixed_point.attention_scale.values;
     scratch_.y.assign(PadToLanes(config_.hidden_size), 0);
     scratch_.attention.Attend(config_, scales, context_->band, context_->caches[layer],
-                              scratch_.query.data(), scratch_.y.data(), counts_);
+                              query_spikes_ > 0 ? scratch_.query.data() : nullptr,
+                              scratch_.y.data(), counts_);
     MergeHeads(packed);
     Apply(packed.attention_output, scratch_.input);
     Normalize(packed.attention_norm);
   }
 
-  // Sets scratch_.input to the merged heads, [pad(d_h)] or [pad(d)].
+  // Sets scratch_.input to the merged heads, [pad(d_h)] or [pad(d)]. Up to 64 heads of at most 255,
+  // with gates of at most 256, keep all sums within 23 bits.
   void MergeHeads(const PackedIntegerLayer& packed) {
     const int size = config_.head_size();
     const bool concat = config_.merge == Merge::kConcat;
-    if (config_.has_routing()) Route(packed);
-    const auto head_of = [&](int head, int k) {
-      const int32_t value = scratch_.y[head * size + k];
-      return config_.has_routing() ? value * scratch_.gates[head] : value;
-    };
-    const auto limit = [](int64_t value) {
-      return static_cast<int16_t>(std::min<int64_t>(value, kLargestAttended));
-    };
-    scratch_.input.assign(PadToLanes(config_.merged_size()), 0);
-    if (concat) {
-      for (int head = 0; head < config_.heads; ++head) {
-        for (int k = 0; k < size; ++k) {
-          const int64_t value = head_of(head, k);
-          scratch_.input[head * size + k] = limit(
-              config_.has_routing() ? RoundShift(value * config_.heads, kGateFraction) : value);
-        }
+    int32_t divisor = concat ? 1 : config_.heads;
+    if (config_.has_routing()) {
+      Route(packed);
+      if (concat) {
+        for (int32_t& gate : scratch_.gates) gate *= config_.heads;
       }
-      return;
+      divisor = 1 << kGateFraction;
+    } else {
+      scratch_.gates.assign(config_.heads, 1);
     }
-    for (int k = 0; k < size; ++k) {
-      int64_t sum = 0;
-      for (int head = 0; head < config_.heads; ++head) sum += head_of(head, k);
-      scratch_.input[k] = limit(config_.has_routing() ? RoundShift(sum, kGateFraction)
-                                                      : RoundDivide(sum, config_.heads));
+    scratch_.sums.assign(PadToLanes(config_.merged_size()), 0);
+    for (int head = 0; head < config_.heads; ++head) {
+      int32_t* const sums = scratch_.sums.data() + (concat ? head * size : 0);
+      const int16_t* const y = scratch_.y.data() + head * size;
+      const int32_t gate = scratch_.gates[head];
+      for (int k = 0; k < size; ++k) sums[k] += gate * y[k];
+    }
+    scratch_.input.resize(scratch_.sums.size());
+    if (std::has_single_bit(static_cast<uint32_t>(divisor))) {
+      const int shift = std::countr_zero(static_cast<uint32_t>(divisor));
+      Limit([=](int32_t sum) { return (sum + divisor / 2) >> shift; });
+    } else {
+      Limit([=](int32_t sum) { return (2 * sum + divisor) / (2 * divisor); });
+    }
+  }
+
+  // Sets scratch_.input to the quotients of scratch_.sums.
+  template <class Quotient>
+  void Limit(Quotient quotient) {
+    for (size_t k = 0; k < scratch_.input.size(); ++k) {
+      const int32_t merged = std::min(quotient(scratch_.sums[k]), int32_t{kLargestAttended});
+      scratch_.input[k] = static_cast<int16_t>(merged);
     }
   }
 
@@ -315,6 +327,7 @@ class IntegerTokenPass {
   Scratch& scratch_;
   IntegerContext* context_ = nullptr;
   Counts* counts_ = nullptr;
+  uint64_t query_spikes_ = 0;  // of the current layer
 };
 
 class IntegerEngine final : public Engine {
