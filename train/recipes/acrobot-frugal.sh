@@ -23,9 +23,6 @@ stage 4-quieter base,round1,round2,round3 --seed=4 --iterations=8000 --learning_
 round round4 4
 stage 5-quieter base,round2,round3,round4 --seed=5 --iterations=10000 --learning_rate=7e-4 --target_rate=3 --readout_rate=15 \
   --operation_penalty=0.02 "${short[@]}"
-round round5 5
-stage 6-frugal base,round3,round4,round5 --seed=6 --iterations=8000 --learning_rate=7e-4 --target_rate=3 --readout_rate=15 \
-  --operation_penalty=0.05 "${short[@]}"
 
 unseen
 integer
