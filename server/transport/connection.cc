@@ -363,6 +363,7 @@ void Connection::Close() {
   CloseStreams();
   if (continues_) std::erase(shared_->to_continue, this);
   if (waits_for_turn_) shared_->stranger_queue.Remove(this);
+  slot_->MarkFreed();
   if (!slot_->is_known()) CountOverhead(-1);
   shared_->closed(this);
 }

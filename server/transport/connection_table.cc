@@ -80,6 +80,7 @@ bool ConnectionTable::Drop(ConnectionSlot* slot, ConnectionLimit reason) {
   if (slot == nullptr) return false;
   Leave(slot);
   slot->was_dropped_ = true;
+  slot->will_free_ = true;
   ++dropping_;
   ++counts_.dropped[static_cast<size_t>(reason)];
   LogWarning("connection of a stranger dropped",
@@ -137,16 +138,23 @@ void ConnectionTable::MarkCaller(ConnectionSlot* slot) {
 void ConnectionTable::MarkKnown(ConnectionSlot* slot) {
   absl::MutexLock lock(&mutex_);
   Unindex(slot);
+  StopExpecting(slot);
+}
+
+void ConnectionTable::MarkFreed(ConnectionSlot* slot) {
+  absl::MutexLock lock(&mutex_);
+  StopExpecting(slot);
+}
+
+void ConnectionTable::StopExpecting(ConnectionSlot* slot) {
+  if (std::exchange(slot->will_free_, false)) --dropping_;
 }
 
 void ConnectionTable::Remove(ConnectionSlot* slot) {
   absl::MutexLock lock(&mutex_);
   ++counts_.closed;
-  if (slot->was_dropped_) {
-    --dropping_;
-  } else {
-    Leave(slot);
-  }
+  StopExpecting(slot);
+  if (!slot->was_dropped_) Leave(slot);
 }
 
 }  // namespace spikeserve

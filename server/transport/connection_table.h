@@ -116,13 +116,16 @@ class ConnectionTable {
   // Called by slots.
   void MarkCaller(ConnectionSlot* slot);
   void MarkKnown(ConnectionSlot* slot);
+  void MarkFreed(ConnectionSlot* slot);
   void Remove(ConnectionSlot* slot);
+  // No longer expects a dropped connection to free bytes.
+  void StopExpecting(ConnectionSlot* slot) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   const Limits limits_;
   const int64_t max_strangers_;
   mutable absl::Mutex mutex_;
   Counts counts_ ABSL_GUARDED_BY(mutex_);
-  int64_t dropping_ ABSL_GUARDED_BY(mutex_) = 0;  // dropped, and not yet closed
+  int64_t dropping_ ABSL_GUARDED_BY(mutex_) = 0;  // dropped, and will free bytes
   uint64_t next_number_ ABSL_GUARDED_BY(mutex_) = 0;
   StrangerIndex strangers_ ABSL_GUARDED_BY(mutex_);
   StrangerIndex idle_strangers_ ABSL_GUARDED_BY(mutex_);  // those of them without a call
@@ -144,10 +147,13 @@ class ConnectionSlot {
   void MarkCaller() {
     if (!std::exchange(has_called_, true)) table_->MarkCaller(this);
   }
-  // A call of the connection was admitted: it is no stranger any more.
+  // A call of the connection was admitted: it is no stranger any more. Like MarkFreed(), it is
+  // called before a stranger's bytes are freed. Otherwise DropStrangers() could still expect bytes
+  // that are no longer used, and drop too few.
   void MarkKnown() {
     if (!std::exchange(is_known_, true)) table_->MarkKnown(this);
   }
+  void MarkFreed() { table_->MarkFreed(this); }
   bool has_called() const { return has_called_; }
   bool is_known() const { return is_known_; }
   uint64_t number() const { return number_; }
@@ -166,6 +172,7 @@ class ConnectionSlot {
   // Of the table, under its mutex.
   std::optional<StrangerIndex::Rank> rank_;  // in its indices; empty: in none
   bool was_dropped_ = false;
+  bool will_free_ = false;  // it was dropped, and counts in dropping_
 };
 
 }  // namespace spikeserve

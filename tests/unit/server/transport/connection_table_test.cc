@@ -171,5 +171,19 @@ TEST_F(ConnectionTableTest, DropsAsManyStrangersAsFreeTheBytes) {
   slots_.clear();
 }
 
+TEST_F(ConnectionTableTest, ExpectsNoBytesOfDroppedConnectionsThatFreedThem) {
+  ConnectionTable table(
+      {.connections = 99, .per_address = 9, .per_network = 9, .idle_strangers = 9});
+  for (int i = 0; i < 5; ++i) ASSERT_TRUE(Connect(table, "192.0.2.1"));
+  table.DropStrangers(ConnectionLimit::kStrangerBytes, 2 * kConnectionBytes);
+  EXPECT_THAT(closer_.closed, ElementsAre(0, 1));
+  slots_[0]->MarkFreed();  // it is not removed yet
+  slots_[1]->MarkKnown();
+  table.DropStrangers(ConnectionLimit::kStrangerBytes, 1);
+  EXPECT_THAT(closer_.closed, ElementsAre(0, 1, 2));
+  slots_.clear();
+  EXPECT_EQ(table.counts().open, 0);
+}
+
 }  // namespace
 }  // namespace spikeserve
