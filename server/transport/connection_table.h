@@ -147,12 +147,12 @@ class ConnectionSlot {
   void MarkCaller() {
     if (!std::exchange(has_called_, true)) table_->MarkCaller(this);
   }
-  // A call of the connection was admitted: it is no stranger any more. Like MarkFreed(), it is
-  // called before a stranger's bytes are freed. Otherwise DropStrangers() could still expect bytes
-  // that are no longer used, and drop too few.
+  // A call of the connection was admitted: it is no stranger any more, see also MarkFreed().
   void MarkKnown() {
     if (!std::exchange(is_known_, true)) table_->MarkKnown(this);
   }
+  // The bytes of a stranger are about to be freed. If it were called after that, DropStrangers()
+  // could expect bytes that are no longer used, and drop too few.
   void MarkFreed() { table_->MarkFreed(this); }
   bool has_called() const { return has_called_; }
   bool is_known() const { return is_known_; }

@@ -57,8 +57,8 @@ struct QueryWord {
 uint64_t Overlaps(const std::vector<QueryWord>& query, const HeadSlots& head, const int32_t* held,
                   int slots, int32_t* overlaps);
 
-// Sets `weights` to those of shiftmax, and to 0 where held[s] is 0. Returns the sum. `scale` is the
-// head's. REQUIRES: a token is held.
+// Sets `weights` [slots] to those of shiftmax, and to 0 where held[s] is 0. Returns the sum.
+// `scale` is the head's. REQUIRES: a token is held.
 int32_t Shiftmax(int32_t scale, const int32_t* overlaps, const int32_t* held, int slots,
                  int16_t* weights);
 
