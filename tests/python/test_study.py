@@ -8,12 +8,14 @@ import subprocess
 import sys
 
 import pytest
+from spikeserve.imitation.datasets import read_dataset
 
 ROOT = pathlib.Path(__file__).parents[2]
 REPORT = ROOT / "train/report"
-sys.path.insert(0, str(REPORT))
+sys.path[:0] = [str(REPORT), str(ROOT / "train/recipes")]
 
 import seed_statistics  # noqa: E402
+import study_field  # noqa: E402
 import study_page  # noqa: E402
 import study_parts  # noqa: E402
 import study_plan  # noqa: E402
@@ -187,6 +189,53 @@ def test_a_miniature_of_the_settings(tmp_path):
     program = [sys.executable, REPORT / "study_curves.py", tmp_path / "out", tmp_path / "curves.png"]
     subprocess.run(program, check=True)
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_miniature_of_the_field(tmp_path):
+    """Sets are made from nothing; policies and models without attention learn from them, and have their cells in the tables."""
+    for is_first in (True, False):  # the second time it keeps the sets
+        made = subprocess.run(
+            [sys.executable, "-c", "import offline_sets; offline_sets.SHARE = 0.01; offline_sets.main()", "Hopper-v5"]
+            + [f"--out={tmp_path}/sets", "--steps=400"],
+            check=True,
+            capture_output=True,
+            text=True,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([os.environ["PYTHONPATH"], str(ROOT / "train/recipes")])},
+        )
+        assert ("hopper-medium-v0: " in made.stdout) == is_first
+    sets = {kind: list(read_dataset(tmp_path / f"sets/hopper-{kind}-v0")) for kind in study_plan.SETS}
+    steps = {kind: sum(episode.steps for episode in episodes) for kind, episodes in sets.items()}
+    assert steps["medium"] >= 400 and steps["medium-expert"] >= 400 and 0 < steps["medium-replay"] <= 400
+    assert max(e.episode_return for e in sets["medium-expert"]) > max(e.episode_return for e in sets["medium"])
+    assert all(episode.terminated != episode.truncated for episode in sets["medium-replay"])
+
+    arms = ("dense", "full", "cloning-10", "recurrent")
+    for arm in arms:
+        only = study(tmp_path, "--field", f"--sets={tmp_path}/sets", f"--only=hopper-medium-expert-{arm}-1")
+        assert only.returncode == 0, only.stderr
+    results = {path.stem: json.loads(path.read_text()) for path in (tmp_path / "out/field").glob("*.json")}
+    assert results.keys() == {f"hopper-medium-expert-{arm}-1" for arm in arms}
+    assert results["hopper-medium-expert-full-1"]["integer"]["nanojoules_per_decision"] > 0
+    assert results["hopper-medium-expert-cloning-10-1"]["multiplications"] == 11 * 256 + 256 * 256 + 256 * 3
+    text = study_field.tables(tmp_path / "out")
+    assert "| hopper-medium-expert | " in text
+    assert "| multiplications |  |  |  |  | 69120 | 14784 |" in text
+
+
+def test_scores_of_the_field_are_means_of_all_sets(tmp_path):
+    (tmp_path / "field").mkdir()
+    for task, plan in study_plan.FIELD_TASKS.items():
+        for place, arm in enumerate(study_plan.FIELD_ARMS):
+            for seed in (1, 2, 3):
+                score = 10 * place + seed + (9 if task == "hopper-medium" else 0)
+                value = plan.chance + score / 100 * (plan.expert_return - plan.chance)
+                result = {"task": task, "arm": arm, "seed": seed, "mean_return": value, "spikes_per_decision": 7}
+                further = {"multiplications": 5} if arm in study_plan.CLONES else {"integer": {"nanojoules_per_decision": 2}}
+                (tmp_path / f"field/{task}-{arm}-{seed}.json").write_text(json.dumps(result | further))
+    text = study_field.tables(tmp_path)
+    assert "| hopper-medium | 11.0 ± 2.5 | 21.0 ± 2.5 | 31.0 ± 2.5 | 41.0 ± 2.5 | 51.0 ± 2.5 | 61.0 ± 2.5 | 3 |" in text
+    assert "| mean of 9 | 3.0 ± 2.5 | 13.0 ± 2.5 |" in text
+    assert "| nJ in integers (`int_45nm`) | 2.0 | 2.0 | 2.0 |  |  |  |" in text
 
 
 def test_a_run_of_the_settings_has_the_papers_epochs():

@@ -47,29 +47,43 @@ class Moments:
         return np.where(deviation < 1e-7, 1.0, deviation)
 
 
+@dataclasses.dataclass
+class Rollout:
+    """An episode. There is one observation more than actions and rewards."""
+
+    seed: int
+    observations: list
+    actions: list = dataclasses.field(default_factory=list)
+    rewards: list = dataclasses.field(default_factory=list)
+    terminated: bool = False
+
+
 def play(environment, weights, moments, seed):
-    """Plays an episode. Returns the rewards and the observations."""
+    """Plays an episode."""
     mean, deviation = moments.mean, moments.deviation()
     low, high = environment.action_space.low, environment.action_space.high
     observation, _ = environment.reset(seed=int(seed))
-    rewards, observations, ended = [], [], False
+    rollout, ended = Rollout(int(seed), [observation]), False
     while not ended:
-        observations.append(observation)
         action = np.clip(weights @ ((observation - mean) / deviation), low, high)
-        observation, reward, terminated, truncated, _ = environment.step(action)
-        rewards.append(reward)
-        ended = terminated or truncated
-    return rewards, observations
+        observation, reward, rollout.terminated, truncated, _ = environment.step(action)
+        rollout.observations.append(observation)
+        rollout.actions.append(action)
+        rollout.rewards.append(reward)
+        ended = rollout.terminated or truncated
+    return rollout
 
 
 class Search:
-    def __init__(self, name, seed, checkpoint):
+    """The search. A subclass can keep its rollouts."""
+
+    def __init__(self, name, seed, checkpoint=None):
         self._environment = gymnasium.make(name)
         self._settings, self._seed, self._checkpoint = SETTINGS[name], seed, checkpoint
         actions, inputs = self._environment.action_space.shape[0], self._environment.observation_space.shape[0]
         self.weights, self.moments = np.zeros((actions, inputs)), Moments(0, np.zeros(inputs), np.ones(inputs))
         self.iteration, self.steps, self.best = 0, 0, None
-        if checkpoint.exists():
+        if checkpoint and checkpoint.exists():
             self._resume(np.load(checkpoint))
 
     def _resume(self, saved):
@@ -83,6 +97,9 @@ class Search:
         np.savez(part, **state, count=self.moments.count, mean=self.moments.mean, squares=self.moments.squares)
         part.replace(self._checkpoint)
 
+    def played(self, rollout):
+        """Is called with each rollout of an iteration."""
+
     def iterate(self):
         """Moves the weights along the directions that earn most."""
         directions, top, step, noise, alive = self._settings
@@ -93,9 +110,10 @@ class Search:
         for row, delta in enumerate(deltas):
             for side, sign in enumerate((1, -1)):
                 seed = generator.integers(1_000_000)
-                rewards, observations = play(self._environment, self.weights + sign * noise * delta, self.moments, seed)
-                returns[row, side] = sum(rewards) - alive * len(rewards)
-                seen += observations
+                rollout = play(self._environment, self.weights + sign * noise * delta, self.moments, seed)
+                self.played(rollout)
+                returns[row, side] = sum(rollout.rewards) - alive * len(rollout.rewards)
+                seen += rollout.observations[:-1]
         chosen = np.argsort(-returns.max(1))[:top]
         gains = returns[chosen, 0] - returns[chosen, 1]
         self.weights = self.weights + step / (top * returns[chosen].std() + 1e-9) * np.tensordot(gains, deltas[chosen], 1)
@@ -105,7 +123,7 @@ class Search:
     def check(self):
         """Keeps the policy if it is the best so far, on starts that no iteration used. Returns its mean return."""
         seeds = range(1_000_000, 1_000_000 + CHECKS)
-        mean = float(np.mean([sum(play(self._environment, self.weights, self.moments, seed)[0]) for seed in seeds]))
+        mean = float(np.mean([sum(play(self._environment, self.weights, self.moments, seed).rewards) for seed in seeds]))
         if self.best is None or mean > self.best["return"]:
             policy = {"mean": self.moments.mean, "deviation": self.moments.deviation(), "weights": self.weights}
             record = {"return": mean, "steps": self.steps, "seed": self._seed}

@@ -17,6 +17,8 @@ STATE_COST = np.diag([1.0, 10.0, 10.0, 0.1, 0.1, 0.1])
 FORCE_COST = 1.0
 DIFFERENCE = 1e-5
 
+LINEAR = pathlib.Path(__file__).parent / "linear"  # what ars.py found
+
 NO_ENGINE, LEFT_ENGINE, MAIN_ENGINE, RIGHT_ENGINE = range(4)  # actions of LunarLander-v3
 
 
@@ -114,7 +116,7 @@ def linear_action(name, observation):
 @functools.cache
 def linear_policy(name):
     """Reads mean [obs], deviation [obs] and weights [act, obs]."""
-    policy = json.loads((pathlib.Path(__file__).parent / "linear" / f"{name}.json").read_text())
+    policy = json.loads((LINEAR / f"{name}.json").read_text())
     return tuple(np.array(policy[key]) for key in ("mean", "deviation", "weights"))
 
 

@@ -4,6 +4,7 @@ K. Cho et al., "Learning phrase representations using RNN encoder-decoder", EMNL
 """
 
 import numpy as np
+from losses import output_error
 
 BATCH, RATE, DECAYS = 32, 3e-3, (0.9, 0.999)  # episodes; of Adam, whose rate falls to 0 as a cosine
 LARGEST_GRADIENT = 1.0  # norm of all gradients together
@@ -14,7 +15,7 @@ def sigmoid(x):
 
 
 class Gru:
-    """h <- z h + (1 - z) tanh(W x + r (U h)); z, r = sigmoid(W x + U h + b); logits = V h + c.
+    """h <- z h + (1 - z) tanh(W x + r (U h)); z, r = sigmoid(W x + U h + b); outputs = V h + c.
 
     `inputs`, `hidden` and `outputs` are sizes. Columns are those of z, r and the candidate, side by side.
     """
@@ -39,6 +40,11 @@ class Gru:
         """Returns the number of a step."""
         return sum(self.parameters[name].size for name in "wuv") + 3 * self._hidden
 
+    @property
+    def first_layer(self):
+        """Returns the weights that act on an observation, [inputs, outputs], and their offsets."""
+        return self.parameters["w"], self.parameters["b"]
+
     def first_state(self, rows):
         return np.zeros((rows, self._hidden), np.float32)
 
@@ -51,13 +57,13 @@ class Gru:
         candidate = np.tanh(drive[:, 2 * size :] + r * inner[:, 2 * size :])
         return z, r, candidate, inner[:, 2 * size :], z * h + (1 - z) * candidate
 
-    def logits(self, observations, h):
-        """Returns the logits of one step, [rows, outputs], and the next state."""
+    def outputs(self, observations, h):
+        """Returns the outputs of one step, [rows, outputs], and the next state."""
         h = self.step(observations @ self.parameters["w"] + self.parameters["b"], h)[-1]
         return h @ self.parameters["v"] + self.parameters["c"], h
 
     def gradients(self, inputs, labels, weights):
-        """Returns the mean cross-entropy and its gradients. `inputs` are [steps, rows, inputs], the others [steps, rows]."""
+        """Returns the mean loss and its gradients. `inputs` are [steps, rows, inputs], weights [steps, rows], labels as in losses.py."""
         p = self.parameters
         drive = inputs @ p["w"] + p["b"]
         states, tape = [self.first_state(inputs.shape[1])], []
@@ -66,14 +72,7 @@ class Gru:
             tape.append(values)
             states.append(h)
         after = np.stack(states[1:])
-        scores = after @ p["v"] + p["c"]
-        odds = np.exp(scores - scores.max(-1, keepdims=True))
-        odds /= odds.sum(-1, keepdims=True)
-        chosen = np.take_along_axis(odds, labels[..., None], -1)[..., 0]
-        loss = -(np.log(chosen + 1e-12) * weights).sum() / weights.sum()
-        error = odds
-        np.put_along_axis(error, labels[..., None], (chosen - 1)[..., None], -1)
-        error *= (weights / weights.sum())[..., None]
+        loss, error = output_error(after @ p["v"] + p["c"], labels, weights)
         of_states = error @ p["v"].T
         of_drive, of_inner = np.empty_like(drive), np.empty_like(drive)
         back = np.zeros_like(states[0])
@@ -95,13 +94,15 @@ class Gru:
         }
 
     def train(self, episodes, epochs):
-        """Makes `epochs` passes over episodes, each the observations [steps, inputs] and the labels [steps], in random draws."""
-        steps = epochs * len(episodes) // BATCH
+        """Makes `epochs` passes over episodes, each the observations [steps, inputs] and the labels, in random draws."""
+        steps = max(1, round(epochs * len(episodes) / BATCH))
         for step in range(steps):
             chosen = [episodes[i] for i in self._random.integers(0, len(episodes), BATCH)]
             longest = max(len(labels) for _, labels in chosen)
             inputs = np.zeros((longest, BATCH, chosen[0][0].shape[1]), np.float32)
-            labels, weights = np.zeros((longest, BATCH), np.int64), np.zeros((longest, BATCH), np.float32)
+            of_one = chosen[0][1]
+            labels = np.zeros((longest, BATCH, *of_one.shape[1:]), of_one.dtype)
+            weights = np.zeros((longest, BATCH), np.float32)
             for row, (seen, answers) in enumerate(chosen):
                 inputs[: len(seen), row], labels[: len(seen), row], weights[: len(seen), row] = seen, answers, 1
             _, gradients = self.gradients(inputs, labels, weights)
@@ -119,7 +120,7 @@ class Gru:
 
 
 class GruActor:
-    """Plays a unit, with a state for each running episode."""
+    """Plays a unit, with a state for each running episode. `choice` makes a choice from the outputs of one row."""
 
     def __init__(self, unit, choice):
         self._unit, self._choice, self._states = unit, choice, {}
@@ -127,9 +128,9 @@ class GruActor:
     def choose(self, rows):
         states = np.concatenate([self._states.get(row.index, self._unit.first_state(1)) for row in rows])
         observations = np.stack([np.asarray(row.episode.observations[-1], np.float32) for row in rows])
-        logits, states = self._unit.logits(observations, states)
+        outputs, states = self._unit.outputs(observations, states)
         self._states |= {row.index: state[None] for row, state in zip(rows, states, strict=True)}
-        return [self._choice(int(action)) for action in logits.argmax(1)]
+        return [self._choice(values) for values in outputs]
 
     def end(self, row):
         self._states.pop(row.index, None)

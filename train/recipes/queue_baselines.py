@@ -18,6 +18,7 @@ from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Choice, play
 
 from gru import Gru, GruActor
+from losses import output_error
 
 BATCH, RATE, DECAYS = 256, 2e-3, (0.9, 0.999)  # of Adam; the rate falls to 0 as a cosine
 ENVIRONMENTS = 16  # played at once
@@ -44,7 +45,7 @@ def queues(episodes, length):
 
 
 class Perceptron:
-    """Layers with ReLU between them, trained by Adam on the cross-entropy."""
+    """Layers with ReLU between them, trained by Adam on the loss of losses.py."""
 
     def __init__(self, sizes, seed):
         self._random = np.random.default_rng(seed)
@@ -59,8 +60,13 @@ class Perceptron:
     def multiplications(self):
         return sum(p.size for p in self._layers[::2])
 
+    @property
+    def first_layer(self):
+        """Returns the weights that act on an input, [inputs, outputs], and their offsets."""
+        return self._layers[0], self._layers[1]
+
     def outputs(self, inputs):
-        """Returns what every layer reads, the inputs first, and the logits."""
+        """Returns what every layer reads, the inputs first, and the outputs."""
         values = [inputs]
         for i in range(0, len(self._layers), 2):
             if i:
@@ -70,14 +76,12 @@ class Perceptron:
 
     def train(self, inputs, labels, epochs):
         """Makes `epochs` passes over the data, in random draws."""
-        steps = epochs * len(labels) // BATCH
+        steps = max(1, round(epochs * len(labels) / BATCH))
         for step in range(steps):
             chosen = self._random.integers(0, len(labels), BATCH)
             values = self.outputs(inputs[chosen])
-            odds = np.exp(values[-1] - values[-1].max(1, keepdims=True))
-            error = odds / odds.sum(1, keepdims=True)
-            error[np.arange(BATCH), labels[chosen]] -= 1
-            self._descend(values, error / BATCH, step, RATE / 2 * (1 + np.cos(np.pi * step / steps)))
+            _, error = output_error(values[-1], labels[chosen], np.ones(BATCH, np.float32))
+            self._descend(values, error, step, RATE / 2 * (1 + np.cos(np.pi * step / steps)))
 
     def _descend(self, values, error, step, rate):
         gradients = []
@@ -93,18 +97,21 @@ class Perceptron:
 
 
 class QueueActor:
-    """Plays a model."""
+    """Plays a model. `choice` makes a choice from the outputs of one row."""
 
-    def __init__(self, model, length):
-        self._model = model
-        self._length = length
+    def __init__(self, model, length, choice):
+        self._model, self._length, self._choice = model, length, choice
 
     def choose(self, rows):
         queues = np.stack([queue_of(row.episode.observations, self._length) for row in rows])
-        return [Choice(int(action)) for action in self._model.outputs(queues)[-1].argmax(1)]
+        return [self._choice(outputs) for outputs in self._model.outputs(queues)[-1]]
 
     def end(self, row):
         pass
+
+
+def most_likely(outputs):
+    return Choice(int(outputs.argmax()))
 
 
 def main():
@@ -132,7 +139,7 @@ def main():
     for size in sizes(arguments.gru):
         unit = Gru(episodes[0][0].shape[1], size, actions, seed=0)
         unit.train(episodes, arguments.gru_epochs)
-        report(f"unit of {size}", GruActor(unit, Choice), unit.multiplications)
+        report(f"unit of {size}", GruActor(unit, most_likely), unit.multiplications)
     if not arguments.hidden:
         return
     inputs, labels = queues(episodes, arguments.length)
@@ -140,7 +147,7 @@ def main():
         model = Perceptron([inputs.shape[1], *([hidden] * 2 if hidden else []), actions], seed=0)
         model.train(inputs, labels, arguments.epochs)
         fit = (model.outputs(inputs[:20000])[-1].argmax(1) == labels[:20000]).mean()
-        report(f"hidden {hidden}, {fit:.1%} of the labels", QueueActor(model, arguments.length), model.multiplications)
+        report(f"hidden {hidden}, {fit:.1%} of the labels", QueueActor(model, arguments.length, most_likely), model.multiplications)
 
 
 def sizes(text):

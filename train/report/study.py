@@ -3,11 +3,14 @@
     python train/report/study.py --work=build/study --out=docs/evidence/study
     python train/report/study.py --work=build/study --out=docs/evidence/study --parts
     python train/report/study.py --work=build/study --out=docs/evidence/study --settings
+    python train/report/study.py --work=build/study --out=docs/evidence/study --field --sets=build/sets
 
 Needs `spiketrain` and a Python with what docs/guides/imitation.md installs, popgym and minigrid; PYTHONPATH names
 train/recipes. The learning rate of `dense` is chosen first. The same command continues after an interruption, and
 leaves out what is finished. `--jobs=2` runs two processes. `--parts` trains the variants of one mode instead, and
-`--settings` the modes on the paper's tasks with the paper's settings. study_page.py makes a page of the files.
+`--settings` the modes on the paper's tasks with the paper's settings, and `--field` some modes and models without attention
+on datasets of MuJoCo, in the folder of `--sets`: those of offline_sets.py, or D4RL's in Minari's format under the same names.
+study_page.py makes a page of the files.
 """
 
 import argparse
@@ -31,11 +34,13 @@ class Study:
         self._budget = budget
 
     def path(self, run):
-        part = "sweep" if run.rate else "settings" if run.plan.settings else "."
+        part = "sweep" if run.rate else "settings" if run.plan.settings else "field" if run.plan.dataset else "."
         return self._out / part / f"{run.name}.json"
 
     def rate_of(self, run):
         """Returns the learning rate of a run. That of `dense` is the best of the sweep."""
+        if run.plan.dataset and run.arm == "dense":
+            return study_plan.FIELD_RATE_OF_DENSE
         if run.rate or run.arm != "dense" or run.plan.settings:
             return run.rate or run.plan.rate
         means = {}
@@ -57,7 +62,7 @@ class Study:
 
 def run_named(name, tasks, seeds):
     runs = [*study_plan.settings_runs(), *study_plan.sweep_runs(tasks), *study_plan.study_runs(tasks, seeds)]
-    runs += study_plan.part_runs(tasks, seeds)
+    runs += [*study_plan.part_runs(tasks, seeds), *study_plan.field_runs()]
     run = next((run for run in runs if run.name == name), None)
     if run is None:
         sys.exit(f"study: --only: expected a run of the plan, such as {runs[-1].name}, received {name}")
@@ -86,6 +91,8 @@ def main():
     parser.add_argument("--jobs", default=1, type=int, help="runs at the same time")
     parser.add_argument("--parts", action="store_true", help="train the variants of `full`")
     parser.add_argument("--settings", action="store_true", help="train on the paper's four tasks with its settings")
+    parser.add_argument("--field", action="store_true", help="train on the datasets of MuJoCo")
+    parser.add_argument("--sets", default="build/sets", type=pathlib.Path, help="folder of these datasets")
     parser.add_argument("--only", help="the name of one run, such as cartpole-full-3")
     parser.add_argument("--smoke", action="store_true", help="tiny models and hardly any training: a test in seconds")
     arguments = parser.parse_args()
@@ -95,7 +102,7 @@ def main():
     study = Study(arguments.out.resolve(), budget)
     if arguments.only:
         run = run_named(arguments.only, tasks, arguments.seeds)
-        workshop = Workshop(work, find_spiketrain(arguments.spiketrain), budget)
+        workshop = Workshop(work, find_spiketrain(arguments.spiketrain), budget, arguments.sets.resolve())
         write_json(study.path(run), workshop.carry_out(run, study.rate_of(run)))
         return 0
     command = [sys.executable, *sys.argv]
@@ -104,6 +111,8 @@ def main():
         stages = [study_plan.part_runs(tasks, arguments.seeds)]
     if arguments.settings:
         stages = [study_plan.settings_runs()]
+    if arguments.field:
+        stages = [study_plan.field_runs()]
     return 0 if all(train_all(study, runs, command, arguments.jobs) for runs in stages) else 1
 
 

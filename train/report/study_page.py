@@ -15,6 +15,7 @@ import sys
 
 import numpy as np
 import seed_statistics
+import study_field
 import study_parts
 import study_plan
 import study_settings
@@ -184,6 +185,7 @@ GENERATED = (
     ("<!-- tables of the study -->", "<!-- end of the tables of the study -->", tables),
     ("<!-- tables of the parts -->", "<!-- end of the tables of the parts -->", study_parts.tables),
     ("<!-- tables of the settings -->", "<!-- end of the tables of the settings -->", study_settings.tables),
+    ("<!-- tables of the field -->", "<!-- end of the tables of the field -->", study_field.tables),
 )
 
 

@@ -37,10 +37,11 @@ class Task:
     lookback: int | None = None  # where attention by phase spikes begins
     longer: tuple[int, ...] = ()  # further contexts in which the trained policies play
     settings: "Settings | None" = None  # those of the paper
+    dataset: str = ""  # recorded before, in the folder of sets
 
     @property
     def is_gymnasium(self):
-        return bool(self.expert)
+        return bool(self.expert or self.dataset)
 
 
 TASKS = {
@@ -136,6 +137,45 @@ TASKS_OF_SETTINGS = {
     for name, environment in PAPER_TASKS.items()
 }
 
+# D4RL's three sets of its three tasks, and its returns of random actions and an expert. A policy is asked for the best return of
+# the data.
+REFERENCES = {
+    "hopper": ("Hopper-v5", -20.27, 3234.3),
+    "half-cheetah": ("HalfCheetah-v5", -280.18, 12135.0),
+    "walker2d": ("Walker2d-v5", 1.63, 4592.3),
+}
+SETS = ("medium", "medium-replay", "medium-expert")
+FIELD_TASKS = {
+    f"{name}-{kind}": Task(
+        environment,
+        ("--context=5", "--clip_steps=5", "--batch=64", "--ticks=4", "--iterations=2000"),
+        rate="3e-3",
+        chance=chance,
+        expert_return=expert_return,
+        dataset=f"{name}-{kind}-v0",
+    )
+    for name, (environment, chance, expert_return) in REFERENCES.items()
+    for kind in SETS
+}
+FIELD_SEEDS, FIELD_RATE_OF_DENSE = 3, "1e-3"
+
+
+@dataclasses.dataclass(frozen=True)
+class Clone:
+    """A model without attention that imitates: a perceptron on one observation, or a gated recurrent unit."""
+
+    hidden: int  # of both layers, or of the state
+    recurrent: bool = False
+    best: float = 1.0  # share of the episodes, by their returns
+
+    @property
+    def flags(self):
+        return (f"--hidden={self.hidden}", *(["--recurrent"] if self.recurrent else []), f"--best={self.best:g}")
+
+
+CLONES = {"cloning": Clone(256), "cloning-10": Clone(256, best=0.1), "recurrent": Clone(64, recurrent=True)}
+FIELD_ARMS = ("dense", "baseline", "full", *CLONES)
+
 
 @dataclasses.dataclass(frozen=True)
 class Arm:
@@ -185,6 +225,7 @@ class Budget:
     steps: int | None = None  # of data; None: those of the task
     starts: int = 100  # that a policy plays
     priced_starts: int = 5  # that its integer form plays, for the energy
+    epochs: float = 20  # of a model without attention
     further: tuple[str, ...] = ()  # flags of `spiketrain train`, after those of the task
 
 
@@ -192,6 +233,7 @@ SMOKE = Budget(
     steps=300,
     starts=2,
     priced_starts=1,
+    epochs=0.1,
     further=("--hidden_size=16", "--heads=4", "--ffn_size=16", "--ticks=2", "--batch=2", "--iterations=2", "--clip_steps=8"),
 )
 
@@ -213,7 +255,7 @@ class Run:
     @property
     def plan(self):
         """Returns its task's plan."""
-        return (TASKS | TASKS_OF_SETTINGS)[self.task]
+        return (TASKS | TASKS_OF_SETTINGS | FIELD_TASKS)[self.task]
 
     @property
     def first_start(self):
@@ -240,8 +282,15 @@ def settings_runs():
     return [Run(task, mode, 1) for task in TASKS_OF_SETTINGS for mode in MODES]
 
 
+def field_runs():
+    """Returns the runs on the sets of the field, all of a seed before the next."""
+    return [Run(task, arm, seed) for seed in range(1, FIELD_SEEDS + 1) for task in FIELD_TASKS for arm in FIELD_ARMS]
+
+
 def train_flags(run, rate, budget):
     """Returns the flags of `spiketrain train` for a run, without data and folder. `rate` is the learning rate."""
+    if run.arm in CLONES:
+        return [f"--seed={run.seed}", *CLONES[run.arm].flags]
     task, arm = run.plan, (ARMS | PARTS)[run.arm]
     flags = [f"--mode={arm.mode}", f"--seed={run.seed}", *COMMON, *task.flags, f"--learning_rate={rate}"]
     number = {flag.partition("=")[0]: int(flag.partition("=")[2]) for flag in task.flags if flag.partition("=")[2].isdigit()}

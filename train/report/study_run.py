@@ -16,6 +16,7 @@ from spikeserve.imitation.environments import EnvironmentFactory, load_object
 from spikeserve.imitation.episodes import Choice, play
 from spikeserve.imitation.experts import load_expert
 from spikeserve.imitation.figures import Figures
+from study_cloning import fit
 
 ENVIRONMENTS = 16  # of Gymnasium, played at once
 BURST_RATE, LONGEST_BURST = 0.1, 2
@@ -39,18 +40,21 @@ class PricedActor(StudentActor):
 
 
 class Workshop:
-    """Runs the programs in a folder, which holds data and policies. `spiketrain` is the program."""
+    """Runs the programs in a folder, which holds data and policies. `spiketrain` is the program, `sets` the folder of datasets."""
 
-    def __init__(self, folder, spiketrain, budget):
+    def __init__(self, folder, spiketrain, budget, sets=None):
         self._folder = folder
         self._spiketrain = spiketrain
         self._budget = budget
+        self._sets = sets
 
     def carry_out(self, run, rate):
         """Returns the result of a run, an object for JSON. Continues a training that was interrupted."""
         task = run.plan
         data = self._data(run, task)
         flags = study_plan.train_flags(run, rate, self._budget)
+        if run.arm in study_plan.CLONES:
+            return self._clone(run, data, flags)
         policy = f"{run.name}/policy.safetensors"
         with locked(self._folder / f"{run.name}.lock"):
             if not (self._folder / policy).is_file():
@@ -68,6 +72,13 @@ class Workshop:
             result |= self._play_longer(task, policy, run)
         return result
 
+    def _clone(self, run, data, flags):
+        """Returns the result of a model without attention."""
+        actor, multiplications = fit(study_plan.CLONES[run.arm], data, run.seed, self._budget)
+        result = {"task": run.task, "arm": run.arm, "seed": run.seed, "learning_rate": "", "training": " ".join(flags)}
+        result |= self._play_with(run.plan, actor, run.first_start)
+        return result | {"multiplications": multiplications}
+
     def _losses(self, name):
         """Returns the validation losses of a training by iteration."""
         with (self._folder / name / "learning_curve.csv").open() as file:
@@ -84,7 +95,9 @@ class Workshop:
     # Data
 
     def _data(self, run, task):
-        """Records the data of a seed, once for all arms. Returns the path in the folder."""
+        """Records the data of a seed, once for all arms. Returns the path in the folder, or that of a set."""
+        if task.dataset:
+            return self._sets / task.dataset
         name = f"data/{run.task}-{run.seed}"
         data = f"{name}-v0" if task.is_gymnasium else f"{name}.cbor"
         (self._folder / "data").mkdir(exist_ok=True)
@@ -114,10 +127,13 @@ class Workshop:
         starts = self._budget.starts
         if not task.is_gymnasium:
             return self._play_own(policy, first_start, starts)
-        figures = play_starts(task, StudentActor(Engine(self._folder / policy)), first_start, starts)
+        return self._play_with(task, StudentActor(Engine(self._folder / policy)), first_start)
+
+    def _play_with(self, task, actor, first_start):
+        figures = play_starts(task, actor, first_start, self._budget.starts)
         return {
             "first_start": first_start,
-            "starts": starts,
+            "starts": self._budget.starts,
             "mean_return": figures.mean,
             "std_return": figures.std,
             "spikes_per_decision": figures.spikes_per_decision,

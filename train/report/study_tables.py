@@ -27,5 +27,5 @@ def joined(tables):
 
 
 def score(result):
-    task = study_plan.TASKS[result["task"]]
+    task = (study_plan.TASKS | study_plan.FIELD_TASKS)[result["task"]]
     return 100 * (result["mean_return"] - task.chance) / (task.expert_return - task.chance)

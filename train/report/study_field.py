@@ -1,0 +1,67 @@
+"""The tables of the runs on MuJoCo's datasets: normalised scores and energy."""
+
+import numpy as np
+import seed_statistics
+import study_plan
+from study_tables import joined, read_runs, row, score
+
+
+def with_interval(values):
+    """Returns a mean over seeds with Student's interval."""
+    half = f" ± {seed_statistics.half_width(values):.1f}" if len(values) > 1 else ""
+    return f"{np.mean(values):.1f}{half}"
+
+
+def scores_by_seed(runs, task, arm):
+    return {seed: score(run) for seed, run in runs.get((task, arm), {}).items()}
+
+
+def scores_table(runs):
+    """Scores by D4RL's references, and the mean of all sets by the seeds that every set has."""
+    tasks = [task for task in study_plan.FIELD_TASKS if any((task, arm) in runs for arm in study_plan.FIELD_ARMS)]
+    if not tasks:
+        return
+    yield row(["score", *(f"`{arm}`" for arm in study_plan.FIELD_ARMS), "seeds"])
+    yield row(["---"] + ["---:"] * (len(study_plan.FIELD_ARMS) + 1))
+    cells = {(task, arm): scores_by_seed(runs, task, arm) for task in tasks for arm in study_plan.FIELD_ARMS}
+    for task in tasks:
+        found = [cells[task, arm] for arm in study_plan.FIELD_ARMS]
+        counts = sorted({len(scores) for scores in found})
+        texts = [with_interval(list(scores.values())) if scores else "" for scores in found]
+        yield row([task, *texts, " to ".join(map(str, counts[:: max(1, len(counts) - 1)]))])
+    seeds = sorted(set.intersection(*(set(scores) for scores in cells.values())))
+    if seeds:
+        means = [[np.mean([cells[task, arm][seed] for task in tasks]) for seed in seeds] for arm in study_plan.FIELD_ARMS]
+        yield row([f"mean of {len(tasks)}", *map(with_interval, means), str(len(seeds))])
+
+
+def mean_of(runs, arm, figure):
+    """Returns the mean of a figure over all runs of an arm; None if none has it."""
+    values = [figure(run) for (_, found), seeds in runs.items() if found == arm for run in seeds.values()]
+    return np.mean(values) if values else None
+
+
+def costs_table(runs):
+    """What a decision costs, as means over all sets and seeds."""
+    costs = {
+        "spikes": lambda arm: None if arm in study_plan.CLONES else mean_of(runs, arm, lambda run: run["spikes_per_decision"]),
+        "nJ in integers (`int_45nm`)": lambda arm: None
+        if arm in study_plan.CLONES
+        else mean_of(runs, arm, lambda run: run["integer"]["nanojoules_per_decision"]),
+        "multiplications": lambda arm: mean_of(runs, arm, lambda run: run["multiplications"])
+        if arm in study_plan.CLONES
+        else None,
+    }
+    if not runs:
+        return
+    yield row(["a decision", *(f"`{arm}`" for arm in study_plan.FIELD_ARMS)])
+    yield row(["---"] + ["---:"] * len(study_plan.FIELD_ARMS))
+    for name, cost in costs.items():
+        found = [cost(arm) for arm in study_plan.FIELD_ARMS]
+        yield row([name, *("" if value is None else f"{value:.{1 if 'nJ' in name else 0}f}" for value in found)])
+
+
+def tables(folder):
+    """Returns the fourth generated part of the page."""
+    runs = read_runs(folder / "field")
+    return joined([scores_table(runs), costs_table(runs)])
