@@ -191,6 +191,14 @@ def test_a_miniature_of_the_settings(tmp_path):
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_step_of_each_mode_is_timed(tmp_path):
+    program = [sys.executable, REPORT / "step_time.py", "--smoke", "--rounds=1", f"--work={tmp_path}"]
+    program.append(f"--spiketrain={os.environ['SPIKETRAIN']}")
+    printed = subprocess.run(program, check=True, capture_output=True, text=True).stdout.splitlines()
+    assert [line.split(" | ")[0] for line in printed[2:]] == [f"| `{mode}`" for mode in study_plan.MODES]
+    assert printed[3].split(" | ")[2] == "1.00"  # `baseline` against itself
+
+
 def test_a_miniature_of_the_field(tmp_path):
     """Sets are made from nothing; policies and models without attention learn from them, and have their cells in the tables."""
     for is_first in (True, False):  # the second time it keeps the sets
