@@ -63,7 +63,7 @@ class Gru:
         return h @ self.parameters["v"] + self.parameters["c"], h
 
     def gradients(self, inputs, labels, weights):
-        """Returns the mean loss and its gradients. `inputs` are [steps, rows, inputs], weights [steps, rows], labels as in losses.py."""
+        """Returns the mean loss and its gradients. `inputs` are [steps, rows, inputs], labels and weights as in losses.py."""
         p = self.parameters
         drive = inputs @ p["w"] + p["b"]
         states, tape = [self.first_state(inputs.shape[1])], []

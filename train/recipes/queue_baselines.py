@@ -3,8 +3,8 @@
     python train/recipes/queue_baselines.py popgym:popgym-CountRecallEasy-v0 --data=FOLDER --length=52 --hidden=0,64,256
 
 FOLDER is a dataset that `spikeserve imitate` recorded, `OUT/data/expert-v0`. The input is the last LENGTH observations side by
-side, newest first, 0 where there was none. HIDDEN is the width of two hidden layers; 0 is a linear map. GRU is the size of a recurrent state,
-which reads one observation at a time. Actions are Discrete.
+side, newest first, 0 where there was none. HIDDEN is the width of two hidden layers; 0 is a linear map. GRU is the size of a
+recurrent state, which reads one observation at a time. Actions are Discrete, or a Box.
 """
 
 import argparse
@@ -18,10 +18,12 @@ from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Choice, play
 
 from gru import Gru, GruActor
+from gymnasium import spaces
 from losses import output_error
 
 BATCH, RATE, DECAYS = 256, 2e-3, (0.9, 0.999)  # of Adam; the rate falls to 0 as a cosine
 ENVIRONMENTS = 16  # played at once
+SMALLEST_DEVIATION = 1e-3  # of a number that hardly changes
 
 
 def queue_of(observations, length):
@@ -33,9 +35,29 @@ def queue_of(observations, length):
 
 
 def read(folder):
-    """Returns the observations [steps, size] and the labels [steps] of all episodes of a dataset."""
-    episodes = read_dataset(folder)
-    return [(np.asarray(e.observations[: e.steps], np.float32), np.array(e.labels or e.actions)) for e in episodes]
+    """Returns the observations [steps, size] and the labels, as in losses.py, of all episodes of a dataset."""
+    return [seen_and_done(episode) for episode in read_dataset(folder)]
+
+
+def seen_and_done(episode):
+    return np.asarray(episode.observations[: episode.steps], np.float32), np.array(episode.labels or episode.actions)
+
+
+def cut(episodes, steps):
+    """Returns clips of at most `steps` steps."""
+    return [(seen[i : i + steps], done[i : i + steps]) for seen, done in episodes for i in range(0, len(done), steps)]
+
+
+def scaling(rows):
+    """Returns the mean and the deviation of each column."""
+    return rows.mean(0), np.maximum(rows.std(0), SMALLEST_DEVIATION)
+
+
+def absorb(model, mean, deviation):
+    """Makes a model that learned from (x - mean) / deviation read x."""
+    weights, offsets = model.first_layer
+    weights /= deviation[:, None]
+    offsets -= mean @ weights
 
 
 def queues(episodes, length):
@@ -110,8 +132,11 @@ class QueueActor:
         pass
 
 
-def most_likely(outputs):
-    return Choice(int(outputs.argmax()))
+def choice_of(space):
+    """Returns a function that makes a choice from the outputs of one row."""
+    if isinstance(space, spaces.Discrete):
+        return lambda outputs: Choice(int(outputs.argmax()))
+    return lambda outputs: Choice(np.clip(outputs, space.low, space.high).astype(np.float32))
 
 
 def main():
@@ -123,31 +148,50 @@ def main():
     parser.add_argument("--gru", default="", help="sizes of recurrent states; empty: none")
     parser.add_argument("--epochs", default=40, type=int)
     parser.add_argument("--gru_epochs", default=100, type=int)
+    parser.add_argument("--standardise", action="store_true", help="learn from numbers with mean 0 and deviation 1")
+    parser.add_argument("--clip", default=10_000, type=int, help="most steps of an episode from which a unit learns at once")
     parser.add_argument("--episodes", default=300, type=int)
     parser.add_argument("--seed", default=2_000_000, type=int, help="first start to play")
     arguments = parser.parse_args()
     episodes = read(arguments.data)
     factory = EnvironmentFactory(arguments.env_id)
     with contextlib.closing(factory.make()) as environment:
-        actions = int(environment.action_space.n)
+        space = environment.action_space
+    choice = choice_of(space)
+    actions = int(space.n if isinstance(space, spaces.Discrete) else space.shape[0])
 
     def report(name, actor, multiplications):
         seeds = iter(range(arguments.seed, arguments.seed + arguments.episodes))
         returns = [e.episode_return for e in play(factory.make, actor, seeds, ENVIRONMENTS)]
         print(f"{name}: return {np.mean(returns):.3f} ± {np.std(returns):.3f}, {multiplications} multiplications", flush=True)
 
+    def scaling_of(rows):
+        return scaling(rows) if arguments.standardise else (np.zeros(rows.shape[1]), np.ones(rows.shape[1]))
+
+    mean, deviation = scaling_of(np.concatenate([seen for seen, _ in episodes]))
+    clips = cut([((seen - mean) / deviation, done) for seen, done in episodes], arguments.clip)
     for size in sizes(arguments.gru):
-        unit = Gru(episodes[0][0].shape[1], size, actions, seed=0)
-        unit.train(episodes, arguments.gru_epochs)
-        report(f"unit of {size}", GruActor(unit, most_likely), unit.multiplications)
+        unit = Gru(len(mean), size, actions, seed=0)
+        unit.train(clips, arguments.gru_epochs)
+        absorb(unit, mean, deviation)
+        report(f"unit of {size}", GruActor(unit, choice), unit.multiplications)
     if not arguments.hidden:
         return
     inputs, labels = queues(episodes, arguments.length)
+    mean, deviation = scaling_of(inputs)
+    inputs = (inputs - mean) / deviation
     for hidden in sizes(arguments.hidden):
         model = Perceptron([inputs.shape[1], *([hidden] * 2 if hidden else []), actions], seed=0)
         model.train(inputs, labels, arguments.epochs)
-        fit = (model.outputs(inputs[:20000])[-1].argmax(1) == labels[:20000]).mean()
-        report(f"hidden {hidden}, {fit:.1%} of the labels", QueueActor(model, arguments.length, most_likely), model.multiplications)
+        fit = fit_of(model.outputs(inputs[:20000])[-1], labels[:20000])
+        absorb(model, mean, deviation)
+        report(f"hidden {hidden}, {fit}", QueueActor(model, arguments.length, choice), model.multiplications)
+
+
+def fit_of(outputs, labels):
+    if np.issubdtype(labels.dtype, np.floating):
+        return f"squared error {((outputs - labels) ** 2).sum(1).mean():.3g}"
+    return f"{(outputs.argmax(1) == labels).mean():.1%} of the labels"
 
 
 def sizes(text):

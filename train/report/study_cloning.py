@@ -2,29 +2,20 @@
 
 import numpy as np
 from gru import Gru, GruActor
-from queue_baselines import Perceptron, QueueActor
+from queue_baselines import Perceptron, QueueActor, absorb, choice_of, cut, scaling, seen_and_done
 from spikeserve.imitation.datasets import read_dataset
-from spikeserve.imitation.episodes import Choice
 
 CLIP = 50  # steps of an episode from which a recurrent unit learns at once
-SMALLEST_DEVIATION = 1e-3  # of an observed number that hardly changes
 
 
-def fit(clone, data, seed, budget):
-    """Fits a model to the dataset of a folder. Returns an actor, and the multiplications of a decision."""
-    episodes = [
-        (np.asarray(e.observations[: e.steps], np.float32), np.asarray(e.actions, np.float32))
-        for e in best(list(read_dataset(data)), clone.best)
-    ]
-    seen = np.concatenate([observations for observations, _ in episodes])
-    mean, deviation = seen.mean(0), np.maximum(seen.std(0), SMALLEST_DEVIATION)
-    episodes = [((observations - mean) / deviation, actions) for observations, actions in episodes]
+def fit(clone, data, seed, budget, space):
+    """Fits a model to the dataset of a folder. Returns an actor for a Box of actions, and the multiplications of a decision."""
+    episodes = [seen_and_done(episode) for episode in best(list(read_dataset(data)), clone.best)]
+    mean, deviation = scaling(np.concatenate([seen for seen, _ in episodes]))
+    episodes = [((seen - mean) / deviation, done) for seen, done in episodes]
     model = fit_unit(clone, episodes, seed, budget) if clone.recurrent else fit_perceptron(clone, episodes, seed, budget)
-    # The model learned from observations with mean 0 and deviation 1. Its first weights absorb both.
-    weights, offsets = model.first_layer
-    weights /= deviation[:, None]
-    offsets -= mean @ weights
-    actor = GruActor(model, action) if clone.recurrent else QueueActor(model, 1, action)
+    absorb(model, mean, deviation)
+    actor = GruActor(model, choice_of(space)) if clone.recurrent else QueueActor(model, 1, choice_of(space))
     return actor, model.multiplications
 
 
@@ -42,16 +33,7 @@ def fit_perceptron(clone, episodes, seed, budget):
 
 
 def fit_unit(clone, episodes, seed, budget):
-    clips = [
-        (observations[start : start + CLIP], actions[start : start + CLIP])
-        for observations, actions in episodes
-        for start in range(0, len(actions), CLIP)
-    ]
+    clips = cut(episodes, CLIP)
     unit = Gru(clips[0][0].shape[1], clone.hidden, clips[0][1].shape[1], seed)
     unit.train(clips, budget.epochs)
     return unit
-
-
-def action(outputs):
-    """Returns the action of a Box from -1 to 1."""
-    return Choice(np.clip(outputs, -1, 1).astype(np.float32))

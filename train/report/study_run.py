@@ -40,7 +40,7 @@ class PricedActor(StudentActor):
 
 
 class Workshop:
-    """Runs the programs in a folder, which holds data and policies. `spiketrain` is the program, `sets` the folder of datasets."""
+    """Runs the programs in a folder, which holds data and policies. `spiketrain` is the program, `sets` a folder of datasets."""
 
     def __init__(self, folder, spiketrain, budget, sets=None):
         self._folder = folder
@@ -74,7 +74,9 @@ class Workshop:
 
     def _clone(self, run, data, flags):
         """Returns the result of a model without attention."""
-        actor, multiplications = fit(study_plan.CLONES[run.arm], data, run.seed, self._budget)
+        with contextlib.closing(factory_of(run.plan).make()) as environment:
+            space = environment.action_space
+        actor, multiplications = fit(study_plan.CLONES[run.arm], data, run.seed, self._budget, space)
         result = {"task": run.task, "arm": run.arm, "seed": run.seed, "learning_rate": "", "training": " ".join(flags)}
         result |= self._play_with(run.plan, actor, run.first_start)
         return result | {"multiplications": multiplications}
