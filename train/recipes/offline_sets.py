@@ -19,7 +19,6 @@ from experts import LINEAR, linear_policy
 from spikeserve.imitation.datasets import write_dataset
 from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Choice, Episode, play
-from spikeserve.imitation.experts import load_expert
 
 EXPERTS = {"Hopper-v5": "hopper", "HalfCheetah-v5": "half-cheetah", "Walker2d-v5": "walker2d"}
 SETS = ("medium", "medium-replay", "medium-expert")
@@ -104,6 +103,34 @@ def search_medium(environment, seed, limit):
             return search
 
 
+def make_sets(environment, out, steps, seed=1):
+    """Makes the sets of an environment that the folder `out` lacks, of about `steps` steps each; `seed` is that of the search."""
+    folders = [out / name for name in names(environment)]
+    if all(folder.exists() for folder in folders):
+        return
+    factory = EnvironmentFactory(environment)
+    search = search_medium(environment, seed, steps)
+    line = NoisyLine(search.moments.mean, search.moments.deviation(), search.weights)
+    expert = NoisyLine(*linear_policy(EXPERTS[environment]))
+    medium = played_steps(factory, line, FIRST_SEED["medium"], steps)
+    mixed = [
+        *played_steps(factory, line, FIRST_SEED["medium"], steps // 2),
+        *played_steps(factory, expert, FIRST_SEED["expert"], steps // 2),
+    ]
+    out.mkdir(parents=True, exist_ok=True)
+    for folder, episodes in zip(folders, (medium, search.episodes, mixed), strict=True):
+        print(f"{folder.name}: {figures_of(episodes)}", flush=True)
+        if not folder.exists():
+            with contextlib.closing(factory.make()) as made:
+                write_dataset(folder, episodes, made, factory.name)
+
+
+def figures_of(episodes):
+    returns, steps = [episode.episode_return for episode in episodes], sum(episode.steps for episode in episodes)
+    range_of = f"return {np.mean(returns):.1f} ± {np.std(returns):.1f}, at most {max(returns):.1f}"
+    return f"{len(episodes)} episodes, {steps} steps, {range_of}"
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("environment", choices=EXPERTS)
@@ -111,25 +138,7 @@ def main():
     parser.add_argument("--steps", type=int, required=True, help="of each set")
     parser.add_argument("--seed", type=int, default=1, help="of the search")
     arguments = parser.parse_args()
-    folders = [arguments.out / name for name in names(arguments.environment)]
-    if all(folder.exists() for folder in folders):
-        return
-    factory = EnvironmentFactory(arguments.environment, [])
-    search = search_medium(arguments.environment, arguments.seed, arguments.steps)
-    line = NoisyLine(search.moments.mean, search.moments.deviation(), search.weights)
-    medium = played_steps(factory, line, FIRST_SEED["medium"], arguments.steps)
-    expert = NoisyLine(*linear_policy(EXPERTS[arguments.environment]))
-    half = arguments.steps // 2
-    mixed = played_steps(factory, line, FIRST_SEED["medium"], half) + played_steps(factory, expert, FIRST_SEED["expert"], half)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    for folder, episodes in zip(folders, (medium, search.episodes, mixed), strict=True):
-        returns = [episode.episode_return for episode in episodes]
-        steps = sum(episode.steps for episode in episodes)
-        figures = f"{len(episodes)} episodes, {steps} steps, return {np.mean(returns):.1f} ± {np.std(returns):.1f}"
-        print(f"{folder.name}: {figures}, at most {max(returns):.1f}", flush=True)
-        if not folder.exists():
-            with contextlib.closing(factory.make()) as environment:
-                write_dataset(folder, episodes, environment, factory.name)
+    make_sets(arguments.environment, arguments.out, arguments.steps, arguments.seed)
 
 
 if __name__ == "__main__":

@@ -3,13 +3,14 @@
     python train/report/study.py --work=build/study --out=docs/evidence/study
     python train/report/study.py --work=build/study --out=docs/evidence/study --parts
     python train/report/study.py --work=build/study --out=docs/evidence/study --settings
-    python train/report/study.py --work=build/study --out=docs/evidence/study --field --sets=build/sets
+    python train/report/study.py --work=build/study --out=docs/evidence/study --field
 
 Needs `spiketrain` and a Python with what docs/guides/imitation.md installs, popgym and minigrid; PYTHONPATH names
 train/recipes. The learning rate of `dense` is chosen first. The same command continues after an interruption, and
 leaves out what is finished. `--jobs=2` runs two processes. `--parts` trains the variants of one mode instead, and
 `--settings` the modes on the paper's tasks with the paper's settings, and `--field` some modes and models without attention
-on datasets of MuJoCo, in the folder of `--sets`: those of offline_sets.py, or D4RL's in Minari's format under the same names.
+on datasets of MuJoCo. Those that the folder of `--sets` lacks are made by offline_sets.py; D4RL's, in Minari's format and
+under the same names, are read as well.
 study_page.py makes a page of the files.
 """
 
@@ -92,7 +93,7 @@ def main():
     parser.add_argument("--parts", action="store_true", help="train the variants of `full`")
     parser.add_argument("--settings", action="store_true", help="train on the paper's four tasks with its settings")
     parser.add_argument("--field", action="store_true", help="train on the datasets of MuJoCo")
-    parser.add_argument("--sets", default="build/sets", type=pathlib.Path, help="folder of these datasets")
+    parser.add_argument("--sets", default="build/sets", type=pathlib.Path, help="folder of the datasets of MuJoCo")
     parser.add_argument("--only", help="the name of one run, such as cartpole-full-3")
     parser.add_argument("--smoke", action="store_true", help="tiny models and hardly any training: a test in seconds")
     arguments = parser.parse_args()

@@ -152,6 +152,7 @@ FIELD_TASKS = {
         rate="3e-3",
         chance=chance,
         expert_return=expert_return,
+        steps=100_000,
         dataset=f"{name}-{kind}-v0",
     )
     for name, (environment, chance, expert_return) in REFERENCES.items()

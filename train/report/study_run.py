@@ -8,6 +8,7 @@ import os
 import pathlib
 import subprocess
 
+import offline_sets
 import study_plan
 from spikeserve.engine import Engine
 from spikeserve.imitation.actors import Bursts, ExpertActor, StudentActor
@@ -99,6 +100,10 @@ class Workshop:
     def _data(self, run, task):
         """Records the data of a seed, once for all arms. Returns the path in the folder, or that of a set."""
         if task.dataset:
+            self._sets.mkdir(parents=True, exist_ok=True)
+            with locked(self._sets / f"{task.environment}.lock"):
+                if not (self._sets / task.dataset).exists():
+                    offline_sets.make_sets(task.environment, self._sets, task.steps)
             return self._sets / task.dataset
         name = f"data/{run.task}-{run.seed}"
         data = f"{name}-v0" if task.is_gymnasium else f"{name}.cbor"
