@@ -175,7 +175,7 @@ class Clone:
 
 
 CLONES = {"cloning": Clone(256), "cloning-10": Clone(256, best=0.1), "recurrent": Clone(64, recurrent=True)}
-FIELD_ARMS = ("dense", "baseline", "full", *CLONES)
+FIELD_ARMS = ("dense", "baseline", "full", "quiet", *CLONES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -217,6 +217,9 @@ PARTS = {
     **{f"{mode}-{name}": Arm(mode, share=share) for name, share in SHARES.items() for mode in MODES_OF_SHARES},
 }
 PART_TASKS = ("cartpole", "pendulum", "repeat-4")  # the shortest
+# A mode that is trained with penalties on spikes and operations, on the sets of the field.
+QUIET = {"quiet": Arm("baseline", flags=("--target_rate=4", "--readout_rate=15", "--operation_penalty=0.02"), priced=True)}
+ARMS_OF_TRAINING = ARMS | PARTS | QUIET
 
 
 @dataclasses.dataclass(frozen=True)
@@ -292,7 +295,7 @@ def train_flags(run, rate, budget):
     """Returns the flags of `spiketrain train` for a run, without data and folder. `rate` is the learning rate."""
     if run.arm in CLONES:
         return [f"--seed={run.seed}", *CLONES[run.arm].flags]
-    task, arm = run.plan, (ARMS | PARTS)[run.arm]
+    task, arm = run.plan, ARMS_OF_TRAINING[run.arm]
     flags = [f"--mode={arm.mode}", f"--seed={run.seed}", *COMMON, *task.flags, f"--learning_rate={rate}"]
     number = {flag.partition("=")[0]: int(flag.partition("=")[2]) for flag in task.flags if flag.partition("=")[2].isdigit()}
     context = next((int(flag.partition("=")[2]) for flag in arm.flags if flag.startswith("--context=")), number["--context"])

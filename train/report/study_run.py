@@ -67,7 +67,7 @@ class Workshop:
             result["validation_loss"] = list(losses.values())[-1]
         if task.settings:
             return result | {"losses": {iteration // task.settings.epoch: loss for iteration, loss in losses.items()}}
-        if run.rate is None and (study_plan.ARMS | study_plan.PARTS)[run.arm].priced:
+        if run.rate is None and study_plan.ARMS_OF_TRAINING[run.arm].priced:
             result["integer"] = self._price(task, policy, data, run.first_start)
         if run.rate is None and run.arm in study_plan.ARMS:
             result |= self._play_longer(task, policy, run)
