@@ -2,9 +2,10 @@
 
     python train/recipes/integer_version.py LunarLander-v3 --out=FOLDER --spiketrain=PROGRAM [--flags=--mode=baseline]
 
-FOLDER is that of the run. --train=FLAGS trains it through the integers instead, on the expert's data and from version 1. The float32 version plays from seed 1,500,000 on, which neither training nor evaluation uses;
-these episodes are the calibration set of `spiketrain quantize --to=integer --prune`. Then version 3 plays the unseen starts
-that version 1 played, and the file records the comparison. Needs what docs/guides/imitation.md installs.
+FOLDER is that of the run. A dense policy is not pruned. --train=FLAGS trains it through the integers instead, on the
+expert's data and from version 1. The float32 version plays from seed 1,500,000 on, which neither training nor evaluation
+uses; these episodes are the calibration set of `spiketrain quantize --to=integer --prune`. Then version 3 plays the unseen
+starts that version 1 played, and the file records the comparison. Needs what docs/guides/imitation.md installs.
 """
 
 import argparse
@@ -99,7 +100,9 @@ def main():
         data = pathlib.Path("data/calibration-v0")
         if not (out / data).is_dir():
             record_calibration(factory, out / first, out / data)
-        command = ["quantize", "--to=integer", "--prune", *shlex.split(arguments.flags)]
+        # Only spikes show which hidden neurons are idle.
+        dense = json.loads((out / "settings.json").read_text())["mode"] == "dense"
+        command = ["quantize", "--to=integer", *([] if dense else ["--prune"]), *shlex.split(arguments.flags)]
         command += [f"--policy={first}", f"--data={data}", f"--out={stage}"]
     if not (out / stage).is_file():  # a recipe that was interrupted continues
         subprocess.run([find_spiketrain(arguments.spiketrain), *command], cwd=out, check=True)
