@@ -44,8 +44,8 @@ account() {
   cat "$out/account.txt"
 }
 
-# finish STARTS FLAGS...: rounds the twin of a task that spiketrain has, and prints its returns and the costs from unseen
-# starts. FLAGS are those of the calibration set: one that the twin played itself would take longer than its training.
+# finish STARTS FLAGS...: rounds the twin of a task that spiketrain has, and prints the returns and the costs of both from
+# unseen starts. FLAGS are those of the calibration set: one that the twin played itself would take longer than its training.
 finish() {
   data calibration --seed=9 --steps=10000 --expert_fraction=0 --disturbed_fraction=1 "${@:2}"
   if [[ ! -f $out/returns.txt ]]; then
@@ -54,6 +54,7 @@ finish() {
     mv "$out/returns.partial" "$out/returns.txt"
   fi
   cat "$out/returns.txt"
+  "$spiketrain" eval --policy="$shipped" --episodes="$1" --seed=2000000
   account "$out/integer/policy.safetensors" --episodes="$1" --seed=2000000
 }
 
