@@ -110,7 +110,7 @@ data cautious --expert=cautious --steps=60000 --expert_fraction=0.1 --disturbed_
 play 1-play cautious --seed=1 --iterations=500 --action_noise=0.5
 finish 100 --expert=cautious
 
-# The expert's data alone lose 13 steps, so the second stage also has the states that the twin itself reaches.
+# The expert's data alone lose more than ten steps, so the second stage also has the states that the twin itself reaches.
 twin acrobot-frugal Acrobot-v1
 data base --expert=lookahead --weigh --steps=40000 --expert_fraction=0.1 --disturbed_fraction=0.9
 play 1-play base --seed=1 --iterations=500
