@@ -2,9 +2,10 @@
 
     python train/recipes/integer_version.py LunarLander-v3 --out=FOLDER --spiketrain=PROGRAM [--flags=--mode=baseline]
 
-FOLDER is that of the run. --train=FLAGS trains it through the integers instead, on the expert's data and from version 1. The float32 version plays from seed 1,500,000 on, which neither training nor evaluation uses;
-these episodes are the calibration set of `spiketrain quantize --to=integer --prune`. Then version 3 plays the unseen starts
-that version 1 played, and the file records the comparison. Needs what docs/guides/imitation.md installs.
+FOLDER is that of the run. A dense policy is not pruned. --train=FLAGS trains it through the integers instead, on the
+expert's data and from version 1. The float32 version plays from seed 1,500,000 on, which neither training nor evaluation
+uses; these episodes are the calibration set of `spiketrain quantize --to=integer --prune`. Then version 3 plays the unseen
+starts that version 1 played, and the file records the comparison. Needs what docs/guides/imitation.md installs.
 """
 
 import argparse
@@ -23,17 +24,15 @@ from spikeserve.imitation.figures import Evaluator, Figures
 from spikeserve.imitation.policy_record import write_with_record
 from spikeserve.imitation.training import find_spiketrain
 
-CALIBRATION_SEED, CALIBRATION_EPISODES = (
-    1_500_000,
-    200,
-)  # as of the episodes that spiketrain plays itself
+# As of the episodes that spiketrain plays itself.
+CALIBRATION_SEED, CALIBRATION_EPISODES = 1_500_000, 200
 ENVIRONMENTS = 16  # played at once
 NORMAL_95 = 1.959964
 
 
-def record_calibration(factory, policy, folder):
-    """Writes the calibration episodes as a dataset of Minari."""
-    seeds = iter(range(CALIBRATION_SEED, CALIBRATION_SEED + CALIBRATION_EPISODES))
+def record_calibration(factory, policy, count, folder):
+    """Writes `count` calibration episodes as a dataset of Minari."""
+    seeds = iter(range(CALIBRATION_SEED, CALIBRATION_SEED + count))
     episodes = play(factory.make, StudentActor(Engine(policy)), seeds, ENVIRONMENTS)
     environment = factory.make()
     write_dataset(
@@ -84,6 +83,7 @@ def main():
         default="",
         help="further flags of `spiketrain quantize`, in one string",
     )
+    parser.add_argument("--calibration", type=int, default=CALIBRATION_EPISODES, help="episodes of the calibration set")
     parser.add_argument("--train", help="flags of `spiketrain train`, in one string; default: version 1 is only rounded")
     arguments = parser.parse_args()
     factory = EnvironmentFactory(arguments.env_id, [load_object(path, "--wrapper") for path in arguments.wrapper])
@@ -98,8 +98,10 @@ def main():
     else:
         data = pathlib.Path("data/calibration-v0")
         if not (out / data).is_dir():
-            record_calibration(factory, out / first, out / data)
-        command = ["quantize", "--to=integer", "--prune", *shlex.split(arguments.flags)]
+            record_calibration(factory, out / first, arguments.calibration, out / data)
+        # Only spikes show which hidden neurons are idle.
+        dense = json.loads((out / "settings.json").read_text())["mode"] == "dense"
+        command = ["quantize", "--to=integer", *([] if dense else ["--prune"]), *shlex.split(arguments.flags)]
         command += [f"--policy={first}", f"--data={data}", f"--out={stage}"]
     if not (out / stage).is_file():  # a recipe that was interrupted continues
         subprocess.run([find_spiketrain(arguments.spiketrain), *command], cwd=out, check=True)
