@@ -91,6 +91,9 @@ absl::StatusOr<std::vector<Episode>> CalibrationSet(const Policy& policy,
 }
 
 absl::StatusOr<Policy> RoundToInteger(const Policy& policy, const QuantizeFlags& flags) {
+  if (flags.prune && policy.config.is_dense()) {
+    return absl::InvalidArgumentError("--prune: expected a mode with spikes, received dense");
+  }
   ASSIGN_OR_RETURN(const std::vector<Episode> episodes, CalibrationSet(policy, flags.data));
   const absl::StatusOr<float> largest = LargestInput(policy, episodes);
   if (!largest.ok()) return Annotate(largest.status(), "--data");

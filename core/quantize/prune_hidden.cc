@@ -46,7 +46,7 @@ void KeepColumns(const std::vector<int>& kept, Int8Tensor* matrix) {
 }  // namespace
 
 Policy PruneHidden(const Policy& policy, const std::vector<std::vector<bool>>& is_needed) {
-  SPIKESERVE_DCHECK(policy.config.arithmetic == Arithmetic::kInteger);
+  SPIKESERVE_DCHECK(policy.config.arithmetic == Arithmetic::kInteger && !policy.config.is_dense());
   SPIKESERVE_DCHECK_EQ(is_needed.size(), policy.weights.layers.size());
   ptrdiff_t size = 1;
   for (const std::vector<bool>& layer : is_needed) {

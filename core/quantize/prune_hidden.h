@@ -14,7 +14,7 @@ namespace spikeserve {
 // none of them would fire, the decisions of both policies are equal, bit for bit. All layers have
 // the same number of hidden neurons: as many as the layer that needs most of them, at least 1. The
 // other layers keep their first silent ones as well. REQUIRES: a valid policy with
-// Arithmetic::kInteger.
+// Arithmetic::kInteger and spikes.
 Policy PruneHidden(const Policy& policy, const std::vector<std::vector<bool>>& is_needed);
 
 }  // namespace spikeserve

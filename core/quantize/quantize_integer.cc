@@ -184,6 +184,11 @@ absl::StatusOr<ModelConfig> ConfigOf(const Policy& policy, const IntegerOptions&
         "mode: expected one whose parts mode ", std::string(ToString(policy.config.mode)),
         " has, received ", std::string(ToString(config.mode))));
   }
+  if (config.is_dense() && options.leak.has_value()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("leak: expected a mode with membranes, received ",
+                     std::string(ToString(*options.leak)), " in mode dense"));
+  }
   config.attention = options.attention;
   config.leak =
       options.leak.value_or(config.membrane_decay < 511.0f / 512.0f ? Leak::kShift : Leak::kNone);

@@ -28,7 +28,8 @@ absl::StatusOr<std::vector<Episode>> PlayCalibrationEpisodes(const Policy& polic
 absl::StatusOr<float> LargestInput(const Policy& policy, absl::Span<const Episode> episodes);
 
 // Returns which hidden neurons [L][F] fire in any of the episodes, which the policy observes
-// without acting. REQUIRES: a policy with Arithmetic::kInteger, and episodes of its spaces.
+// without acting. REQUIRES: a policy with Arithmetic::kInteger and spikes, and episodes of its
+// spaces.
 std::vector<std::vector<bool>> FiringHiddenNeurons(const Policy& policy,
                                                    absl::Span<const Episode> episodes);
 

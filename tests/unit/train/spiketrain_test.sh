@@ -188,6 +188,12 @@ says new/3/policy.safetensors '\"arithmetic\":\"integer\"'
 says new/3/policy.safetensors "\\\"data_sha256\\\":{\\\"data.cbor\\\":\\\"$(sha data.cbor)\\\"}"
 refuses '--mode, --leak, --attention, --data, --prune: expected with --to=integer, received --to=int8' \
   quantize --policy=whole/policy.safetensors --out=x --prune
+# A dense policy has no silent neurons and no membranes.
+"$spiketrain" train --data=data.cbor --out=dense --mode=dense --hidden_size=16 --batch=4 --iterations=1 --episodes=1 >/dev/null 2>&1
+refuses 'dense/policy.safetensors: --prune: expected a mode with spikes, received dense' \
+  quantize --to=integer --policy=dense/policy.safetensors --out=x --prune
+refuses 'dense/policy.safetensors: leak: expected a mode with membranes, received shift in mode dense' \
+  quantize --to=integer --policy=dense/policy.safetensors --out=x --leak=shift
 refuses '--init: expected a policy in float32, received one in int8' \
   train --data=data.cbor --init=new/2/policy.safetensors --out=x
 
