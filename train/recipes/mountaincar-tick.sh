@@ -8,7 +8,8 @@ source "$(dirname "$0")/recipe.sh"
 # Bursts of random actions leave the expert's few trajectories; the expert's actions label the states reached there.
 data disturbed --steps=100000 --expert_fraction=0.2 --disturbed_fraction=0.8
 
-short=(--batch=64 --clip_steps=5 --slope=4)
+# Noise in half of the action tokens, so that it does not learn to repeat its last action.
+short=(--batch=64 --clip_steps=5 --slope=4 --action_noise=0.5)
 quiet=(--target_rate=4 --readout_rate=25 --operation_penalty=0.01)
 stage 1-play disturbed --seed=1 --iterations=2500 --learning_rate=2e-3 --mode=baseline --norm=fade --ticks=1 "${short[@]}"
 # Records the states that the policy itself reaches.
