@@ -8,7 +8,8 @@ source "$(dirname "$0")/recipe.sh"
 expert=(--expert=lookahead --weigh)
 data base --steps=60000 --expert_fraction=0.1 --disturbed_fraction=0.9 "${expert[@]}"
 
-short=(--batch=64 --clip_steps=5 --slope=4)
+# Noise in half of the action tokens, so that it does not learn to repeat its last action.
+short=(--batch=64 --clip_steps=5 --slope=4 --action_noise=0.5)
 # Records the states that the policy itself reaches, with the expert's labels.
 round() { data "$1" --seed="$2" --steps=100000 --expert_fraction=0 --student="$policy" "${expert[@]}"; }
 stage 1-two base --seed=1 --iterations=3000 --learning_rate=2e-3 --mode=baseline --norm=fade --ticks=2 "${short[@]}"

@@ -15,10 +15,6 @@ stage 1-play disturbed --seed=1 --iterations=2500 --learning_rate=2e-3 --mode=ba
 # Records the states that the policy itself reaches.
 data student --seed=1 --steps=60000 --expert_fraction=0 --student="$policy"
 stage 2-own disturbed,student --seed=2 --iterations=4000 --learning_rate=1e-3 "${quiet[@]}" "${short[@]}"
-# Once it is quiet, it reaches others.
-data student2 --seed=2 --steps=60000 --expert_fraction=0 --student="$policy"
-stage 3-own disturbed,student,student2 --seed=3 --iterations=5000 --learning_rate=1e-3 "${quiet[@]}" "${short[@]}"
-stage 4-fine disturbed,student,student2 --seed=4 --iterations=4000 --learning_rate=3e-4 "${quiet[@]}" "${short[@]}"
 
 unseen
 integer
