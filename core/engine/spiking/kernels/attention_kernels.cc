@@ -1,5 +1,6 @@
 #include "core/engine/spiking/kernels/attention_kernels.h"
 
+#include <limits>
 #include <vector>
 
 #undef HWY_TARGET_INCLUDE
@@ -7,6 +8,7 @@
 // clang-format off
 #include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
 // clang-format on
+#include "core/engine/spiking/kernels/exp-inl.h"
 #include "core/engine/spiking/kernels/overlap-inl.h"
 #include "core/engine/spiking/kernels/simd-inl.h"
 #include "hwy/highway.h"
@@ -44,6 +46,8 @@ class HeadAttention {
     scratch->sums.resize(lanes_);
     members_ = scratch->members.data();
     sums_ = scratch->sums.data();
+    scratch->weights.resize(window.slots);
+    weights_ = scratch->weights.data();
   }
 
   Keys& keys() { return keys_; }
@@ -87,7 +91,79 @@ class HeadAttention {
     return products;
   }
 
+  // Computes y if scores have `biases` by distance [2 S]. Without overlaps the scores are the
+  // biases. All sums run from the oldest to the newest token. Returns the sum of the overlaps.
+  uint64_t AttendBiased(int index, bool has_overlaps, float scale, const float* biases, float* y) {
+    WeighSlots(has_overlaps ? keys_.BySlot() : nullptr, scale,
+               biases + window_.slots - 1 - window_.last);
+    float total = 0.0f;
+    int slot = window_.first;
+    for (int i = 0; i < valid_count_; ++i) {
+      total += weights_[slot];
+      slot = slot + 1 < window_.slots ? slot + 1 : 0;
+    }
+    WeighValues(index);
+    Scale(1.0f / total, y);
+    return has_overlaps ? keys_.Sum() : 0;
+  }
+
  private:
+  // Sets weights_ to exp(score - best score). `overlaps` is null if all are 0.
+  void WeighSlots(const uint32_t* overlaps, float scale, const float* biases) {
+    const F32 d;
+    const auto worst = hn::Set(d, -std::numeric_limits<float>::infinity());
+    auto highest = worst;
+    for (int slot = 0; slot < window_.slots; slot += kVector) {
+      auto score = hn::LoadU(d, biases + slot);
+      if (overlaps != nullptr) {
+        const auto overlap =
+            hn::ConvertTo(d, hn::BitCast(I32(), hn::LoadU(U32(), overlaps + slot)));
+        score = hn::Add(hn::Mul(hn::Set(d, scale), overlap), score);
+      }
+      hn::StoreU(score, d, weights_ + slot);
+      const auto valid = MaskFromBits(d, window_.valid[slot / kWordSlots] >> (slot % kWordSlots));
+      highest = hn::Max(highest, hn::IfThenElse(valid, score, worst));
+    }
+    const auto best = hn::Set(d, hn::GetLane(hn::MaxOfLanes(d, highest)));
+    for (int slot = 0; slot < window_.slots; slot += kVector) {
+      hn::StoreU(Exp(hn::Sub(hn::LoadU(d, weights_ + slot), best)), d, weights_ + slot);
+    }
+  }
+
+  // Sets each sum to the sum of the weights of the valid slots that have its value bit.
+  void WeighValues(int index) {
+    const F32 d;
+    const uint32_t* const plane = window_.plane(window_.values[index]);
+    const uint32_t* const occupied = Occupied(index);
+    const int first = window_.first / kWordSlots;  // the block of the oldest token
+    // The slots of this block before the oldest token belong to the newest ones.
+    const uint32_t newest = (1u << (window_.first % kWordSlots)) - 1;
+    for (int lane = 0; lane < lanes_; lane += kWordSlots) {
+      hn::Vec<F32> sums[kVectorsPerWord];
+      for (auto& sum : sums) sum = hn::Zero(d);
+      for (int i = 0; i <= blocks_; ++i) {
+        const int block = (first + i) % blocks_;
+        uint32_t slots = window_.valid[block] & occupied[block];
+        if (i == 0) slots &= ~newest;
+        if (i == blocks_) slots &= newest;
+        const uint32_t* const values = plane + static_cast<size_t>(block) * lanes_ + lane;
+        for (; slots != 0; slots &= slots - 1) {
+          const int bit = __builtin_ctz(slots);
+          const auto own = hn::Set(U32(), 1u << bit);
+          const auto weight = hn::Set(d, weights_[block * kWordSlots + bit]);
+          for (int v = 0; v < kVectorsPerWord; ++v) {
+            const auto bits = hn::LoadU(U32(), values + v * kVector);
+            const auto has_value = hn::RebindMask(d, hn::TestBit(bits, own));
+            sums[v] = hn::Add(sums[v], hn::IfThenElseZero(has_value, weight));
+          }
+        }
+      }
+      for (int v = 0; v < kVectorsPerWord; ++v) {
+        hn::StoreU(sums[v], d, sums_ + lane + v * kVector);
+      }
+    }
+  }
+
   const uint32_t* Occupied(int index) const {
     return window_.occupied + static_cast<size_t>(index) * blocks_;
   }
@@ -160,6 +236,7 @@ class HeadAttention {
   const uint32_t* const group_;
   Members* members_;
   float* sums_;
+  float* weights_;
 };
 
 HWY_INLINE bool HasBit(const uint64_t* bits, int i) { return (bits[i / 64] >> (i % 64) & 1u) != 0; }
@@ -190,8 +267,8 @@ void FindNonzeroImpl(const uint32_t* bits, int ticks_and_heads, int words, uint6
 }
 
 template <class Keys>
-Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const float* weight,
-                    const float* scale, float* y) {
+Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const HeadScores& scores,
+                    float* y) {
   Scratch& scratch = ThreadScratch();
   HeadAttention<Keys> attention(window, &scratch);
   const int size = window.ticks * window.heads;
@@ -210,12 +287,16 @@ Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const 
       if (!has_values) {
         Clear(head_y, window.head_size);
         if (has_overlaps) attended.products += attention.keys().Sum();
+      } else if (scores.biases != nullptr) {
+        const float* const biases = scores.biases + 2 * static_cast<size_t>(head) * window.slots;
+        attended.products +=
+            attention.AttendBiased(i, has_overlaps, scores.scale[head], biases, head_y);
       } else if (!has_overlaps) {
         attention.AttendUniformly(i, head_y);
       } else {
         attended.products +=
-            attention.Attend(i, weight + static_cast<size_t>(head) * (window.head_size + 1),
-                             scale[head] >= 0.0f, head_y);
+            attention.Attend(i, scores.weight + static_cast<size_t>(head) * (window.head_size + 1),
+                             scores.scale[head] >= 0.0f, head_y);
       }
       any_has_values |= has_values;
     }
@@ -226,10 +307,10 @@ Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const 
   return attended;
 }
 
-Attended AttendImpl(const AttentionWindow& window, const uint32_t* query, const float* weight,
-                    const float* scale, float* y) {
-  return window.HasKeyRows() ? AttendWith<KeyRows>(window, query, weight, scale, y)
-                             : AttendWith<KeyWords>(window, query, weight, scale, y);
+Attended AttendImpl(const AttentionWindow& window, const uint32_t* query, const HeadScores& scores,
+                    float* y) {
+  return window.HasKeyRows() ? AttendWith<KeyRows>(window, query, scores, y)
+                             : AttendWith<KeyWords>(window, query, scores, y);
 }
 
 void StoreValuesImpl(const uint32_t* bits, int slot, const AttentionWindow& window,
@@ -269,9 +350,9 @@ HWY_EXPORT(AttendImpl);
 HWY_EXPORT(FindNonzeroImpl);
 HWY_EXPORT(StoreValuesImpl);
 
-Attended Attend(const AttentionWindow& window, const uint32_t* query, const float* weight,
-                const float* scale, float* y) {
-  return HWY_DYNAMIC_DISPATCH(AttendImpl)(window, query, weight, scale, y);
+Attended Attend(const AttentionWindow& window, const uint32_t* query, const HeadScores& scores,
+                float* y) {
+  return HWY_DYNAMIC_DISPATCH(AttendImpl)(window, query, scores, y);
 }
 
 void FindNonzero(const uint32_t* bits, int ticks_and_heads, int words, uint64_t* nonzero) {
