@@ -185,6 +185,10 @@ class IntegerPolicy:
             for head in range(self.heads):
                 part = slice(head * self.head_size, (head + 1) * self.head_size)
                 overlaps = (keys[:, tick, part] & query[tick, part]).sum(axis=1)
+                if self.config.get("relative_bias"):
+                    relative = self.tensors[f"layers.{layer}.attention.relative"][head]
+                    y.append(self._attend_biased(overlaps, values[:, tick, part], scale[head], relative))
+                    continue
                 y.append(self._attend_head(overlaps, values[:, tick, part], scale[head]))
             gated = self._gates(layer, np.concatenate(y))[:, None] * np.stack(y)
             merged += gated.ravel() if concat else sum(gated)
@@ -199,6 +203,15 @@ class IntegerPolicy:
             weight = exp(-np.abs(scale) * np.float32(distance))
             total += weight * np.float32(members.sum())
             y += weight * values[members].sum(axis=0).astype(np.float32)
+        return y * (np.float32(1) / total)
+
+    def _attend_biased(self, overlaps, values, scale, relative):
+        scores = scale * overlaps.astype(np.float32) + relative[: len(overlaps)][::-1]  # the last token asks
+        weights = exp(scores - scores.max())
+        y, total = np.zeros(self.head_size, np.float32), np.float32(0)
+        for weight, value in zip(weights, values, strict=True):
+            total += weight
+            y += weight * value.astype(np.float32)
         return y * (np.float32(1) / total)
 
     def _gates(self, layer, y):
