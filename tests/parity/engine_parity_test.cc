@@ -171,7 +171,7 @@ std::vector<Shape> Float32Shapes() {
   Shape& often_silent = add("BiasesOfFewSpikes", ConfigOf(70, 2));
   often_silent.config.relative_bias = true;
   often_silent.config.context = 23;
-  often_silent.config.threshold = 3.0f;
+  often_silent.config.threshold = 1.3f;
   often_silent.steps = 60;
   ModelConfig& other_neuron = add("OtherNeuron", ConfigOf(32, 4)).config;
   other_neuron.ticks = 8;
