@@ -99,6 +99,7 @@ absl::StatusOr<Policy> RoundToInteger(const Policy& policy, const QuantizeFlags&
   if (!largest.ok()) return Annotate(largest.status(), "--data");
   IntegerOptions options = flags.integer;
   options.largest_input = 2.0f * *largest;  // leaves room for inputs that the set lacks
+  if (!policy.config.has_norms()) options.largest_residual = LargestResidual(policy, episodes);
   absl::StatusOr<Policy> integer = QuantizeToInteger(policy, options);
   if (!integer.ok() || !flags.prune) return integer;
   return PruneHidden(*integer, FiringHiddenNeurons(*integer, episodes));

@@ -72,6 +72,8 @@ void AddFlags(Command command, TrainFlags* flags) {
   shape
       .Add("arithmetic", EnumKind<Arithmetic>(), &flags->trainer.options.arithmetic,
            "Numbers of the spike-driven parts")
+      .Add("norm", EnumKind<NormTraining>(), &flags->trainer.options.norm,
+           "Norms: fade leaves a policy without any; layer keeps what the policy has")
       .Add("observation_changes", "true|false", &flags->shape.observation_changes,
            "State tokens contain the change, too; default: by the data")
       .Add("relative_bias", "true|false", &flags->shape.relative_bias,

@@ -236,6 +236,18 @@ absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const EpisodeS
         "--arithmetic=integer: expected a mode with spikes, received dense; `spiketrain quantize "
         "--to=integer` converts a trained dense policy");
   }
+  if (flags.trainer.options.norm == NormTraining::kFade &&
+      (policy->config.is_dense() || !policy->config.has_norms())) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--norm: expected layer ",
+                     policy->config.is_dense() ? "in mode dense" : "for a policy without norms",
+                     ", received fade"));
+  }
+  if (arithmetic == Arithmetic::kInteger && !policy->config.has_norms()) {
+    return absl::InvalidArgumentError(
+        "--arithmetic=integer: expected a policy with norms, received one without; `spiketrain "
+        "quantize --to=integer` converts a trained one");
+  }
   const absl::Status rounded = RoundTo(arithmetic, *policy).status();
   if (!rounded.ok()) return Annotate(rounded, ArithmeticFlag(flags));
   return policy;

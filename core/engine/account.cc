@@ -31,6 +31,8 @@ constexpr double kSoftmaxTerm = kCompare16 + kAdd16 + kMultiply16 + kAdd32 + kSh
 // addition), gets its bias and is limited on both sides.
 constexpr double kNormElement = kAdd32 + kAdd16 + kMultiply16 + 2 * kAdd32 + kShift16 +
                                 2 * (kMultiply16 + kAdd32) + kAdd16 + 2 * kCompare16;
+// Without a norm, an element of the residual stream is limited on both sides.
+constexpr double kResidualLimit = 2 * kCompare16;
 // The membrane gets the current and is compared with the threshold.
 constexpr double kMembraneUpdate = kAdd16 + kCompare16;
 // The leak is subtracted, with the bit that rounds it as the borrow, and the bias is added.
@@ -88,6 +90,12 @@ Price AttentionPrice(const ModelConfig& config) {
     return {kMultiply16By8 + kAdd8, kMultiply16By8 + kAdd32};
   }
   return {kShift16 + kAdd16, kShift16 + kAdd32};
+}
+
+// Returns the elements of the residual stream that are limited without a norm. In integers each is
+// coded once; the float32 numbers of int8 have no limits.
+uint64_t LimitedElements(const Counts& counts, const ModelConfig& config) {
+  return config.is_integer() && !config.has_norms() ? counts.coder_gains : 0;
 }
 
 uint64_t KeyBytes(const ModelConfig& config, int neurons) {
@@ -153,6 +161,7 @@ std::array<PricedOperation, kPricedOperations> OperationsOf(const Counts& counts
        int8 ? kFloatMultiplyAccumulate : kMultiply8 + kAdd8,
        int8 ? kFloatMultiplyAccumulate : kMultiply8 + kAdd32},
       same("norm_element", counts.layer_norm_elements, int8 ? kFloatNormElement : kNormElement),
+      same("residual_limit", LimitedElements(counts, config), kResidualLimit),
   }};
 }
 
@@ -191,6 +200,7 @@ double SramPrice(double bytes) {
 ModelConfig DenseTwin(const ModelConfig& config) {
   ModelConfig twin = config;
   twin.mode = Mode::kDense;
+  twin.norm = NormKind::kLayer;
   twin.arithmetic = Arithmetic::kInteger;
   return twin;
 }

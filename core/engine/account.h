@@ -35,7 +35,7 @@ struct PricedTraffic {
   double price = 0.0;   // picojoules a byte, by the size of the memory
 };
 
-inline constexpr int kPricedOperations = 13;
+inline constexpr int kPricedOperations = 14;
 inline constexpr int kPricedTraffics = 4;
 
 // Return the account of `counts`. REQUIRES: the policy is in int8 or integer arithmetic.

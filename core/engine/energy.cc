@@ -41,7 +41,8 @@ constexpr std::array<EnergyModelInfo, kEnergyModels> kInfos = {{
          "a 16-bit activation; in integer 0.1 pJ a membrane update and a leak, 0.05 pJ each of "
          "the comparisons that find a coder's period, 0.1 pJ an attention product (0.43 pJ "
          "with linear attention), 0.9 pJ a scaling, 1.15 pJ a term of a softmax, 0.23 pJ a "
-         "gate product, 3.15 pJ an element of a norm; in int8 0.95 pJ a membrane update, and "
+         "gate product, 3.15 pJ an element of a norm, 0.1 pJ an element that is limited "
+         "without one; in int8 0.95 pJ a membrane update, and "
          "what int8 leaves in float32 as in horowitz_45nm; in dense policies 0.23 pJ an "
          "attention product; 0.03 pJ a spike of a coder; the head in float32",
      .leaves_out = "memory and data movement, control, additions of residuals, roots, single "

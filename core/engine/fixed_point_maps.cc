@@ -21,13 +21,15 @@ std::vector<int32_t> ApplyMap(const FixedPointMap& map, const std::vector<int32_
   return output;
 }
 
+void LimitResidual(std::vector<int32_t>& x) {
+  for (int32_t& value : x) value = SaturateResidual(value);
+}
+
 void NormalizeResidual(const FixedPointNorm& norm, std::vector<int32_t>& x) {
   const auto size = static_cast<int64_t>(x.size());
+  LimitResidual(x);
   int64_t sum = 0;
-  for (int32_t& value : x) {
-    value = SaturateResidual(value);
-    sum += value;
-  }
+  for (const int32_t value : x) sum += value;
   const auto mean = static_cast<int32_t>(RoundDivide(sum, size));
   uint64_t squares = 0;
   for (int32_t& value : x) {

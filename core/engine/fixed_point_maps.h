@@ -22,6 +22,9 @@ std::vector<int32_t> ApplyMap(const FixedPointMap& map, const std::vector<int32_
 // Replaces x [d], saturated, by its norm.
 void NormalizeResidual(const FixedPointNorm& norm, std::vector<int32_t>& x);
 
+// Limits the numbers of x [d], which no norm follows.
+void LimitResidual(std::vector<int32_t>& x);
+
 // Replaces the scores [H] of routing.gate by gates with kGateFraction fraction bits.
 void GateScores(Gate gate, std::vector<int32_t>& scores);
 

@@ -20,7 +20,7 @@ void AddTokenCosts(const ModelConfig& config, TokenKind kind, int keys, Counts* 
   const bool coders_are_lif = config.coder == CoderKind::kLif;
   counts->coder_gains += coded;
   counts->membrane_updates += ticks * (neurons + (coders_are_lif ? coded : 0));
-  counts->layer_norm_elements += (1 + 2 * outputs) * d;
+  if (config.has_norms()) counts->layer_norm_elements += (1 + 2 * outputs) * d;
   counts->softmax_terms += outputs * ticks * heads * size(keys);
   if (config.relative_bias) counts->attention_products += outputs * ticks * heads * size(keys);
   if (!config.has_routing()) return;

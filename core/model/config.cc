@@ -115,6 +115,9 @@ absl::Status ModelConfig::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("threshold: expected a positive finite number, received ", threshold));
   }
+  if (is_dense() && !has_norms()) {
+    return absl::InvalidArgumentError("norm: expected layer in mode dense, received none");
+  }
   if (absl::Status valid = CheckRelativeBias(*this); !valid.ok()) return valid;
   if (is_integer()) return CheckFixedPoint(*this);
   return arithmetic == Arithmetic::kInt8 ? CheckInteger(*this) : absl::OkStatus();

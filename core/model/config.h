@@ -30,6 +30,9 @@ enum class Merge { kSum, kConcat };
 // appendix's sigmoid.
 enum class Gate { kSoftmax, kSigmoid };
 
+// What follows each addition to the residual stream: a LayerNorm, or nothing.
+enum class NormKind { kLayer, kNone };
+
 // The numbers of a policy. kInt8: the spike-driven parts have 8-bit weights, and 16-bit currents
 // and membranes (see integer_weights.h). kInteger: everything from the rounded observation to the
 // inputs of the action head is an integer (docs/design/integer.md, fixed_point_weights.h).
@@ -62,6 +65,9 @@ constexpr std::array<EnumName<Merge>, 2> EnumNames(Merge) {
 constexpr std::array<EnumName<Gate>, 2> EnumNames(Gate) {
   return {{{Gate::kSoftmax, "softmax"}, {Gate::kSigmoid, "sigmoid"}}};
 }
+constexpr std::array<EnumName<NormKind>, 2> EnumNames(NormKind) {
+  return {{{NormKind::kLayer, "layer"}, {NormKind::kNone, "none"}}};
+}
 constexpr std::array<EnumName<Arithmetic>, 3> EnumNames(Arithmetic) {
   return {{{Arithmetic::kFloat32, "float32"},
            {Arithmetic::kInt8, "int8"},
@@ -89,6 +95,7 @@ struct ModelConfig {
   PhaseClock phase_clock = PhaseClock::kTimestep;
   Merge merge = Merge::kSum;
   Gate gate = Gate::kSoftmax;
+  NormKind norm = NormKind::kLayer;
   Arithmetic arithmetic = Arithmetic::kFloat32;
   // Whether the state token also contains the change of the observation since the timestep before.
   bool observation_changes = false;
@@ -109,6 +116,7 @@ struct ModelConfig {
   int head_size() const { return hidden_size / heads; }  // d_h
   bool is_dense() const { return mode == Mode::kDense; }
   bool is_integer() const { return arithmetic == Arithmetic::kInteger; }
+  bool has_norms() const { return norm == NormKind::kLayer; }
   bool has_phase() const { return mode == Mode::kPos || mode == Mode::kFull; }
   bool has_routing() const { return mode == Mode::kRoute || mode == Mode::kFull; }
   // Returns the number of inputs of the query, key and value projections: d, or d + H with phase

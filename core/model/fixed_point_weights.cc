@@ -58,6 +58,7 @@ absl::Status CheckMap(const std::string& name, const FixedPointMap& map, int lar
   return absl::OkStatus();
 }
 
+// Accepts the empty norm of a policy without norms.
 absl::Status CheckNorm(const std::string& name, const FixedPointNorm& norm) {
   absl::Status status =
       CheckNumbers(name + ".weight", norm.weight, -kLargestResidual, kLargestResidual);

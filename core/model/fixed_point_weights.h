@@ -37,7 +37,7 @@ struct FixedPointMap {
   Int16Tensor bias;   // [out]
 };
 
-// An integer norm. The weight includes sqrt(d).
+// An integer norm. The weight includes sqrt(d). Empty in policies without norms.
 struct FixedPointNorm {
   Int16Tensor weight;  // [d]
   Int8Tensor shift;    // [1], 0 to 15

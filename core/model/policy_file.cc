@@ -50,10 +50,11 @@ absl::Status TakeTensors(Safetensors& contents, Policy* policy) {
                    slot.tensor));
   }
   if (contents.tensors.empty()) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(contents.tensors.begin()->first),
-                                                 ": not expected in a policy of mode ",
-                                                 std::string(ToString(policy->config.mode)), " in ",
-                                                 std::string(ToString(policy->config.arithmetic))));
+  return absl::InvalidArgumentError(absl::StrCat(
+      "tensor ", Quoted(contents.tensors.begin()->first), ": not expected in a policy of mode ",
+      std::string(ToString(policy->config.mode)), " in ",
+      std::string(ToString(policy->config.arithmetic)),
+      policy->config.has_norms() ? "" : " without norms"));
 }
 
 }  // namespace

@@ -8,6 +8,8 @@ namespace {
 // Collects the tensor slots of one policy, in the order of the calls of Add.
 class SlotList {
  public:
+  explicit SlotList(bool has_norms) : has_norms_(has_norms) {}
+
   template <class Number>
   void Add(std::string name, std::vector<int> shape, BasicTensor<Number>* tensor) {
     slots_.push_back({.name = std::move(name), .shape = std::move(shape), .tensor = tensor});
@@ -28,6 +30,7 @@ class SlotList {
     Add(name + ".bias", {out}, &output->bias);
   }
   void Add(const std::string& name, int size, Norm* norm) {
+    if (!has_norms_) return;
     Add(name + ".weight", {size}, &norm->weight);
     Add(name + ".bias", {size}, &norm->bias);
   }
@@ -46,6 +49,7 @@ class SlotList {
     Add(name + ".bias", {out}, &map->bias);
   }
   void Add(const std::string& name, int size, FixedPointNorm* norm) {
+    if (!has_norms_) return;
     Add(name + ".weight", {size}, &norm->weight);
     Add(name + ".shift", {1}, &norm->shift);
     Add(name + ".bias", {size}, &norm->bias);
@@ -62,6 +66,7 @@ class SlotList {
   std::vector<TensorSlot> Take() { return std::move(slots_); }
 
  private:
+  const bool has_norms_;  // policies without norms have no tensors of norms
   std::vector<TensorSlot> slots_;
 };
 
@@ -154,7 +159,7 @@ void AddEmbeddings(int d, int state_inputs, int action_size, auto* ends, SlotLis
 std::vector<TensorSlot> TensorSlots(const ModelConfig& config, int observation_size,
                                     int action_size, Weights* weights) {
   const int d = config.hidden_size;
-  SlotList slots;
+  SlotList slots(config.has_norms());
   const int state_inputs = config.state_inputs(observation_size);
   if (config.is_integer()) {
     AddEmbeddings(d, state_inputs, action_size, &weights->fixed_point, &slots);

@@ -21,7 +21,7 @@
 
 namespace spikeserve {
 
-// The parameters of a LayerNorm.
+// The parameters of a LayerNorm. Empty in policies without norms.
 struct Norm {
   Tensor weight;  // [d]
   Tensor bias;    // [d]

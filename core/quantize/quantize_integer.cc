@@ -81,13 +81,20 @@ class Rounding {
 
   absl::Status RoundEmbedding(const std::string& name, const Embedding& embedding,
                               FixedPointEmbedding* rounded) const {
-    // The norm that follows cancels the scale of the output.
+    // A norm that follows cancels the scale of the output.
+    const int fraction = config_.has_norms() ? FractionFor(LargestEmbedded(embedding.linear))
+                                             : config_.residual_fraction;
     absl::Status status =
-        RoundMap(name, embedding.linear, 1.0, config_.input_fraction,
-                 FractionFor(LargestEmbedded(embedding.linear)), &rounded->linear);
-    status.Update(
-        RoundNorm(name + ".norm", embedding.norm, config_.residual_fraction, &rounded->norm));
+        RoundMap(name, embedding.linear, 1.0, config_.input_fraction, fraction, &rounded->linear);
+    status.Update(RoundAnyNorm(name + ".norm", embedding.norm, &rounded->norm));
     return status;
+  }
+
+  // Rounds a norm, unless the policy has none.
+  absl::Status RoundAnyNorm(const std::string& name, const Norm& norm,
+                            FixedPointNorm* rounded) const {
+    if (!config_.has_norms()) return absl::OkStatus();
+    return RoundNorm(name, norm, config_.residual_fraction, rounded);
   }
 
   // Rounds a population, without the inputs that the new mode does not have.
@@ -132,12 +139,11 @@ class Rounding {
     }
     status.Update(RoundMap(attention + ".output", layer.attention_output, 1.0, kGateFraction,
                            residual, &fixed.attention_output));
-    status.Update(
-        RoundNorm(attention + ".norm", layer.attention_norm, residual, &fixed.attention_norm));
+    status.Update(RoundAnyNorm(attention + ".norm", layer.attention_norm, &fixed.attention_norm));
     // The inputs of ffn.output are spike counts, and the weights those of firing rates.
     status.Update(RoundMap(name + ".ffn.output", layer.ffn_output, 1.0 / config_.ticks, 0, residual,
                            &fixed.ffn_output));
-    status.Update(RoundNorm(name + ".ffn.norm", layer.ffn_norm, residual, &fixed.ffn_norm));
+    status.Update(RoundAnyNorm(name + ".ffn.norm", layer.ffn_norm, &fixed.ffn_norm));
     fixed.coder = Tabulate(layer.coder);
     fixed.ffn_coder = Tabulate(layer.ffn_coder);
     return status;
@@ -158,8 +164,28 @@ class Rounding {
   const PeriodTable periods_;
 };
 
-// Returns the fraction bits with which no output of a norm can saturate.
-int ResidualFraction(const Policy& policy) {
+// Returns the largest magnitude of a bias that is added to the residual stream.
+double LargestBias(const Weights& weights) {
+  double largest = 0.0;
+  const auto visit = [&largest](const Linear& map) {
+    for (const float bias : map.bias.values) largest = std::max(largest, std::abs(double{bias}));
+  };
+  visit(weights.embed_return.linear);
+  visit(weights.embed_state.linear);
+  visit(weights.embed_action.linear);
+  for (const LayerWeights& layer : weights.layers) {
+    visit(layer.attention_output);
+    visit(layer.ffn_output);
+  }
+  return largest;
+}
+
+// Returns the fraction bits with which no output of a norm can saturate, or, without norms, neither
+// `largest_residual` nor a bias.
+int ResidualFraction(const Policy& policy, double largest_residual) {
+  if (!policy.config.has_norms()) {
+    return FractionFor(std::max(kResidualRoom * largest_residual, LargestBias(policy.weights)));
+  }
   const double root = std::sqrt(static_cast<double>(policy.config.hidden_size));
   double largest = 0.0;
   const auto visit = [&](const Norm& norm) {
@@ -202,7 +228,7 @@ absl::StatusOr<ModelConfig> ConfigOf(const Policy& policy, const IntegerOptions&
   const int shift = NearestShift(leak);
   config.membrane_decay = config.leak == Leak::kNone ? 1.0f : 1.0f - std::ldexp(1.0f, -shift);
   config.input_fraction = FractionFor(options.largest_input);
-  config.residual_fraction = ResidualFraction(policy);
+  config.residual_fraction = ResidualFraction(policy, options.largest_residual);
   return config;
 }
 

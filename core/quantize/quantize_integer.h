@@ -21,6 +21,9 @@ struct IntegerOptions {
   // The largest magnitude of a standardised input that must not saturate. A calibration set gives
   // it.
   float largest_input = 32.0f;
+  // Of a policy without norms: the largest magnitude of its residual stream that must not saturate.
+  // A calibration set gives it, too.
+  float largest_residual = 16.0f;
 };
 
 // Returns `policy` in integer arithmetic. docs/design/integer.md defines every rounding. The action

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/strings/str_cat.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/engine/factory/trace_decision.h"
 #include "core/engine/prefix_engine.h"
@@ -27,8 +28,10 @@ struct Shape {
   int observation_size = 4;
   ActionSpace action_space = ActionSpace::Discrete(2);
   int steps = 40;
-  float spread = 1.0f;          // scales the observations
-  float first_ffn_bias = 0.2f;  // of the FFN's coder in the first layer
+  float spread = 1.0f;             // scales the observations
+  float first_ffn_bias = 0.2f;     // of the FFN's coder in the first layer
+  float largest_residual = 16.0f;  // see IntegerOptions
+  float update = 1.0f;             // scales the maps that add to the residual stream
 };
 
 void PrintTo(const Shape& shape, std::ostream* out) { *out << shape.name; }
@@ -159,6 +162,22 @@ std::vector<Shape> Float32Shapes() {
     changes.mode = mode;
     changes.observation_changes = true;
   }
+  for (const Mode mode : {Mode::kBaseline, Mode::kFull}) {
+    for (const Merge merge : {Merge::kSum, Merge::kConcat}) {
+      const auto name =
+          absl::StrCat("NoNorms_", std::string(ToString(mode)), "_", std::string(ToString(merge)));
+      ModelConfig& config = add(name, ConfigOf(35, 5)).config;
+      config.mode = mode;
+      config.merge = merge;
+      config.norm = NormKind::kNone;
+    }
+  }
+  // The residual stream of integers saturates.
+  Shape& limits = add("NoNormsLoudInputs", ConfigOf(32, 4));
+  limits.config.norm = NormKind::kNone;
+  limits.spread = 8.0f;
+  limits.largest_residual = 0.5f;
+  limits.update = 16.0f;  // brings numbers back from the limits
   ModelConfig& newest = add("ChangesContextOne", ConfigOf(16, 2)).config;
   newest.observation_changes = true;
   newest.context = 1;
@@ -224,6 +243,9 @@ Policy MakePolicy(const Shape& shape, uint64_t seed) {
     for (Linear* linear : {&layer.query, &layer.key, &layer.value, &layer.ffn_hidden}) {
       for (float& weight : linear->weight.values) weight *= 3.0f;
     }
+    for (Linear* linear : {&layer.attention_output, &layer.ffn_output}) {
+      for (float& weight : linear->weight.values) weight *= shape.update;
+    }
     for (size_t h = 1; h < layer.scale.values.size(); h += 2) layer.scale.values[h] *= -1.5f;
     for (size_t i = 0; i < layer.relative.values.size(); ++i) {
       layer.relative.values[i] = 4.0f * UniformFloat(RandomBits({3, seed, i})) - 2.0f;
@@ -235,7 +257,9 @@ Policy MakePolicy(const Shape& shape, uint64_t seed) {
   std::vector<float>& ffn_bias = policy.weights.layers[0].ffn_coder.bias.values;
   ffn_bias.assign(ffn_bias.size(), shape.first_ffn_bias);
   if (shape.config.is_integer()) {
-    return *QuantizeToInteger(policy, {.attention = shape.config.attention, .largest_input = 8.0f});
+    return *QuantizeToInteger(policy, {.attention = shape.config.attention,
+                                       .largest_input = 8.0f,
+                                       .largest_residual = shape.largest_residual});
   }
   return shape.config.arithmetic == Arithmetic::kInt8 ? *Quantize(policy) : policy;
 }

@@ -86,6 +86,12 @@ std::vector<Shape> Shapes() {
     s.config.threshold = 0.5f;
   });
   add("box", [](Shape& s) { s.action_space = ActionSpace::Box({-2.0f, 0.0f}, {2.0f, 1.0f}); });
+  add("no_norms", [](Shape& s) { s.config.norm = NormKind::kNone; });
+  add("no_norms_concat", [](Shape& s) {
+    s.config.norm = NormKind::kNone;
+    s.config.mode = Mode::kBaseline;
+    s.config.merge = Merge::kConcat;
+  });
   add("changes", [](Shape& s) { s.config.observation_changes = true; });
   for (const Mode mode : {Mode::kBaseline, Mode::kFull}) {
     Shape biased = {.name = "biases_" + std::string(ToString(mode)), .config = FourHeads(mode)};
@@ -115,6 +121,7 @@ std::vector<Shape> Shapes() {
   }
   for (Shape shape : floats) {
     if (shape.config.is_dense() || shape.config.coder == CoderKind::kBernoulli) continue;
+    if (!shape.config.has_norms()) continue;  // is not trained through the integers
     shape.name += "_integer";
     shape.arithmetic = Arithmetic::kInteger;
     shapes.push_back(shape);

@@ -109,6 +109,8 @@ class IntegerPolicy:
         return affine(self.tensors[f"{name}.weight"], self.tensors[f"{name}.bias"], x)
 
     def _norm(self, name, x):
+        if self.config.get("norm") == "none":
+            return x
         return layer_norm(x, self.tensors[f"{name}.weight"], self.tensors[f"{name}.bias"])
 
     def _phase(self):

@@ -36,3 +36,9 @@ def write_policy(path, tensors, metadata):
     text += b" " * (-len(text) % 8)
     path.parent.mkdir(parents=True)
     path.write_bytes(len(text).to_bytes(8, "little") + text + b"".join(chunks))
+
+
+def without_norms(tensors, metadata):
+    """Returns a policy in float32 as one without norms."""
+    config = json.dumps(json.loads(metadata["config"]) | {"norm": "none"})
+    return {name: tensor for name, tensor in tensors.items() if ".norm." not in name}, metadata | {"config": config}

@@ -9,25 +9,28 @@ import grpc
 import numpy as np
 import pytest
 from operation_count import CountedInt8Policy, CountedIntegerEngine
-from policy_file import read_policy
+from policy_file import read_policy, without_norms, write_policy
 from serving import SHIPPED_POLICIES, Service, running_server
 
 PROGRAM = os.environ["INTEGER_DECISIONS_PROGRAM"]
 STEPS = 30  # longer than the context
 CARTPOLE = SHIPPED_POLICIES / "cartpole"
-ENGINES = {"int8": CountedInt8Policy, "integer": CountedIntegerEngine}
+ENGINES = {"int8": CountedInt8Policy, "integer": CountedIntegerEngine, "no-norms": CountedIntegerEngine}
 
 
 @pytest.fixture(scope="module")
 def policies(tmp_path_factory):
-    """Writes CartPole's policy in both arithmetics. Returns the folder."""
+    """Writes CartPole's policy in both arithmetics, and in integers without its norms. Returns the folder."""
     folder = tmp_path_factory.mktemp("policies")
     for name in ENGINES:
         (folder / name / "1").mkdir(parents=True)
     shutil.copy(CARTPOLE / "2/policy.safetensors", folder / "int8/1")
-    target = folder / "integer/1/policy.safetensors"
-    command = [PROGRAM, str(CARTPOLE / "1/policy.safetensors"), str(target), "full", "shiftmax"]
-    subprocess.run(command, stdin=subprocess.DEVNULL, check=True, timeout=120)
+    stripped = folder.parent / "float32-no-norms/policy.safetensors"
+    write_policy(stripped, *without_norms(*read_policy(CARTPOLE / "1/policy.safetensors")))
+    for name, source in (("integer", CARTPOLE / "1/policy.safetensors"), ("no-norms", stripped)):
+        target = folder / name / "1/policy.safetensors"
+        command = [PROGRAM, str(source), str(target), "full", "shiftmax"]
+        subprocess.run(command, stdin=subprocess.DEVNULL, check=True, timeout=120)
     return folder
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from dense_engine import DenseEngine
 from integer_engine import IntegerEngine
-from policy_file import read_policy, write_policy
+from policy_file import read_policy, without_norms, write_policy
 from random_policy import export_random
 from serving import SHIPPED_POLICIES, Service, running_server
 
@@ -29,6 +29,8 @@ CASES = [  # policy, changes of its config, mode of the integer policy, attentio
     ("minigrid-memory", {}, "baseline", "shiftmax"),
     ("pendulum", {"relative_bias": True}, "baseline", "shiftmax"),
     ("cartpole", {"relative_bias": True}, "full", "shiftmax"),
+    ("cartpole", {"norm": "none"}, "full", "shiftmax"),  # residuals reach their limits
+    ("cartpole", {"norm": "none", "relative_bias": True}, "baseline", "shiftmax"),
 ]
 
 
@@ -63,8 +65,10 @@ def test_every_decision_is_that_of_the_page(tmp_path, name, changes, mode, atten
     tensors, metadata = read_policy(SHIPPED_POLICIES / name / "1/policy.safetensors")
     config = json.loads(metadata["config"]) | changes
     metadata["config"] = json.dumps(config)
-    if config.get("relative_bias"):
+    if "relative_bias" in changes:
         add_biases(tensors, config)
+    if "norm" in changes:
+        tensors, metadata = without_norms(tensors, metadata)
     source, target = tmp_path / "float32/policy.safetensors", tmp_path / "integer.safetensors"
     write_policy(source, tensors, metadata)
     lines = list(episode(tensors, len(tensors["head.bias"])))

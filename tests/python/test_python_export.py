@@ -28,6 +28,8 @@ SHAPES = [
     *({"mode": mode, "observation_changes": True} for mode in ("full", "dense")),
     {"mode": "full", "observation_changes": True, "arithmetic": "int8"},
     *({"relative_bias": True, "arithmetic": arithmetic} for arithmetic in ("float32", "int8")),
+    {"mode": "full", "norm": "none"},
+    {"mode": "baseline", "norm": "none", "arithmetic": "int8"},
     *({"mode": mode, "arithmetic": "int8"} for mode in ModelConfig.CHOICES["mode"][:-1]),
 ]
 
@@ -267,6 +269,7 @@ def test_bad_fields_are_refused_by_name(path, field, value, message):
         ("threshold", 0.0, "expected a positive finite number, received 0.0"),
         ("threshold", 1e-60, "expected a positive finite number, received 1e-60"),
         ("arithmetic", "int4", "expected one of float32, int8, received 'int4'"),
+        ("norm", "batch", "expected one of layer, none, received 'batch'"),
     ],
 )
 def test_a_bad_config_is_refused_by_field(field, value, message):
@@ -274,6 +277,11 @@ def test_a_bad_config_is_refused_by_field(field, value, message):
         ModelConfig(**{field: value})
     assert str(error.value).endswith(message)
     assert str(error.value).startswith("hidden_size" if field == "heads" else field)
+
+
+def test_a_dense_policy_has_norms():
+    with pytest.raises(ValueError, match="norm: expected layer in mode dense, received 'none'"):
+        ModelConfig(mode="dense", norm="none")
 
 
 def test_integers_have_their_own_limits():

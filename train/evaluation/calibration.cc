@@ -8,6 +8,7 @@
 #include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/engine/spiking/integer_engine.h"
+#include "core/engine/spiking/streaming_engine.h"
 #include "core/engine/token.h"
 #include "core/environment/environment.h"
 #include "train/data/dataset.h"
@@ -41,6 +42,26 @@ class InputRange {
   std::vector<float> input_;
   float largest_ = 1.0f;
 };
+
+// Shows the policy all steps of the episodes. Calls `start` with the context of each episode first.
+template <class Start>
+void Observe(const Policy& policy, absl::Span<const Episode> episodes, const Start& start) {
+  const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
+  const auto size = static_cast<size_t>(policy.observation_size());
+  std::vector<float> encoded(policy.action_space.size());
+  Engine::Output output;
+  for (const Episode& episode : episodes) {
+    const auto context = engine->NewContext(episode.seed);
+    start(*context);
+    const std::vector<float> returns = ReturnsToGo(episode);
+    for (size_t t = 0; t < episode.actions.size(); ++t) {
+      engine->Decide(*context, returns[t],
+                     absl::MakeConstSpan(episode.observations).subspan(t * size, size), &output);
+      policy.action_space.Encode(episode.actions[t], absl::MakeSpan(encoded));
+      engine->AppendAction(*context, encoded);
+    }
+  }
+}
 
 }  // namespace
 
@@ -93,26 +114,20 @@ absl::StatusOr<std::vector<Episode>> PlayCalibrationEpisodes(const Policy& polic
   return episodes;
 }
 
+float LargestResidual(const Policy& policy, absl::Span<const Episode> episodes) {
+  float largest = 0.0f;
+  Observe(policy, episodes,
+          [&](Engine::Context& context) { RecordLargestResidual(context, &largest); });
+  return largest;
+}
+
 std::vector<std::vector<bool>> FiringHiddenNeurons(const Policy& policy,
                                                    absl::Span<const Episode> episodes) {
-  const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
   const auto layers = static_cast<size_t>(policy.config.layers);
   const auto neurons = static_cast<size_t>(policy.config.ffn_size);
-  const auto size = static_cast<size_t>(policy.observation_size());
   HiddenSpikes spikes(layers, std::vector<uint64_t>(neurons, 0));
-  std::vector<float> encoded(policy.action_space.size());
-  Engine::Output output;
-  for (const Episode& episode : episodes) {
-    const auto context = engine->NewContext(episode.seed);
-    RecordHiddenSpikes(*context, &spikes);
-    const std::vector<float> returns = ReturnsToGo(episode);
-    for (size_t t = 0; t < episode.actions.size(); ++t) {
-      engine->Decide(*context, returns[t],
-                     absl::MakeConstSpan(episode.observations).subspan(t * size, size), &output);
-      policy.action_space.Encode(episode.actions[t], absl::MakeSpan(encoded));
-      engine->AppendAction(*context, encoded);
-    }
-  }
+  Observe(policy, episodes,
+          [&](Engine::Context& context) { RecordHiddenSpikes(context, &spikes); });
   std::vector<std::vector<bool>> fires;
   for (const std::vector<uint64_t>& layer : spikes) fires.emplace_back(layer.begin(), layer.end());
   return fires;

@@ -1,5 +1,6 @@
-// Measures what `spiketrain quantize --to=integer` needs to know about a policy: the range of its
-// inputs, which decides their fraction bits, and the hidden neurons that fire.
+// Measures what `spiketrain quantize --to=integer` needs to know about a policy: the ranges of its
+// inputs and of its residual stream, which decide their fraction bits, and the hidden neurons that
+// fire.
 //
 // All functions are thread-safe.
 #ifndef TRAIN_EVALUATION_CALIBRATION_H_
@@ -26,6 +27,10 @@ absl::StatusOr<std::vector<Episode>> PlayCalibrationEpisodes(const Policy& polic
 // least 1, the largest one of an encoded action. INVALID_ARGUMENT if there is no episode, or if the
 // observations have another size than the policy's.
 absl::StatusOr<float> LargestInput(const Policy& policy, absl::Span<const Episode> episodes);
+
+// Returns the largest magnitude of the residual stream in the episodes, which the policy observes
+// without acting. REQUIRES: a policy with spikes in float32, and episodes of its spaces.
+float LargestResidual(const Policy& policy, absl::Span<const Episode> episodes);
 
 // Returns which hidden neurons [L][F] fire in any of the episodes, which the policy observes
 // without acting. REQUIRES: a policy with Arithmetic::kInteger and spikes, and episodes of its

@@ -233,7 +233,7 @@ class IntegerPass {
 ModelOutput ForwardInIntegers(const Policy& rounded, const RoundedMaps& maps,
                               const Parameters& parameters, const LifOptions& coder,
                               const ClipTensors& clips) {
-  SPIKESERVE_DCHECK(!rounded.config.is_dense());
+  SPIKESERVE_DCHECK(!rounded.config.is_dense() && rounded.config.has_norms());
   return IntegerPass(rounded, maps, parameters, coder, clips).Run();
 }
 

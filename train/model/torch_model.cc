@@ -8,9 +8,11 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status_macros.h"
+#include "core/contract/dcheck.h"
 #include "core/quantize/quantize.h"
 #include "core/quantize/quantize_integer.h"
 #include "train/model/attention.h"
+#include "train/model/fold_norms.h"
 #include "train/model/integer_forward.h"
 #include "train/neuron/bernoulli_function.h"
 #include "train/neuron/lif_function.h"
@@ -22,13 +24,17 @@ namespace {
 // One forward pass over a batch of clips.
 class ForwardPass {
  public:
-  // Computes the spike-driven maps in integers if `rounded` is not null.
+  // Computes the spike-driven maps in integers if `rounded` is not null. Without `fading`, norms do
+  // not fade; see FadingNorms::Normalize for `batch`.
   ForwardPass(const Policy& policy, const Parameters& parameters, const RoundedMaps* rounded,
-              const Surrogate& surrogate, const ClipTensors& clips)
+              const FadingNorms* fading, BatchMoments* batch, const Surrogate& surrogate,
+              const ClipTensors& clips)
       : policy_(policy),
         config_(policy.config),
         p_(parameters),
         rounded_(rounded),
+        fading_(fading),
+        batch_(batch),
         surrogate_(surrogate),
         lif_{{config_.membrane_decay, config_.threshold}, config_.ticks, surrogate},
         clips_(clips),
@@ -52,6 +58,12 @@ class ForwardPass {
  private:
   bool IsLast(int layer) const { return layer + 1 == config_.layers; }
 
+  // Returns the norm `name` of x, or x itself if the policy has no norms.
+  torch::Tensor Norm(const torch::Tensor& x, const std::string& name) const {
+    if (!config_.has_norms()) return x;
+    return fading_ == nullptr ? p_.Norm(x, name) : fading_->Normalize(p_, x, name, batch_);
+  }
+
   // Returns the embedded tokens, [B, 3n, d].
   torch::Tensor Embed() const {
     const torch::Tensor x =
@@ -68,7 +80,7 @@ class ForwardPass {
       const torch::Tensor& table = p_["embed.timestep.weight"];
       x = x + table.index({clips_.timesteps.clamp_max(table.size(0) - 1)});
     }
-    return p_.Norm(x, name + ".norm");
+    return Norm(x, name + ".norm");
   }
 
   // Computes the phase spikes of every timestep and repeats them for its three tokens.
@@ -143,7 +155,7 @@ class ForwardPass {
   torch::Tensor SpikingFeedForward(const torch::Tensor& x, const std::string& name, int layer) {
     const torch::Tensor coded = Code(x, name + ".ffn.coder", Stage::kFfnIn, layer, 2 * layer + 1);
     const torch::Tensor hidden = Fire(coded, name + ".ffn.hidden", Stage::kFfnHidden, layer);
-    return p_.Norm(x + MapCounts(hidden, name + ".ffn.output"), name + ".ffn.norm");
+    return Norm(x + MapCounts(hidden, name + ".ffn.output"), name + ".ffn.norm");
   }
 
   // As SpikingLayer, for a layer of an ordinary decision transformer with the same residual
@@ -158,7 +170,7 @@ class ForwardPass {
                p_.Linear(x, attention + ".value"), scale, Mask(layer), config_.heads);
     const torch::Tensor after = AddAttention(x, y.transpose(1, 2).flatten(-2), attention, layer);
     const torch::Tensor hidden = at::gelu(p_.Linear(after, name + ".ffn.hidden"), "tanh");
-    return p_.Norm(after + p_.Linear(hidden, name + ".ffn.output"), name + ".ffn.norm");
+    return Norm(after + p_.Linear(hidden, name + ".ffn.output"), name + ".ffn.norm");
   }
 
   // Returns what is added to the scores of a layer: [Q, 3n], or with biases [H, Q, 3n].
@@ -171,17 +183,19 @@ class ForwardPass {
     return IsLast(layer) ? StateTokens(mask, -2) : mask;
   }
 
-  // Returns LayerNorm(x + W_O merged + b_O) for the tokens that have an output in this layer.
+  // Returns the norm of x + W_O merged + b_O for the tokens that have an output in this layer.
   torch::Tensor AddAttention(const torch::Tensor& x, const torch::Tensor& merged,
                              const std::string& attention, int layer) const {
     const torch::Tensor residual = IsLast(layer) ? StateTokens(x, 1) : x;
-    return p_.Norm(residual + p_.Linear(merged, attention + ".output"), attention + ".norm");
+    return Norm(residual + p_.Linear(merged, attention + ".output"), attention + ".norm");
   }
 
   const Policy& policy_;
   const ModelConfig& config_;
   const Parameters& p_;
   const RoundedMaps* const rounded_;
+  const FadingNorms* const fading_;
+  BatchMoments* const batch_;
   const Surrogate surrogate_;
   const LifOptions lif_;
   const ClipTensors& clips_;
@@ -227,7 +241,21 @@ ModelOutput TorchModel::Forward(const ClipTensors& clips) const {
                              clips);
   }
   const RoundedMaps* maps = rounded_.has_value() ? &rounded_->maps : nullptr;
-  return ForwardPass(policy_, parameters_, maps, surrogate_, clips).Run();
+  return ForwardPass(policy_, parameters_, maps, fading_norms(), nullptr, surrogate_, clips).Run();
+}
+
+void TorchModel::FadeNorms() {
+  SPIKESERVE_DCHECK(arithmetic_ == Arithmetic::kFloat32);
+  fading_norms_.emplace(policy_, parameters_["head.weight"].device());
+}
+
+ModelOutput TorchModel::ForwardInTraining(const ClipTensors& clips, const torch::Tensor& mask) {
+  if (!fading_norms_.has_value()) return Forward(clips);
+  BatchMoments batch = {.mask = mask};
+  ModelOutput output =
+      ForwardPass(policy_, parameters_, nullptr, fading_norms(), &batch, surrogate_, clips).Run();
+  fading_norms_->Follow(batch);
+  return output;
 }
 
 absl::Status TorchModel::Round() {
@@ -244,7 +272,13 @@ Policy TorchModel::FloatPolicy() const {
 }
 
 Policy TorchModel::CurrentPolicy() const {
-  return rounded_.has_value() ? rounded_->policy : FloatPolicy();
+  if (rounded_.has_value()) return rounded_->policy;
+  Policy policy = FloatPolicy();
+  if (fading_norms_.has_value()) {
+    fading_norms_->MakeAffine(&policy);
+    FoldNorms(&policy);
+  }
+  return policy;
 }
 
 }  // namespace spikeserve

@@ -11,6 +11,7 @@
 #include "absl/status/statusor.h"
 #include "core/model/policy.h"
 #include "train/model/clip_tensors.h"
+#include "train/model/fading_norms.h"
 #include "train/model/parameters.h"
 #include "train/model/rounded_maps.h"
 #include "train/neuron/surrogate.h"
@@ -36,13 +37,26 @@ class TorchModel {
   // integers, computes with the weights of the last Round(), or else of the initial policy.
   ModelOutput Forward(const ClipTensors& clips) const;
 
+  // Lets the norms fade, from p = 1 on. REQUIRES: a policy with norms and spikes, and kFloat32.
+  void FadeNorms();
+  // The norms that fade; null if they do not.
+  FadingNorms* fading_norms() { return fading_norms_.has_value() ? &*fading_norms_ : nullptr; }
+  const FadingNorms* fading_norms() const {
+    return fading_norms_.has_value() ? &*fading_norms_ : nullptr;
+  }
+
+  // As Forward, for a training step on the timesteps of `mask` [B, n]: norms that fade take the
+  // moments of the batch, which their running moments follow.
+  ModelOutput ForwardInTraining(const ClipTensors& clips, const torch::Tensor& mask);
+
   const Parameters& parameters() const { return parameters_; }
 
   // Rounds the current parameters; call it after every change of them. Returns INVALID_ARGUMENT,
   // which names the tensor, if integers cannot hold a number. Does nothing with kFloat32.
   absl::Status Round();
 
-  // Returns the policy with the current weights, or with the integers of the last Round().
+  // Returns the policy with the current weights, or with the integers of the last Round(). Norms
+  // that have faded are folded. REQUIRES: no norm that is still fading.
   Policy CurrentPolicy() const;
 
  private:
@@ -60,6 +74,7 @@ class TorchModel {
   const Parameters parameters_;
   const Arithmetic arithmetic_;
   std::optional<Rounded> rounded_;  // not with kFloat32
+  std::optional<FadingNorms> fading_norms_;
 };
 
 }  // namespace spikeserve

@@ -11,7 +11,7 @@ data base --steps=60000 --expert_fraction=0.1 --disturbed_fraction=0.9 "${expert
 short=(--batch=64 --clip_steps=5 --slope=4)
 # Records the states that the policy itself reaches, with the expert's labels.
 round() { data "$1" --seed="$2" --steps=100000 --expert_fraction=0 --student="$policy" "${expert[@]}"; }
-stage 1-two base --seed=1 --iterations=3000 --learning_rate=2e-3 --mode=baseline --ticks=2 "${short[@]}"
+stage 1-two base --seed=1 --iterations=3000 --learning_rate=2e-3 --mode=baseline --norm=fade --ticks=2 "${short[@]}"
 round round1 1
 stage 2-two base,round1 --seed=2 --iterations=4000 --learning_rate=2e-3 "${short[@]}"
 round round2 2

@@ -10,7 +10,7 @@ data disturbed --steps=100000 --expert_fraction=0.2 --disturbed_fraction=0.8
 
 short=(--batch=64 --clip_steps=5 --slope=4)
 quiet=(--target_rate=4 --readout_rate=25 --operation_penalty=0.01)
-stage 1-play disturbed --seed=1 --iterations=2500 --learning_rate=2e-3 --mode=baseline --ticks=1 "${short[@]}"
+stage 1-play disturbed --seed=1 --iterations=2500 --learning_rate=2e-3 --mode=baseline --norm=fade --ticks=1 "${short[@]}"
 # Records the states that the policy itself reaches.
 data student --seed=1 --steps=60000 --expert_fraction=0 --student="$policy"
 stage 2-own disturbed,student --seed=2 --iterations=4000 --learning_rate=1e-3 "${quiet[@]}" "${short[@]}"

@@ -10,7 +10,7 @@ data cautious --expert=cautious --steps=100000 --expert_fraction=0 --disturbed_f
 
 short=(--batch=64 --clip_steps=5 --slope=4 --action_noise=0.5)
 quiet=(--target_rate=10 --readout_rate=60)
-stage 1-play cautious --seed=1 --iterations=3000 --learning_rate=3e-3 --mode=baseline --ticks=1 "${short[@]}"
+stage 1-play cautious --seed=1 --iterations=3000 --learning_rate=3e-3 --mode=baseline --norm=fade --ticks=1 "${short[@]}"
 # Records the states that the policy itself reaches.
 data student --seed=1 --steps=80000 --expert_fraction=0 --expert=cautious --student="$policy"
 stage 2-own cautious,student --seed=2 --iterations=3000 --learning_rate=2e-3 "${quiet[@]}" "${short[@]}"

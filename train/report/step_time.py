@@ -3,9 +3,9 @@
     python train/report/step_time.py --spiketrain=build/release/bin/spiketrain --work=build/step_time
 
 A figure is the processor time of a long run without that of a short one, by their difference in steps, so starting and
-reading are left out. Modes alternate within a round, and the table has medians of rounds. An epoch is that of the paper's table 1: 10,000
-steps, of which a tenth is held out, in 64 clips of 20. Joules are those of the processor's own counter (powercap), where the
-system shows one and nothing else runs.
+reading are left out. Modes alternate within a round, and the table has medians of rounds. An epoch is that of the paper's
+table 1: 10,000 steps, of which a tenth is held out, in batches of 64 clips of 20. Joules are those of the processor's own
+counter (powercap), where the system shows one; they count whatever else runs meanwhile.
 """
 
 import argparse

@@ -10,8 +10,7 @@ train/recipes. The learning rate of `dense` is chosen first. The same command co
 leaves out what is finished. `--jobs=2` runs two processes. `--parts` trains the variants of one mode instead, and
 `--settings` the modes on the paper's tasks with the paper's settings, and `--field` some modes and models without attention
 on datasets of MuJoCo. Those that the folder of `--sets` lacks are made by offline_sets.py; D4RL's, in Minari's format and
-under the same names, are read as well.
-study_page.py makes a page of the files.
+under the same names, are read as well. study_page.py makes a page of the files.
 """
 
 import argparse

@@ -35,30 +35,29 @@ def scores_table(runs):
         yield row([f"mean of {len(tasks)}", *map(with_interval, means), str(len(seeds))])
 
 
-def mean_of(runs, arm, figure):
-    """Returns the mean of a figure over all runs of an arm; None if none has it."""
-    values = [figure(run) for (_, found), seeds in runs.items() if found == arm for run in seeds.values()]
-    return np.mean(values) if values else None
+# What a decision costs: what a run says of it, and digits. Policies have spikes and energy, models without attention neither.
+COSTS = {
+    "spikes": (lambda run: run["spikes_per_decision"] if "integer" in run else None, 0),
+    "nJ in integers (`int_45nm`)": (lambda run: run["integer"]["nanojoules_per_decision"] if "integer" in run else None, 1),
+    "multiplications": (lambda run: run.get("multiplications"), 0),
+}
 
 
 def costs_table(runs):
     """What a decision costs, as means over all sets and seeds."""
-    costs = {
-        "spikes": lambda arm: None if arm in study_plan.CLONES else mean_of(runs, arm, lambda run: run["spikes_per_decision"]),
-        "nJ in integers (`int_45nm`)": lambda arm: None
-        if arm in study_plan.CLONES
-        else mean_of(runs, arm, lambda run: run["integer"]["nanojoules_per_decision"]),
-        "multiplications": lambda arm: mean_of(runs, arm, lambda run: run["multiplications"])
-        if arm in study_plan.CLONES
-        else None,
-    }
     if not runs:
         return
     yield row(["a decision", *(f"`{arm}`" for arm in study_plan.FIELD_ARMS)])
     yield row(["---"] + ["---:"] * len(study_plan.FIELD_ARMS))
-    for name, cost in costs.items():
-        found = [cost(arm) for arm in study_plan.FIELD_ARMS]
-        yield row([name, *("" if value is None else f"{value:.{1 if 'nJ' in name else 0}f}" for value in found)])
+    for name, (cost, digits) in COSTS.items():
+        yield row([name, *(mean_of(runs, arm, cost, digits) for arm in study_plan.FIELD_ARMS)])
+
+
+def mean_of(runs, arm, cost, digits):
+    """Returns the mean over all runs of an arm that have this cost."""
+    costs = [cost(run) for (_, found), seeds in runs.items() if found == arm for run in seeds.values()]
+    known = [value for value in costs if value is not None]
+    return f"{np.mean(known):.{digits}f}" if known else ""
 
 
 def tables(folder):

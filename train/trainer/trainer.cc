@@ -31,6 +31,7 @@ enum Stream : uint64_t { kTrainingClips = 11, kValidationClips = 12, kBernoulliS
 constexpr double kPhaseRateFactor = 0.3;   // learning rate of omega and phi, relative to the others
 constexpr double kFinalRateFactor = 0.02;  // final learning rate, relative to the peak
 constexpr double kHingeRamp = 1.0 / 3.0;   // share of the iterations in which the penalty grows
+constexpr double kFade = 0.7;              // share of the iterations in which norms fade
 constexpr int kValidationBatches = 4;
 
 absl::Status Require(bool holds, absl::string_view option, absl::string_view expected,
@@ -103,6 +104,11 @@ absl::Status TrainOptions::Validate() const {
   check(plasticity.rate >= 0.0, "local_rate", "0 or more", plasticity.rate);
   check(plasticity.trace_decay >= 0.0 && plasticity.trace_decay <= 1.0, "trace_decay", "0 to 1",
         plasticity.trace_decay);
+  if (status.ok() && norm == NormTraining::kFade && arithmetic != Arithmetic::kFloat32) {
+    return absl::InvalidArgumentError(absl::StrCat("norm: expected layer with arithmetic ",
+                                                   std::string(ToString(arithmetic)),
+                                                   ", received fade"));
+  }
   return status;
 }
 
@@ -120,6 +126,7 @@ std::string TrainOptions::ToFlags() const {
   if (arithmetic != Arithmetic::kFloat32) {
     absl::StrAppend(&flags, " --arithmetic=", std::string(ToString(arithmetic)));
   }
+  if (norm == NormTraining::kFade) absl::StrAppend(&flags, " --norm=fade");
   if (delay.most > 0) absl::StrAppendFormat(&flags, " --delay=%d..%d", delay.least, delay.most);
   if (patches.used()) {
     absl::StrAppendFormat(&flags, " --image_shape=%d,%d,%d --patch_size=%d --patch_features=%d",
@@ -203,6 +210,7 @@ Trainer::Trainer(Policy initial, const EpisodeSource& source, const TrainOptions
              options.device),
       optimizer_(Optimizer::Make(model_.parameters(), options)) {
   at::set_num_threads(options.threads);
+  if (options.norm == NormTraining::kFade) model_.FadeNorms();
   if (source.resident()) {
     clips_ = std::make_unique<ClipSampler>(source.dataset(), split_.training, clip_);
     if (!has_validation()) return;
@@ -292,6 +300,12 @@ void Trainer::SetLearningRate() {
   if (groups.size() > 1) groups[1].options().set_lr(kPhaseRateFactor * rate);
 }
 
+void Trainer::SetNormShare() {
+  if (model_.fading_norms() == nullptr) return;
+  const double faded = iteration_ / (kFade * options_.iterations);
+  model_.fading_norms()->set_share(std::max(0.0, 1.0 - faded));
+}
+
 void Trainer::LearnLocally(const Batch& batch, const ModelOutput& output) {
   if (options_.plasticity.rate == 0.0) return;
   const DataStatistics& statistics = source_.statistics();
@@ -310,7 +324,7 @@ absl::StatusOr<Trainer::StepReport> Trainer::Step() {
   const uint64_t key =
       RandomBits({kTrainingClips, options_.seed, static_cast<uint64_t>(iteration_)});
   const Batch batch = MakeBatch(clips_->Sample(key, options_.batch, options_.action_noise), key);
-  const ModelOutput output = model_.Forward(batch.clips);
+  const ModelOutput output = model_.ForwardInTraining(batch.clips, batch.mask);
   torch::Tensor loss = Loss(batch, output);
   StepReport report = {.loss = loss.item<double>(), .hinge = 0.0};
   const double ramp = std::min(1.0, iteration_ / (kHingeRamp * options_.iterations));
@@ -330,6 +344,7 @@ absl::StatusOr<Trainer::StepReport> Trainer::Step() {
   optimizer_->adamw.step();
   LearnLocally(batch, output);
   ++iteration_;
+  SetNormShare();
   RETURN_IF_ERROR(model_.Round());
   return report;
 }
@@ -345,13 +360,21 @@ double Trainer::ValidationLoss() const {
   return sum / kValidationBatches;
 }
 
+std::map<std::string, torch::Tensor> Trainer::State() const {
+  std::map<std::string, torch::Tensor> state = model_.parameters().tensors();
+  if (const FadingNorms* norms = model_.fading_norms(); norms != nullptr) {
+    state.merge(norms->tensors());
+  }
+  return state;
+}
+
 absl::Status Trainer::SaveCheckpoint(const std::string& path) const {
   const std::string temporary = path + ".tmp";
   try {
     torch::serialize::OutputArchive archive, optimizer;
     archive.write("run", c10::IValue(run_));
     archive.write("iteration", c10::IValue(static_cast<int64_t>(iteration_)));
-    for (const auto& [name, tensor] : model_.parameters().tensors()) {
+    for (const auto& [name, tensor] : State()) {
       archive.write(ArchiveName(name), tensor);
     }
     optimizer_->adamw.save(optimizer);
@@ -377,8 +400,9 @@ absl::Status Trainer::LoadCheckpoint(const std::string& path) {
       return absl::FailedPreconditionError(
           absl::StrCat(path, ": made with ", run.toStringRef(), ", not ", run_));
     }
+    std::map<std::string, torch::Tensor> state = State();
     std::map<std::string, torch::Tensor> loaded;
-    for (const auto& [name, tensor] : model_.parameters().tensors()) {
+    for (const auto& [name, tensor] : state) {
       archive.read(ArchiveName(name), loaded[name]);
       if (loaded[name].sizes() != tensor.sizes()) {
         return absl::FailedPreconditionError(absl::StrCat(path, ": ", name, " has another shape"));
@@ -388,8 +412,9 @@ absl::Status Trainer::LoadCheckpoint(const std::string& path) {
     optimizer_->adamw.load(optimizer);
     archive.read("iteration", iteration);
     const torch::NoGradGuard no_gradient;
-    for (const auto& [name, tensor] : loaded) model_.parameters()[name].copy_(tensor);
+    for (const auto& [name, tensor] : loaded) state[name].copy_(tensor);
     iteration_ = static_cast<int>(iteration.toInt());
+    SetNormShare();
     return model_.Round();
   } catch (const c10::Error&) {
     return absl::FailedPreconditionError(absl::StrCat(path, ": not a checkpoint of this model"));

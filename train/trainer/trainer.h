@@ -13,6 +13,7 @@
 
 #include <array>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -39,6 +40,14 @@ constexpr std::array<EnumName<Schedule>, 2> EnumNames(Schedule) {
   return {{{Schedule::kCosine, "cosine"}, {Schedule::kConstant, "constant"}}};
 }
 
+// How training treats the norms of a policy: it keeps them, or lets them fade to affine maps, which
+// leave a policy without norms.
+enum class NormTraining { kLayer, kFade };
+
+constexpr std::array<EnumName<NormTraining>, 2> EnumNames(NormTraining) {
+  return {{{NormTraining::kLayer, "layer"}, {NormTraining::kFade, "fade"}}};
+}
+
 struct TrainOptions {
   uint64_t seed = 0;
   int iterations = 400;
@@ -63,6 +72,7 @@ struct TrainOptions {
   Surrogate surrogate;
   PatchShape patches;                            // of image observations; only for new policies
   Arithmetic arithmetic = Arithmetic::kFloat32;  // of the forward pass and of the policy it makes
+  NormTraining norm = NormTraining::kLayer;      // kFade: gone after 70 % of the iterations
   HeadPlasticity plasticity;
   // Tensors of the policy that keep their values, by name or by a part of it between dots:
   // `head`, `layers.0.routing.hidden`, `routing.hidden`.
@@ -72,8 +82,8 @@ struct TrainOptions {
   absl::Status Validate() const;
 
   // Returns the flags of `spiketrain train` for these options, including defaults except those of
-  // `padding`, `schedule`, `arithmetic`, `patches`, `delay`, `plasticity`, `frozen`, `threads` and
-  // `device`.
+  // `padding`, `schedule`, `arithmetic`, `patches`, `norm`, `delay`, `plasticity`, `frozen`,
+  // `threads` and `device`.
   std::string ToFlags() const;
 };
 
@@ -84,7 +94,8 @@ class Trainer {
  public:
   // Keeps a reference to `source`. REQUIRES: valid options, whose frozen tensors the policy has,
   // and a valid policy in float32 for the source's environment that CheckDevice() accepts; with
-  // Arithmetic::kInt8 one that Quantize() accepts. Sets the number of threads of libtorch in this
+  // Arithmetic::kInt8 one that Quantize() accepts, with NormTraining::kFade one with norms and
+  // spikes. Sets the number of threads of libtorch in this
   // process.
   Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options);
   ~Trainer();
@@ -111,12 +122,13 @@ class Trainer {
 
   int iteration() const { return iteration_; }
   bool done() const { return iteration_ >= options_.iterations; }
-  // Returns the policy with the current weights, in the arithmetic of the options.
+  // Returns the policy with the current weights, in the arithmetic of the options. REQUIRES:
+  // done(), with NormTraining::kFade.
   Policy CurrentPolicy() const { return model_.CurrentPolicy(); }
 
-  // Writes weights, optimiser state and iteration; there is no other state, because random draws
-  // depend only on seed and iteration. Replaces the file at `path` atomically. Returns INTERNAL if
-  // it cannot be written.
+  // Writes weights, moments of norms that fade, optimiser state and iteration; there is no other
+  // state, because random draws depend only on seed and iteration. Replaces the file at `path`
+  // atomically. Returns INTERNAL if it cannot be written.
   absl::Status SaveCheckpoint(const std::string& path) const;
   // Restores a checkpoint. Returns NOT_FOUND if the file does not exist, and FAILED_PRECONDITION,
   // without changing the weights or the iteration, if it belongs to a run with other options, data
@@ -141,6 +153,10 @@ class Trainer {
   // Applies the local rule of the head to a batch, whose `output` is from before AdamW's step.
   void LearnLocally(const Batch& batch, const ModelOutput& output);
   void SetLearningRate();
+  // Sets the share of LayerNorm in norms that fade.
+  void SetNormShare();
+  // Returns all tensors of a checkpoint but the optimiser's, by name.
+  std::map<std::string, torch::Tensor> State() const;
 
   const EpisodeSource& source_;
   const TrainOptions options_;

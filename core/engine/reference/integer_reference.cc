@@ -86,6 +86,7 @@ class IntegerReferencePass {
   }
 
   void NormalizeToken(size_t i, const FixedPointNorm& norm, Integers& x) {
+    if (!config_.has_norms()) return LimitResidual(x);
     NormalizeResidual(norm, x);
     if (IsNew(i)) counts_.layer_norm_elements += x.size();
   }

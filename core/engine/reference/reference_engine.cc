@@ -65,6 +65,7 @@ class ReferencePass {
   }
 
   void Normalize(size_t token, const Norm& norm, std::vector<float>& x) {
+    if (!config_.has_norms()) return;
     LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x.data(), x.size());
     if (IsNew(token)) counts_.layer_norm_elements += x.size();
   }
@@ -310,7 +311,7 @@ class ReferencePass {
     trace.gates.insert(trace.gates.end(), gates.begin(), gates.end());
   }
 
-  // x <- LayerNorm(x + W_O mean_t yhat(t) + b_O), where yhat(t) is the sum (eq. 4.11) or the
+  // x <- norm(x + W_O mean_t yhat(t) + b_O), where yhat(t) is the sum (eq. 4.11) or the
   // concatenation of the gated heads.
   void Attention(int layer, const SpikeTrain& query, size_t i) {
     const LayerWeights& weights = policy_.weights.layers[layer];
@@ -338,7 +339,7 @@ class ReferencePass {
     AddResidual(i, Affine(weights.attention_output, merged), weights.attention_norm);
   }
 
-  // x <- LayerNorm(x + W2 (spike count / T) + b2).
+  // x <- norm(x + W2 (spike count / T) + b2).
   void FeedForward(int layer, size_t i) {
     const LayerWeights& weights = policy_.weights.layers[layer];
     const CodedToken coded = Code(weights.ffn_coder, x_[i], i, 2 * layer + 1);

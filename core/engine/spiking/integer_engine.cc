@@ -142,6 +142,10 @@ class IntegerTokenPass {
 
   // x <- norm(x + scratch_.sums).
   void Normalize(const PackedNorm& norm) {
+    if (!config_.has_norms()) {
+      return kernels::AddLimited(PadToLanes(config_.hidden_size), scratch_.sums.data(),
+                                 scratch_.x.data());
+    }
     kernels::Normalize(norm, scratch_.sums.data(), scratch_.x.data());
     counts_->layer_norm_elements += static_cast<uint64_t>(norm.size);
   }

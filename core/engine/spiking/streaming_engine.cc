@@ -1,6 +1,7 @@
 #include "core/engine/spiking/streaming_engine.h"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "core/base/status_macros.h"
@@ -39,6 +40,7 @@ class StreamingContext : public Engine::Context {
   std::vector<AttentionCache> caches;  // [L]
   PhaseSpikes phase;                   // of the current timestep
   Counts action_counts;                // of the last action token; added to the next decision
+  float* largest_residual = nullptr;   // see RecordLargestResidual
 };
 
 // A token that is being computed.
@@ -162,8 +164,13 @@ class TokenPass {
   }
 
   void Normalize(const Norm& norm) {
-    kernels::LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x(),
-                       config_.hidden_size);
+    if (config_.has_norms()) {
+      kernels::LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x(),
+                         config_.hidden_size);
+    }
+    if (float* const largest = token_->context->largest_residual; largest != nullptr) {
+      for (int k = 0; k < config_.hidden_size; ++k) *largest = std::max(*largest, std::abs(x()[k]));
+    }
   }
 
   void Code(const Coder& coder, int site, Stage stage) {
@@ -183,7 +190,7 @@ class TokenPass {
                                          token_->slot());
   }
 
-  // x <- LayerNorm(x + W_O mean_t yhat(t) + b_O).
+  // x <- norm(x + W_O mean_t yhat(t) + b_O).
   void Attend(int layer) {
     const LayerWeights& weights = policy_.weights.layers[layer];
     const PackedLayer<Arithmetic>& packed = packed_.layers[layer];
@@ -282,7 +289,7 @@ class TokenPass {
     for (float& gate : scratch_.gates) gate *= static_cast<float>(config_.heads);
   }
 
-  // x <- LayerNorm(x + W2 (spike count / T) + b2).
+  // x <- norm(x + W2 (spike count / T) + b2).
   void FeedForward(int layer) {
     const LayerWeights& weights = policy_.weights.layers[layer];
     const PackedLayer<Arithmetic>& packed = packed_.layers[layer];
@@ -426,6 +433,11 @@ absl::StatusOr<std::unique_ptr<Engine>> MakeShared(Policy policy, const std::str
 }
 
 }  // namespace
+
+void RecordLargestResidual(Engine::Context& context, float* largest) {
+  SPIKESERVE_DCHECK(dynamic_cast<StreamingContext*>(&context) != nullptr);
+  static_cast<StreamingContext&>(context).largest_residual = largest;
+}
 
 absl::StatusOr<std::unique_ptr<Engine>> MakeSharedSpikingEngine(Policy policy,
                                                                 const std::string& folder) {

@@ -26,6 +26,11 @@ std::unique_ptr<Engine> MakeCompactSpikingEngine(Policy policy);
 absl::StatusOr<std::unique_ptr<Engine>> MakeSharedSpikingEngine(Policy policy,
                                                                 const std::string& folder);
 
+// From now on, raises `largest`, which outlives the context, to the largest magnitude of the
+// residual stream of every token of `context`. REQUIRES: a context of an engine of this file, not
+// in integer arithmetic.
+void RecordLargestResidual(Engine::Context& context, float* largest);
+
 }  // namespace spikeserve
 
 #endif  // CORE_ENGINE_SPIKING_STREAMING_ENGINE_H_

@@ -88,6 +88,33 @@ TEST(EnergyTest, APolicyHasNoFigureUnderAModelThatDoesNotApply) {
   EXPECT_EQ(applying(SmallConfig(Mode::kDense)), " horowitz_45nm");
 }
 
+TEST(EnergyTest, WithoutNormsIntegersAreLimitedAndFloatsAreNot) {
+  Counts counts;
+  counts.coder_gains = 16;
+  const auto joules = [&](NormKind norm, Arithmetic arithmetic) {
+    ModelConfig config = Configured(arithmetic);
+    config.norm = norm;
+    return *EstimateEnergy(EnergyModel::kInt45nm, counts, config);
+  };
+  EXPECT_NEAR(joules(NormKind::kNone, Arithmetic::kInteger) -
+                  joules(NormKind::kLayer, Arithmetic::kInteger),
+              0.1 * 16 * kPico, 1e-9 * kPico);
+  EXPECT_EQ(joules(NormKind::kNone, Arithmetic::kInt8),
+            joules(NormKind::kLayer, Arithmetic::kInt8));
+}
+
+// Every element that a norm would get is coded once, so the account counts limits by the coders.
+TEST(EnergyTest, EveryElementOfTheStreamIsCodedOnce) {
+  ModelConfig config;
+  for (config.layers = 1; config.layers < 4; ++config.layers) {
+    for (const TokenKind kind : {TokenKind::kAction, TokenKind::kReturn, TokenKind::kState}) {
+      Counts counts;
+      AddTokenCosts(config, kind, 60, &counts);
+      EXPECT_EQ(counts.coder_gains, counts.layer_norm_elements);
+    }
+  }
+}
+
 TEST(EnergyTest, ABernoulliCoderHasNoMembranes) {
   ModelConfig config = Configured(Arithmetic::kInt8);
   config.coder = CoderKind::kBernoulli;

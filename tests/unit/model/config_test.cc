@@ -23,6 +23,8 @@ TEST(ConfigNames, RoundTrip) {
     EXPECT_EQ(ToString(*ParseEnum<Merge>("merge", name)), name);
   for (const char* name : {"softmax", "sigmoid"})
     EXPECT_EQ(ToString(*ParseEnum<Gate>("gate", name)), name);
+  for (const char* name : {"layer", "none"})
+    EXPECT_EQ(ToString(*ParseEnum<NormKind>("norm", name)), name);
   for (const char* name : {"float32", "int8", "integer"})
     EXPECT_EQ(ToString(*ParseEnum<Arithmetic>("arithmetic", name)), name);
 }
@@ -84,6 +86,8 @@ TEST(ModelConfig, ValidateNamesTheField) {
       {{.membrane_decay = nan}, "membrane_decay: expected 0 to 1, received nan"},
       {{.threshold = 0.0f}, "threshold: expected a positive finite number, received 0"},
       {{.threshold = infinity}, "threshold: expected a positive finite number, received inf"},
+      {{.mode = Mode::kDense, .norm = NormKind::kNone},
+       "norm: expected layer in mode dense, received none"},
       {{.mode = Mode::kDense, .arithmetic = Arithmetic::kInt8},
        "arithmetic: expected float32 in mode dense, received int8"},
       {{.membrane_decay = 1.0f, .arithmetic = Arithmetic::kInt8},

@@ -136,6 +136,24 @@ TEST_F(PolicyFileRefusalTest, RelativeBias) {
                  {set("relative_bias", false),
                   "tensor \"layers.0.attention.relative\": not expected in a policy of mode full "
                   "in float32"}},
+              SmallPolicy(config));
+}
+
+TEST_F(PolicyFileRefusalTest, Norms) {
+  const auto set = [](const json& value) {
+    return [=](Safetensors& c) {
+      json config = json::parse(c.metadata["config"]);
+      config["norm"] = value;
+      c.metadata["config"] = config.dump();
+    };
+  };
+  ExpectRefused({{set("batch"), "config.norm: expected layer or none, received \"batch\""},
+                 {set("none"),
+                  "tensor \"embed.action.norm.bias\": not expected in a policy of mode full in "
+                  "float32 without norms"}});
+  ModelConfig config = SmallConfig();
+  config.norm = NormKind::kNone;
+  ExpectRefused({{set("layer"), "tensor \"embed.return.norm.weight\": expected, but missing"}},
                 SmallPolicy(config));
 }
 

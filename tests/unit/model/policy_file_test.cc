@@ -12,6 +12,7 @@
 
 #include "core/model/safetensors.h"
 #include "core/quantize/quantize.h"
+#include "core/quantize/quantize_integer.h"
 #include "nlohmann/json.hpp"
 #include "tests/support/files.h"
 #include "tests/support/small_policy.h"
@@ -93,6 +94,18 @@ TEST_F(PolicyFileTest, IntegerPoliciesRoundTripBitForBit) {
       config.merge = merge;
       ExpectRoundTrip(*Quantize(SmallPolicy(config)), Path());
     }
+  }
+}
+
+TEST_F(PolicyFileTest, PoliciesWithoutNormsRoundTripBitForBit) {
+  for (const Mode mode : {Mode::kBaseline, Mode::kFull}) {
+    ModelConfig config = SmallConfig(mode);
+    config.norm = NormKind::kNone;
+    const Policy policy = SmallPolicy(config);
+    ExpectRoundTrip(policy, Path());
+    EXPECT_THAT(*FormatPolicyFile(policy), testing::Not(HasSubstr(".norm.")));
+    ExpectRoundTrip(*Quantize(policy), Path());
+    ExpectRoundTrip(*QuantizeToInteger(policy), Path());
   }
 }
 

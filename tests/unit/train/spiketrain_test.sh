@@ -284,6 +284,30 @@ refuses '--ticks: expected 1 to 256, received 0' train --data=data.cbor --init=w
   --no_baselines >/dev/null 2>&1 || fail "a policy cannot go on with fewer ticks"
 grep -aq '"ticks":1[,}]' fewer/policy.safetensors || grep -aq 'ticks\\":1[,}]' fewer/policy.safetensors ||
   fail "fewer/policy.safetensors has not one tick"
+# Norms that fade leave a policy without any, which trains on and becomes integers. Another policy with norms may fade, too.
+fade() { "$spiketrain" train --data=data.cbor --batch=4 --episodes=2 --no_baselines "$@"; }
+fade --norm=fade --out=faded "${tiny[@]}" --iterations=10 >faded.txt 2>/dev/null
+grep -q '^shape: .*, no norms$' faded.txt || fail "the shape: $(cat faded.txt)"
+says faded/policy.safetensors '\"norm\":\"none\"'
+! grep -aq '\.norm\.' faded/policy.safetensors || fail "norms are left"
+cp -r faded faded2
+rm faded2/policy.safetensors
+fade --norm=fade --out=faded2 "${tiny[@]}" --iterations=10 --resume >faded2.txt 2>/dev/null
+cmp <(grep -v '^policy:' faded.txt) <(grep -v '^policy:' faded2.txt)
+fade --init=faded/policy.safetensors --out=faded-on --iterations=2 >/dev/null 2>&1 || fail "no training without norms"
+says faded-on/policy.safetensors '\"norm\":\"none\"'
+fade --init=whole/policy.safetensors --norm=fade --out=faded-late --iterations=3 >/dev/null 2>&1 || fail "no late fading"
+"$spiketrain" quantize --to=integer --policy=faded-on/policy.safetensors --out=faded-integer/policy.safetensors --episodes=2 \
+  >/dev/null 2>&1 || fail "no integers without norms"
+"$spiketrain" account --policy=faded-integer/policy.safetensors --episodes=1 >account.txt
+grep -q '^residual_limit ' account.txt || fail "no limits: $(cat account.txt)"
+refuses '--norm: expected layer for a policy without norms, received fade' \
+  train --data=data.cbor --init=faded/policy.safetensors --out=x --norm=fade
+refuses '--norm: expected layer in mode dense, received fade' train --data=data.cbor --out=x --mode=dense --norm=fade
+refuses '--norm: expected layer with arithmetic int8, received fade' \
+  train --data=data.cbor --out=x --arithmetic=int8 --norm=fade
+refuses '--arithmetic=integer: expected a policy with norms, received one without; `spiketrain quantize --to=integer` '\
+'converts a trained one' train --data=data.cbor --init=faded/policy.safetensors --out=x --arithmetic=integer
 refuses '--env: expected CartPole-v1 as in --data, received Acrobot-v1' train --data=data.cbor --env=Acrobot-v1 --out=x
 refuses 'none.safetensors: no such file' eval --policy=none.safetensors
 refuses '--steps: expected no such flag beside --data, received 5' train --data=data.cbor --out=x --steps=5

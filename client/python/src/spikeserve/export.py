@@ -102,7 +102,7 @@ def tensor_shapes(config: ModelConfig, observation_size: int, action_size: int) 
     inputs = {"return": 1, "state": states, "action": action_size}
     for modality, size in inputs.items():
         shapes |= _linear(f"embed.{modality}", d, size)
-        shapes |= _pair(f"embed.{modality}.norm", "weight", d)
+        shapes |= _norm(config, f"embed.{modality}.norm")
     if config.is_dense:
         shapes["embed.timestep.weight"] = (None, d)
     if config.has_phase:
@@ -134,10 +134,10 @@ def _layer_shapes(config: ModelConfig, layer: str) -> dict[str, Shape]:
         shapes |= _linear(f"{layer}.routing.hidden", config.routing_hidden_size, d)
         shapes |= _linear(f"{layer}.routing.gate", config.heads, config.routing_hidden_size)
     shapes |= _linear(f"{attention}.output", d, config.merged_size)
-    shapes |= _pair(f"{attention}.norm", "weight", d)
+    shapes |= _norm(config, f"{attention}.norm")
     shapes |= _linear(f"{layer}.ffn.hidden", config.ffn_size, d)
     shapes |= _linear(f"{layer}.ffn.output", d, config.ffn_size)
-    shapes |= _pair(f"{layer}.ffn.norm", "weight", d)
+    shapes |= _norm(config, f"{layer}.ffn.norm")
     return shapes | (integer_shapes(config, layer) if config.is_int8 else {})
 
 
@@ -147,6 +147,10 @@ def _linear(name: str, outputs: int, inputs: int) -> dict[str, Shape]:
 
 def _pair(name: str, factor: str, size: int) -> dict[str, Shape]:
     return {f"{name}.{factor}": (size,), f"{name}.bias": (size,)}
+
+
+def _norm(config: ModelConfig, name: str) -> dict[str, Shape]:
+    return _pair(name, "weight", config.hidden_size) if config.has_norms else {}
 
 
 def _action_size(space: ActionSpace) -> int:
@@ -174,6 +178,8 @@ def _config_values(config: ModelConfig) -> dict[str, Any]:
     for field in ("observation_changes", "relative_bias"):
         if not values[field]:
             del values[field]
+    if config.has_norms:
+        del values["norm"]
     return values
 
 

@@ -33,6 +33,7 @@ class ModelConfig:
     merge: str = "sum"  # or concat
     gate: str = "softmax"  # or sigmoid
     arithmetic: str = "float32"  # of the spike-driven weights; or int8
+    norm: str = "layer"  # after each addition to the residual stream; or none
     # Whether the state token also contains the change of the observation since the last timestep.
     observation_changes: bool = False
     # Whether attention adds a learned number to a score, by head and distance in tokens.
@@ -45,6 +46,7 @@ class ModelConfig:
         "merge": ("sum", "concat"),
         "gate": ("softmax", "sigmoid"),
         "arithmetic": ("float32", "int8"),
+        "norm": ("layer", "none"),
     }
     # The largest sizes that the server accepts.
     LIMITS: ClassVar[dict[str, int]] = {
@@ -75,6 +77,7 @@ class ModelConfig:
         check(0 <= self.membrane_decay <= 1, "membrane_decay", "0 to 1", self.membrane_decay)
         fits = bool(0 < np.float32(self.threshold) < np.inf)
         check(fits, "threshold", "a positive finite number", self.threshold)
+        check(self.has_norms or not self.is_dense, "norm", "layer in mode dense", repr(self.norm))
         if self.is_int8:
             check(not self.is_dense, "arithmetic", "float32 in mode dense", repr(self.arithmetic))
             fits = np.rint(np.float32(self.membrane_decay) * np.float32(32768)) <= 32767
@@ -90,6 +93,11 @@ class ModelConfig:
     def is_dense(self) -> bool:
         """Returns whether the model is a decision transformer without spikes, for comparison."""
         return self.mode == "dense"
+
+    @property
+    def has_norms(self) -> bool:
+        """Returns whether the model has LayerNorms."""
+        return self.norm == "layer"
 
     @property
     def has_phase(self) -> bool:

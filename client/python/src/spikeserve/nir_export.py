@@ -107,7 +107,7 @@ def _thresholds(
 
 
 def _manifest(config: ModelConfig, tensors: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    steps = [_host("embedding and LayerNorm of the token", "d numbers")]
+    steps = [_host(f"embedding{_norm(config, ' and ')} of the token", "d numbers")]
     for layer in range(config.layers):
         steps += _layer_steps(f"layers.{layer}", config)
     steps.append(_host("state token: coder readout.coder", "firing rates"))
@@ -132,6 +132,10 @@ def _manifest(config: ModelConfig, tensors: dict[str, NDArray[Any]]) -> dict[str
     }
 
 
+def _norm(config: ModelConfig, before: str) -> str:
+    return f"{before}LayerNorm" if config.has_norms else ""
+
+
 def _host(does: str, passes_on: str) -> dict[str, str]:
     return {"on": "host", "does": does, "passes_on": passes_on}
 
@@ -149,10 +153,11 @@ def _layer_steps(layer: str, config: ModelConfig) -> list[dict[str, str]]:
         _host(f"LIF neurons of {layer}.coder under constant currents", f"spikes{phase}"),
         *(_chip(f"{attention}.{part}") for part in ("key", "value", "query")),
         _host(
-            f"softmax attention over the window{biases}, {gates}, {attention}.output, LayerNorm",
+            f"softmax attention over the window{biases}, {gates}, {attention}.output"
+            f"{_norm(config, ', ')}",
             "d numbers",
         ),
         _host(f"LIF neurons of {layer}.ffn.coder under constant currents", "spikes"),
         _chip(f"{layer}.ffn.hidden"),
-        _host(f"{layer}.ffn.output of the spike counts, LayerNorm", "d numbers"),
+        _host(f"{layer}.ffn.output of the spike counts{_norm(config, ', ')}", "d numbers"),
     ]

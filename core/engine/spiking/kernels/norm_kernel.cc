@@ -85,6 +85,14 @@ void NormalizeImpl(const PackedNorm& norm, int32_t* sums, int16_t* x) {
   }
 }
 
+void AddLimitedImpl(int width, const int32_t* sums, int16_t* x) {
+  const I32 d;
+  for (int k = 0; k < width; k += kVector) {
+    const auto value = Saturate(hn::Add(hn::LoadU(d, sums + k), LoadWide16(x + k)));
+    hn::StoreU(hn::DemoteTo(Narrow(), value), Narrow(), x + k);
+  }
+}
+
 }  // namespace
 }  // namespace spikeserve::kernels::HWY_NAMESPACE
 HWY_AFTER_NAMESPACE();
@@ -93,9 +101,14 @@ HWY_AFTER_NAMESPACE();
 namespace spikeserve::kernels {
 
 HWY_EXPORT(NormalizeImpl);
+HWY_EXPORT(AddLimitedImpl);
 
 void Normalize(const PackedNorm& norm, int32_t* sums, int16_t* x) {
   HWY_DYNAMIC_DISPATCH(NormalizeImpl)(norm, sums, x);
+}
+
+void AddLimited(int width, const int32_t* sums, int16_t* x) {
+  HWY_DYNAMIC_DISPATCH(AddLimitedImpl)(width, sums, x);
 }
 
 }  // namespace spikeserve::kernels

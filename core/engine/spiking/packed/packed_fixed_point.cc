@@ -35,6 +35,7 @@ PackedFixedPointMap Pack(const FixedPointMap& map) {
 
 PackedNorm Pack(const FixedPointNorm& norm) {
   PackedNorm packed;
+  if (norm.weight.shape.empty()) return packed;
   packed.size = norm.weight.shape[0];
   packed.width = PadToLanes(packed.size);
   packed.shift = norm.shift.values[0];

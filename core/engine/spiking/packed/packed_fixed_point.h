@@ -40,7 +40,7 @@ struct PackedPeriodCoder {
   AlignedVector<int16_t> threshold;  // [T][width]
 };
 
-// A FixedPointNorm. Lanes that are padding have weight and bias 0.
+// A FixedPointNorm, which may be empty. Lanes that are padding have weight and bias 0.
 struct PackedNorm {
   int size = 0;
   int width = 0;  // number of all lanes

@@ -71,6 +71,25 @@ TEST(FixedPointKernelsTest, NormsOfAllMagnitudesEqualTheEquation) {
   });
 }
 
+TEST(FixedPointKernelsTest, WithoutANormTheStreamStaysWithinItsLimits) {
+  OnEverySimdTarget([] {
+    for (const int size : {1, 31, 64, 129}) {
+      const int width = PadToLanes(size);
+      std::vector<int16_t> x(width), expected(width);
+      std::vector<int32_t> sums(width);
+      for (int k = 0; k < size; ++k) {
+        x[k] = static_cast<int16_t>(Draw(-32767, 32767, 1, k));
+        sums[k] = Draw(-(1 << 30), 1 << 30, 2, k) >> (k % 16);
+        expected[k] = static_cast<int16_t>(SaturateResidual(int64_t{x[k]} + sums[k]));
+      }
+      sums[0] = 2147483647 - 32767;  // the largest sum that a policy file allows
+      expected[0] = 32767;
+      kernels::AddLimited(width, sums.data(), x.data());
+      EXPECT_EQ(x, expected) << size;
+    }
+  });
+}
+
 TEST(FixedPointKernelsTest, SquareRootsAreRoundedDown) {
   for (const uint32_t root : {1u, 2u, 255u, 32768u, 46341u, 65534u, 65535u}) {
     EXPECT_EQ(SquareRoot(root * root), root);

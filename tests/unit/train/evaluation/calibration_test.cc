@@ -69,6 +69,44 @@ TEST(CalibrationTest, EveryNeuronThatFiresIsNeeded) {
   }
 }
 
+TEST(CalibrationTest, TheLargestResidualDecidesTheFractionBitsOfAPolicyWithoutNorms) {
+  ModelConfig config = SmallConfig();
+  config.norm = NormKind::kNone;
+  Policy policy = SmallPolicy(config, ActionSpace::Discrete(2), 1);
+  policy.environment = "CartPole-v1";
+  const auto episodes = PlayCalibrationEpisodes(policy);
+  ASSERT_TRUE(episodes.ok()) << episodes.status();
+  const float largest = LargestResidual(policy, *episodes);
+  EXPECT_GT(largest, 0.0f);
+  // The stream is linear in the embeddings and in the maps that are added to it.
+  Policy larger = policy;
+  Weights& weights = larger.weights;
+  const auto scale = [](auto& values, float factor) {
+    for (float& value : values) value *= factor;
+  };
+  const auto scale_map = [&](Linear& map) {
+    scale(map.weight.values, 64.0f);
+    scale(map.bias.values, 64.0f);
+  };
+  scale_map(weights.embed_return.linear);
+  scale_map(weights.embed_state.linear);
+  scale_map(weights.embed_action.linear);
+  for (LayerWeights& layer : weights.layers) {
+    scale(layer.coder.gain.values, 1.0f / 64.0f);
+    scale_map(layer.attention_output);
+    scale(layer.ffn_coder.gain.values, 1.0f / 64.0f);
+    scale_map(layer.ffn_output);
+  }
+  scale(weights.readout_coder.gain.values, 1.0f / 64.0f);
+  EXPECT_EQ(LargestResidual(larger, *episodes), 64.0f * largest);
+  const auto fraction = [](const Policy& from, float residual) {
+    return QuantizeToInteger(from, {.largest_residual = residual})->config.residual_fraction;
+  };
+  EXPECT_EQ(fraction(policy, 6.0f), 12);
+  EXPECT_EQ(fraction(policy, 6.5f), 11);  // 1.25 * 6.5 exceeds 8
+  EXPECT_EQ(fraction(policy, 384.0f), 6);
+}
+
 TEST(CalibrationTest, AnEnvironmentThatIsNotOursIsNotFound) {
   Policy policy = IntegerPolicy(0.0f);
   policy.environment = "Unknown-v0";

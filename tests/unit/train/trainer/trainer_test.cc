@@ -76,6 +76,40 @@ TEST_F(TrainerTest, ResumedRunEqualsTheUninterruptedOne) {
   EXPECT_NE(AllWeights(second), AllWeights(first));
 }
 
+// The running moments are part of a checkpoint. No other state of fading norms is.
+TEST_F(TrainerTest, ARunWhoseNormsFadeEndsWithoutThemAndCanBeResumed) {
+  const std::string path = testing::TempDir() + "/fade.pt";
+  TrainOptions options = options_;
+  options.norm = NormTraining::kFade;
+  Trainer whole(Initial(), source_, options);
+  while (!whole.done()) ASSERT_TRUE(whole.Step().ok());
+  const Policy policy = whole.CurrentPolicy();
+  EXPECT_EQ(policy.config.norm, NormKind::kNone);
+  EXPECT_TRUE(policy.Validate().ok()) << policy.Validate();
+  for (const int resumed_at : {3, 7}) {  // before and after the norms are gone
+    Trainer first(Initial(), source_, options);
+    for (int i = 0; i < resumed_at; ++i) ASSERT_TRUE(first.Step().ok());
+    ASSERT_TRUE(first.SaveCheckpoint(path).ok());
+    Trainer second(Initial(), source_, options);
+    ASSERT_TRUE(second.LoadCheckpoint(path).ok());
+    EXPECT_EQ(second.ValidationLoss(), first.ValidationLoss());
+    while (!second.done()) ASSERT_TRUE(second.Step().ok());
+    EXPECT_EQ(AllWeights(second), AllWeights(whole));
+  }
+  Trainer other(Initial(), source_, options_);
+  EXPECT_THAT(std::string(other.LoadCheckpoint(path).message()), HasSubstr("--norm=fade"));
+}
+
+TEST_F(TrainerTest, APolicyWithoutNormsTrainsOn) {
+  ModelConfig config = SmallConfig();
+  config.norm = NormKind::kNone;
+  Trainer trainer(Initial(config), source_, options_);
+  const std::vector<float> before = AllWeights(trainer);
+  while (!trainer.done()) ASSERT_TRUE(trainer.Step().ok());
+  EXPECT_NE(AllWeights(trainer), before);
+  EXPECT_EQ(trainer.CurrentPolicy().config.norm, NormKind::kNone);
+}
+
 // A constant rate does not know how long the training is; without penalties nothing else does.
 TEST_F(TrainerTest, WithAConstantRateALongerRunBeginsAsAShortOne) {
   const auto weights_after_four = [&](Schedule schedule, int iterations) {
@@ -463,6 +497,13 @@ TEST(TrainOptionsTest, BadOptionsAreNamed) {
             "threads: expected at least 1, received 0");
   EXPECT_EQ(With([](TrainOptions& o) { o.plasticity.trace_decay = 2.0; }).Validate().message(),
             "trace_decay: expected 0 to 1, received 2");
+  EXPECT_EQ(With([](TrainOptions& o) {
+              o.norm = NormTraining::kFade;
+              o.arithmetic = Arithmetic::kInt8;
+            })
+                .Validate()
+                .message(),
+            "norm: expected layer with arithmetic int8, received fade");
 }
 
 }  // namespace

@@ -1,0 +1,19 @@
+// Moves norms that are affine maps into the maps and coders around them.
+//
+// Pure and thread-safe.
+#ifndef TRAIN_MODEL_FOLD_NORMS_H_
+#define TRAIN_MODEL_FOLD_NORMS_H_
+
+#include "core/model/policy.h"
+
+namespace spikeserve {
+
+// Removes the norms of a policy whose norms stand for x_k <- weight_k x_k + bias_k. The embeddings,
+// the maps whose outputs are added to the residual stream, and the gains of the coders change, so
+// that every coder gets the same current up to rounding. REQUIRES: a valid policy with norms and
+// spikes in float32.
+void FoldNorms(Policy* policy);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_MODEL_FOLD_NORMS_H_
