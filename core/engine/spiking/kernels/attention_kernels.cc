@@ -1,6 +1,5 @@
 #include "core/engine/spiking/kernels/attention_kernels.h"
 
-#include <limits>
 #include <vector>
 
 #undef HWY_TARGET_INCLUDE
@@ -8,7 +7,7 @@
 // clang-format off
 #include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
 // clang-format on
-#include "core/engine/spiking/kernels/exp-inl.h"
+#include "core/engine/spiking/kernels/biased_weights-inl.h"
 #include "core/engine/spiking/kernels/overlap-inl.h"
 #include "core/engine/spiking/kernels/simd-inl.h"
 #include "hwy/highway.h"
@@ -46,8 +45,6 @@ class HeadAttention {
     scratch->sums.resize(lanes_);
     members_ = scratch->members.data();
     sums_ = scratch->sums.data();
-    scratch->weights.resize(window.slots);
-    weights_ = scratch->weights.data();
   }
 
   Keys& keys() { return keys_; }
@@ -91,79 +88,13 @@ class HeadAttention {
     return products;
   }
 
-  // Computes y if scores have `biases` by distance [2 S]. Without overlaps the scores are the
-  // biases. All sums run from the oldest to the newest token. Returns the sum of the overlaps.
-  uint64_t AttendBiased(int index, bool has_overlaps, float scale, const float* biases, float* y) {
-    WeighSlots(has_overlaps ? keys_.BySlot() : nullptr, scale,
-               biases + window_.slots - 1 - window_.last);
-    float total = 0.0f;
-    int slot = window_.first;
-    for (int i = 0; i < valid_count_; ++i) {
-      total += weights_[slot];
-      slot = slot + 1 < window_.slots ? slot + 1 : 0;
-    }
-    WeighValues(index);
-    Scale(1.0f / total, y);
-    return has_overlaps ? keys_.Sum() : 0;
+  // Computes y from the weights of keys whose scores have biases by distance.
+  void AttendWeighted(int index, const BiasedWeights& weights, float* y) {
+    weights.SumValues(index, sums_);
+    Scale(1.0f / weights.total(), y);
   }
 
  private:
-  // Sets weights_ to exp(score - best score). `overlaps` is null if all are 0.
-  void WeighSlots(const uint32_t* overlaps, float scale, const float* biases) {
-    const F32 d;
-    const auto worst = hn::Set(d, -std::numeric_limits<float>::infinity());
-    auto highest = worst;
-    for (int slot = 0; slot < window_.slots; slot += kVector) {
-      auto score = hn::LoadU(d, biases + slot);
-      if (overlaps != nullptr) {
-        const auto overlap =
-            hn::ConvertTo(d, hn::BitCast(I32(), hn::LoadU(U32(), overlaps + slot)));
-        score = hn::Add(hn::Mul(hn::Set(d, scale), overlap), score);
-      }
-      hn::StoreU(score, d, weights_ + slot);
-      const auto valid = MaskFromBits(d, window_.valid[slot / kWordSlots] >> (slot % kWordSlots));
-      highest = hn::Max(highest, hn::IfThenElse(valid, score, worst));
-    }
-    const auto best = hn::Set(d, hn::GetLane(hn::MaxOfLanes(d, highest)));
-    for (int slot = 0; slot < window_.slots; slot += kVector) {
-      hn::StoreU(Exp(hn::Sub(hn::LoadU(d, weights_ + slot), best)), d, weights_ + slot);
-    }
-  }
-
-  // Sets each sum to the sum of the weights of the valid slots that have its value bit.
-  void WeighValues(int index) {
-    const F32 d;
-    const uint32_t* const plane = window_.plane(window_.values[index]);
-    const uint32_t* const occupied = Occupied(index);
-    const int first = window_.first / kWordSlots;  // the block of the oldest token
-    // The slots of this block before the oldest token belong to the newest ones.
-    const uint32_t newest = (1u << (window_.first % kWordSlots)) - 1;
-    for (int lane = 0; lane < lanes_; lane += kWordSlots) {
-      hn::Vec<F32> sums[kVectorsPerWord];
-      for (auto& sum : sums) sum = hn::Zero(d);
-      for (int i = 0; i <= blocks_; ++i) {
-        const int block = (first + i) % blocks_;
-        uint32_t slots = window_.valid[block] & occupied[block];
-        if (i == 0) slots &= ~newest;
-        if (i == blocks_) slots &= newest;
-        const uint32_t* const values = plane + static_cast<size_t>(block) * lanes_ + lane;
-        for (; slots != 0; slots &= slots - 1) {
-          const int bit = __builtin_ctz(slots);
-          const auto own = hn::Set(U32(), 1u << bit);
-          const auto weight = hn::Set(d, weights_[block * kWordSlots + bit]);
-          for (int v = 0; v < kVectorsPerWord; ++v) {
-            const auto bits = hn::LoadU(U32(), values + v * kVector);
-            const auto has_value = hn::RebindMask(d, hn::TestBit(bits, own));
-            sums[v] = hn::Add(sums[v], hn::IfThenElseZero(has_value, weight));
-          }
-        }
-      }
-      for (int v = 0; v < kVectorsPerWord; ++v) {
-        hn::StoreU(sums[v], d, sums_ + lane + v * kVector);
-      }
-    }
-  }
-
   const uint32_t* Occupied(int index) const {
     return window_.occupied + static_cast<size_t>(index) * blocks_;
   }
@@ -236,7 +167,6 @@ class HeadAttention {
   const uint32_t* const group_;
   Members* members_;
   float* sums_;
-  float* weights_;
 };
 
 HWY_INLINE bool HasBit(const uint64_t* bits, int i) { return (bits[i / 64] >> (i % 64) & 1u) != 0; }
@@ -271,6 +201,7 @@ Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const 
                     float* y) {
   Scratch& scratch = ThreadScratch();
   HeadAttention<Keys> attention(window, &scratch);
+  BiasedWeights weights(window, scores, &scratch);
   const int size = window.ticks * window.heads;
   scratch.meeting.resize((size + 63) / 64);
   FindNonzeroImpl(query, size, window.words, scratch.meeting.data());
@@ -288,9 +219,9 @@ Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const 
         Clear(head_y, window.head_size);
         if (has_overlaps) attended.products += attention.keys().Sum();
       } else if (scores.biases != nullptr) {
-        const float* const biases = scores.biases + 2 * static_cast<size_t>(head) * window.slots;
-        attended.products +=
-            attention.AttendBiased(i, has_overlaps, scores.scale[head], biases, head_y);
+        weights.Weigh(head, has_overlaps ? attention.keys().BySlot() : nullptr);
+        attention.AttendWeighted(i, weights, head_y);
+        if (has_overlaps) attended.products += attention.keys().Sum();
       } else if (!has_overlaps) {
         attention.AttendUniformly(i, head_y);
       } else {

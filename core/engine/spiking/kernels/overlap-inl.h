@@ -38,7 +38,8 @@ struct Scratch {
   std::vector<uint32_t> remaining;    // [S / 32]: valid slots that belong to no group yet
   std::vector<uint32_t> group;        // [S / 32]: valid slots of equal overlap
   std::vector<Members> members;       // [S / 32]
-  std::vector<float> weights;         // [S]
+  std::vector<float> weights;         // see BiasedWeights
+  std::vector<float> totals;          // see BiasedWeights
   std::vector<float> sums;            // [32 W]
 };
 
