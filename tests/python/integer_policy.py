@@ -210,11 +210,10 @@ class IntegerPolicy:
     def _attend_biased(self, overlaps, values, scale, relative):
         scores = scale * overlaps.astype(np.float32) + relative[: len(overlaps)][::-1]  # the last token asks
         weights = exp(scores - scores.max())
-        y, total = np.zeros(self.head_size, np.float32), np.float32(0)
+        y = np.zeros(self.head_size, np.float32)
         for weight, value in zip(weights, values, strict=True):
-            total += weight
             y += weight * value.astype(np.float32)
-        return y * (np.float32(1) / total)
+        return y * (np.float32(1) / ordered_sum(weights))
 
     def _gates(self, layer, y):
         if self.config["mode"] not in ("route", "full"):

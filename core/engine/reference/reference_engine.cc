@@ -186,7 +186,8 @@ class ReferencePass {
   }
 
   // Returns y_h(t) of one token at one tick and head if scores have biases by distance: [d_h]. The
-  // sums run from the oldest to the newest token. `keys` are overlaps and tokens.
+  // sums run from the oldest to the newest token, that of the weights by OrderedSum. `keys` are
+  // overlaps and tokens.
   std::vector<float> AttendBiased(int layer, const std::vector<std::pair<int, size_t>>& keys,
                                   size_t i, int tick, int head) {
     const LayerWeights& weights = policy_.weights.layers[layer];
@@ -200,15 +201,13 @@ class ReferencePass {
     const float best = *std::max_element(scores.begin(), scores.end());
     const int size = config_.head_size();
     std::vector<float> y(size, 0.0f);
-    float sum = 0.0f;
     for (size_t n = 0; n < keys.size(); ++n) {
       scores[n] = Exp(scores[n] - best);
-      sum += scores[n];
       for (int k = 0; k < size; ++k) {
         if (values_[keys[n].second][tick][head * size + k]) y[k] += scores[n];
       }
     }
-    const float inverse = 1.0f / sum;
+    const float inverse = 1.0f / OrderedSum(scores.data(), scores.size());
     for (float& value : y) value *= inverse;
     if (trace_ != nullptr && i + 1 == tokens_.size()) {
       for (const float weight : scores) {

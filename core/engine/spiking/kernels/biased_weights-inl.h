@@ -1,11 +1,13 @@
 // Softmax weights of keys whose scores have biases by distance: kernels of attention. Compiled once
 // per SIMD target; only attention_kernels.cc may include it.
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
 
 #include "core/engine/spiking/kernels/attention_kernels.h"
 #include "core/engine/spiking/kernels/exp-inl.h"
+#include "core/engine/spiking/kernels/ordered_sum-inl.h"
 #include "core/engine/spiking/kernels/overlap-inl.h"
 #include "core/engine/spiking/kernels/simd-inl.h"
 #include "hwy/highway.h"
@@ -22,19 +24,21 @@ HWY_BEFORE_NAMESPACE();
 namespace spikeserve::kernels::HWY_NAMESPACE {
 namespace {
 
-// The weights of one window's keys. All sums run from the oldest to the newest token.
+// The weights of one window's keys. Its methods are not inlined, because attention without biases,
+// which shares their loop, would be slower. All sums run from the oldest to the newest token, that
+// of the weights as in core/math/layer_norm.h.
 class BiasedWeights {
  public:
   BiasedWeights(const AttentionWindow& window, const HeadScores& scores, Scratch* scratch)
       : window_(window), scores_(scores), scratch_(*scratch) {
     if (scores.biases == nullptr) return;
     // One row for each head without overlaps, which is the same at every tick, and one with them.
-    scratch->weights.resize(static_cast<size_t>(window.heads + 1) * window.slots);
+    scratch->weights.resize(static_cast<size_t>(window.heads + 1) * 2 * window.slots);
     scratch->totals.assign(window.heads + 1, 0.0f);
   }
 
   // Weighs the keys of a head. `overlaps` [S] is null if all are 0.
-  void Weigh(int head, const uint32_t* overlaps) {
+  HWY_NOINLINE void Weigh(int head, const uint32_t* overlaps) {
     row_ = overlaps == nullptr ? head : window_.heads;
     if (overlaps == nullptr && total() != 0.0f) return;
     SetScores(head, overlaps);
@@ -46,7 +50,7 @@ class BiasedWeights {
 
   // Sets sums[0, 32 W) to the sums of the weights of the valid slots with each value bit. `index`
   // is the number of the tick and head.
-  void SumValues(int index, float* sums) const {
+  HWY_NOINLINE void SumValues(int index, float* sums) const {
     const F32 d;
     const int blocks = window_.slots / kWordSlots;
     const int lanes = kWordSlots * window_.words;
@@ -81,8 +85,9 @@ class BiasedWeights {
   }
 
  private:
+  // Returns the weights of the slots, twice, so that the tokens of the ring are consecutive: [2 S].
   float* weights() const {
-    return scratch_.weights.data() + static_cast<size_t>(row_) * window_.slots;
+    return scratch_.weights.data() + static_cast<size_t>(row_) * 2 * window_.slots;
   }
 
   // Sets the weights of the slots to exp(score - best score).
@@ -107,19 +112,21 @@ class BiasedWeights {
     }
     const auto best = hn::Set(d, hn::GetLane(hn::MaxOfLanes(d, highest)));
     for (int slot = 0; slot < window_.slots; slot += kVector) {
-      hn::StoreU(Exp(hn::Sub(hn::LoadU(d, weights + slot), best)), d, weights + slot);
+      const auto weight = Exp(hn::Sub(hn::LoadU(d, weights + slot), best));
+      hn::StoreU(weight, d, weights + slot);
+      hn::StoreU(weight, d, weights + window_.slots + slot);
     }
   }
 
   float Sum() const {
-    const float* const weights = this->weights();
-    const bool wraps = window_.last < window_.first;
-    const int end = wraps ? window_.slots : window_.last + 1;
-    float sum = 0.0f;
-    for (int slot = window_.first; slot < end; ++slot) sum += weights[slot];
-    if (!wraps) return sum;
-    for (int slot = 0; slot <= window_.last; ++slot) sum += weights[slot];
-    return sum;
+    const F32 d;
+    const float* const oldest = weights() + window_.first;
+    const int last = window_.last + (window_.last < window_.first ? window_.slots : 0);
+    const int tokens = last - window_.first + 1;
+    return OrderedSum(tokens, [&](int i) HWY_ATTR {
+      const auto exists = hn::FirstN(d, static_cast<size_t>(std::max(0, tokens - i)));
+      return hn::IfThenElseZero(exists, hn::LoadU(d, oldest + i));
+    });
   }
 
   const AttentionWindow& window_;
