@@ -11,6 +11,7 @@
 #include <array>
 #include <string>
 #include <tuple>
+#include <vector>
 
 #include "tests/support/small_policy.h"
 #include "train/model/loss.h"
@@ -45,9 +46,17 @@ std::tuple<Tensor, Tensor, Tensor> LayerNormBackwardOnMeta(
   return {torch::empty_like(x), torch::empty_like(*weight), torch::empty_like(*bias)};
 }
 
+Tensor IndexSelectOnMeta(const Tensor& x, int64_t dimension, const Tensor& index) {
+  EXPECT_TRUE(x.is_meta() && index.is_meta());
+  std::vector<int64_t> shape = x.sizes().vec();
+  shape[dimension] = index.size(0);
+  return torch::empty(shape, x.options());
+}
+
 TORCH_LIBRARY_IMPL(aten, Meta, library) {
   library.impl("relu", ReluOnMeta);
   library.impl("abs.out", AbsOnMeta);
+  library.impl("index_select", IndexSelectOnMeta);
   library.impl("native_layer_norm", LayerNormOnMeta);
   library.impl("native_layer_norm_backward", LayerNormBackwardOnMeta);
 }
