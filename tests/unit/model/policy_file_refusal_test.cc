@@ -136,7 +136,7 @@ TEST_F(PolicyFileRefusalTest, RelativeBias) {
                  {set("relative_bias", false),
                   "tensor \"layers.0.attention.relative\": not expected in a policy of mode full "
                   "in float32"}},
-              SmallPolicy(config));
+                SmallPolicy(config));
 }
 
 TEST_F(PolicyFileRefusalTest, Norms) {
