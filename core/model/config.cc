@@ -66,6 +66,19 @@ absl::Status CheckFixedPoint(const ModelConfig& config) {
   return status;
 }
 
+// Checks that attention is a softmax over the overlaps of spikes, which a bias can be added to.
+absl::Status CheckRelativeBias(const ModelConfig& config) {
+  if (!config.relative_bias) return absl::OkStatus();
+  if (config.is_dense()) {
+    return absl::InvalidArgumentError("relative_bias: expected false in mode dense, received true");
+  }
+  if (config.is_integer() && config.attention == Attention::kLinear) {
+    return absl::InvalidArgumentError(
+        "relative_bias: expected false with attention linear, received true");
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 int ModelConfig::leak_shift() const {
@@ -105,6 +118,7 @@ absl::Status ModelConfig::Validate() const {
   if (is_dense() && !has_norms()) {
     return absl::InvalidArgumentError("norm: expected layer in mode dense, received none");
   }
+  if (absl::Status valid = CheckRelativeBias(*this); !valid.ok()) return valid;
   if (is_integer()) return CheckFixedPoint(*this);
   return arithmetic == Arithmetic::kInt8 ? CheckInteger(*this) : absl::OkStatus();
 }

@@ -95,6 +95,7 @@ std::string FormatConfig(const ModelConfig& config) {
   }
   if (config.is_integer()) VisitIntegerConfig(config, write);
   if (config.observation_changes) object["observation_changes"] = true;
+  if (config.relative_bias) object["relative_bias"] = true;
   if (!config.has_norms()) object["norm"] = std::string(ToString(config.norm));
   return object.dump();
 }
@@ -113,6 +114,7 @@ absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
   VisitConfig(*config, read);
   reader.Optional("arithmetic", &config->arithmetic);
   reader.Optional("observation_changes", &config->observation_changes);
+  reader.Optional("relative_bias", &config->relative_bias);
   reader.Optional("norm", &config->norm);
   if (config->is_integer()) VisitIntegerConfig(*config, read);
   return reader.Finish();

@@ -121,7 +121,13 @@ class Rounding {
     status.Update(RoundSpiking(attention + ".value", layer.value, inputs, &maps.value));
     status.Update(RoundSpiking(name + ".ffn.hidden", layer.ffn_hidden, config_.hidden_size,
                                &maps.ffn_hidden));
-    status.Update(RoundScales(attention + ".scale", layer.scale, &fixed.attention_scale));
+    // A row of attention sums the overlaps of all ticks, so the scale is that of their mean.
+    status.Update(
+        RoundScores(attention + ".scale", layer.scale, config_.ticks, &fixed.attention_scale));
+    if (config_.relative_bias) {
+      status.Update(
+          RoundScores(attention + ".relative", layer.relative, 1, &fixed.attention_relative));
+    }
     if (config_.has_routing()) {
       status.Update(RoundMap(name + ".routing.hidden", layer.routing_hidden, 1.0, kGateFraction,
                              kGateFraction, &fixed.routing_hidden));
@@ -143,12 +149,12 @@ class Rounding {
     return status;
   }
 
-  // A row of attention sums the overlaps of all ticks, so the scale is that of their mean.
-  absl::Status RoundScales(const std::string& name, const Tensor& scale,
-                           Int16Tensor* rounded) const {
-    Tensor octaves = scale;
+  // Rounds `scores` / `divisor` to octaves.
+  static absl::Status RoundScores(const std::string& name, const Tensor& scores, int divisor,
+                                  Int16Tensor* rounded) {
+    Tensor octaves = scores;
     for (float& value : octaves.values) {
-      value = static_cast<float>(value * std::numbers::log2e / config_.ticks);
+      value = static_cast<float>(value * std::numbers::log2e / divisor);
     }
     return RoundNumbers(name, octaves, kScaleFraction, rounded);
   }

@@ -160,9 +160,11 @@ class IntegerEngine:
     def _weights(self, layer, head, overlaps):
         if self.config["attention"] == "linear":
             return overlaps if overlaps.any() else np.ones_like(overlaps)
-        scale = int(self.tensors[f"layers.{layer}.attention.scale"][head])
-        best = overlaps.max() if scale >= 0 else overlaps.min()
-        octaves = round_shift(np.abs(overlaps - best) * abs(scale), 8)
+        scores = int(self.tensors[f"layers.{layer}.attention.scale"][head]) * overlaps
+        if self.config.get("relative_bias"):
+            relative = self.tensors[f"layers.{layer}.attention.relative"][head].astype(np.int64)
+            scores = scores + relative[: len(scores)][::-1]  # the last token asks
+        octaves = round_shift(scores.max() - scores, 8)
         return np.where(octaves > 8, 0, 256 >> np.minimum(octaves, 8))
 
     def _attend(self, layer, query):
@@ -174,7 +176,7 @@ class IntegerEngine:
         for head in range(self.heads):
             part = slice(head * self.head_size, (head + 1) * self.head_size)
             weights = np.ones(len(band), np.int64)
-            if query[:, part].any():
+            if query[:, part].any() or self.config.get("relative_bias"):
                 overlaps = (keys[:, :, part] & query[:, part]).sum(axis=(1, 2)).astype(np.int64)
                 weights = self._weights(layer, head, overlaps)
             total = 256 * (weights[:, None] * values[:, part]).sum(axis=0)

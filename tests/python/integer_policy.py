@@ -187,6 +187,10 @@ class IntegerPolicy:
             for head in range(self.heads):
                 part = slice(head * self.head_size, (head + 1) * self.head_size)
                 overlaps = (keys[:, tick, part] & query[tick, part]).sum(axis=1)
+                if self.config.get("relative_bias"):
+                    relative = self.tensors[f"layers.{layer}.attention.relative"][head]
+                    y.append(self._attend_biased(overlaps, values[:, tick, part], scale[head], relative))
+                    continue
                 y.append(self._attend_head(overlaps, values[:, tick, part], scale[head]))
             gated = self._gates(layer, np.concatenate(y))[:, None] * np.stack(y)
             merged += gated.ravel() if concat else sum(gated)
@@ -202,6 +206,14 @@ class IntegerPolicy:
             total += weight * np.float32(members.sum())
             y += weight * values[members].sum(axis=0).astype(np.float32)
         return y * (np.float32(1) / total)
+
+    def _attend_biased(self, overlaps, values, scale, relative):
+        scores = scale * overlaps.astype(np.float32) + relative[: len(overlaps)][::-1]  # the last token asks
+        weights = exp(scores - scores.max())
+        y = np.zeros(self.head_size, np.float32)
+        for weight, value in zip(weights, values, strict=True):
+            y += weight * value.astype(np.float32)
+        return y * (np.float32(1) / ordered_sum(weights))
 
     def _gates(self, layer, y):
         if self.config["mode"] not in ("route", "full"):

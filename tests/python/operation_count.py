@@ -137,7 +137,7 @@ class CountedIntegerEngine(Counted, IntegerEngine):
         if name.endswith("key"):
             self.moved["keys and values"] += (self.ticks * neurons + 7) // 8
         if name.endswith("value"):
-            values = int(fired.any(axis=0).sum())
+            values = 0 if self.config.get("relative_bias") else int(fired.any(axis=0).sum())
             self.done["attention"] += 2 * values  # into the running sum and out of it
             self.moved["keys and values"] += neurons + 2 * values * 4
         return fired
@@ -149,17 +149,18 @@ class CountedIntegerEngine(Counted, IntegerEngine):
         for head in range(self.heads):
             part = slice(head * size, (head + 1) * size)
             values = np.stack([value[part] for _, value in band])
-            if not query[:, part].any():
+            fires, has_biases = bool(query[:, part].any()), bool(self.config.get("relative_bias"))
+            if not fires and not has_biases:
                 self.done["scaling"] += int(values.any(axis=0).sum())
                 self.moved["keys and values"] += 2 * size
                 continue
             overlaps = np.array([(keys[:, part] & query[:, part]).sum() for keys, _ in band])
             weights = self._weights(layer, head, overlaps)
             met = (weights[:, None] != 0) & (values != 0)
-            self.done["attention"] += int(overlaps.sum()) + int(met.sum())
+            self.done["attention"] += int(overlaps.sum()) + int(met.sum()) + has_biases * len(band)
             self.done["scaling"] += int(met.any(axis=0).sum())
             self.done["softmax"] += len(band)
-            self.moved["keys and values"] += len(band) * ((self.ticks * size + 7) // 8 + size)
+            self.moved["keys and values"] += len(band) * (fires * ((self.ticks * size + 7) // 8) + size)
         return super()._attend(layer, query)
 
     def _gates(self, layer, y):

@@ -27,7 +27,10 @@ CASES = [  # policy, changes of its config, mode of the integer policy, attentio
     ("cartpole-positions-frugal", {"membrane_decay": 1.0}, "baseline", "linear"),
     ("repeat-previous-medium", {}, "pos", "shiftmax"),
     ("minigrid-memory", {}, "baseline", "shiftmax"),
+    ("pendulum", {"relative_bias": True}, "baseline", "shiftmax"),
+    ("cartpole", {"relative_bias": True}, "full", "shiftmax"),
     ("cartpole", {"norm": "none"}, "full", "shiftmax"),  # residuals reach their limits
+    ("cartpole", {"norm": "none", "relative_bias": True}, "baseline", "shiftmax"),
 ]
 
 
@@ -35,6 +38,14 @@ def run(source, target, mode, attention, lines=()):
     text = "".join(json.dumps(line) + "\n" for line in lines)
     command = [PROGRAM, str(source), str(target), mode, attention]
     return subprocess.run(command, input=text, capture_output=True, text=True, timeout=120, check=False)
+
+
+def add_biases(tensors, config):
+    """Adds random biases by distance."""
+    random = np.random.default_rng(2)
+    for layer in range(config["layers"]):
+        biases = random.uniform(-3, 3, (config["heads"], 3 * config["context"]))
+        tensors[f"layers.{layer}.attention.relative"] = biases.astype(np.float32)
 
 
 def episode(tensors, action_size):
@@ -52,8 +63,11 @@ def episode(tensors, action_size):
 @pytest.mark.parametrize(("name", "changes", "mode", "attention"), CASES)
 def test_every_decision_is_that_of_the_page(tmp_path, name, changes, mode, attention):
     tensors, metadata = read_policy(SHIPPED_POLICIES / name / "1/policy.safetensors")
-    metadata["config"] = json.dumps(json.loads(metadata["config"]) | changes)
-    if changes.get("norm") == "none":
+    config = json.loads(metadata["config"]) | changes
+    metadata["config"] = json.dumps(config)
+    if "relative_bias" in changes:
+        add_biases(tensors, config)
+    if "norm" in changes:
         tensors, metadata = without_norms(tensors, metadata)
     source, target = tmp_path / "float32/policy.safetensors", tmp_path / "integer.safetensors"
     write_policy(source, tensors, metadata)

@@ -16,15 +16,6 @@ namespace {
 
 constexpr int64_t kRowsPerTask = 64;
 
-// Returns the numbers as float64.
-template <class Number>
-torch::Tensor Numbers(const BasicTensor<Number>& tensor) {
-  const std::vector<int64_t> shape(tensor.shape.begin(), tensor.shape.end());
-  torch::Tensor copy = torch::empty(shape, torch::kDouble);
-  std::copy(tensor.values.begin(), tensor.values.end(), copy.template data_ptr<double>());
-  return copy;
-}
-
 // RoundShift, whose `factor` is 2^-shift. A product with a power of two is exact.
 torch::Tensor RoundScaled(const torch::Tensor& x, const torch::Tensor& factor) {
   return torch::floor(x * factor + 0.5);
@@ -58,13 +49,11 @@ torch::Tensor ForEachRow(const torch::Tensor& x, Function function) {
 
 // Returns the weights of shiftmax [B, H, Q, S] before the band is applied.
 torch::Tensor ShiftmaxWeights(const HeadInputs& inputs, const torch::Tensor& scale) {
-  constexpr double kOutside = 1e9;
-  const torch::Tensor outside = inputs.band.logical_not();
-  const torch::Tensor largest = inputs.overlaps.masked_fill(outside, -kOutside).amax(-1, true);
-  const torch::Tensor smallest = inputs.overlaps.masked_fill(outside, kOutside).amin(-1, true);
-  const torch::Tensor best = torch::where(scale >= 0.0, largest, smallest);
-  const torch::Tensor octaves =
-      RoundScaled((inputs.overlaps - best).abs() * scale.abs(), std::ldexp(1.0, -kScaleFraction));
+  constexpr double kOutside = -1e15;  // less than any score
+  torch::Tensor scores = inputs.overlaps * scale;
+  if (inputs.biases.defined()) scores = scores + inputs.biases;
+  const torch::Tensor best = scores.masked_fill(inputs.band.logical_not(), kOutside).amax(-1, true);
+  const torch::Tensor octaves = RoundScaled(best - scores, std::ldexp(1.0, -kScaleFraction));
   // 2^8 / 2^e for e from 0 to 8, and 0 from 9 on.
   std::vector<double> powers;
   for (int e = 0; e <= 8; ++e) powers.push_back(256 >> e);
@@ -107,8 +96,10 @@ torch::Tensor AttendInIntegers(const HeadInputs& inputs, const Int16Tensor& scal
                                const ModelConfig& config) {
   SPIKESERVE_DCHECK(config.attention == Attention::kShiftmax);
   const torch::Tensor shiftmax = ShiftmaxWeights(inputs, Numbers(scale).view({-1, 1, 1}));
+  const bool weighs_all = inputs.biases.defined();
   const torch::Tensor weights =
-      torch::where(inputs.fires, shiftmax, torch::ones_like(shiftmax)) * inputs.band;
+      (weighs_all ? shiftmax : torch::where(inputs.fires, shiftmax, torch::ones_like(shiftmax))) *
+      inputs.band;
   const torch::Tensor attended = torch::matmul(weights, inputs.values);
   return RoundQuotient(attended * std::ldexp(1.0, kGateFraction),
                        weights.sum(-1, true) * config.ticks)

@@ -9,10 +9,23 @@
 
 #include <torch/types.h>
 
+#include <algorithm>
+#include <vector>
+
+#include "core/math/tensor.h"
 #include "core/model/config.h"
 #include "core/model/fixed_point_weights.h"
 
 namespace spikeserve {
+
+// Returns the numbers as float64.
+template <class Number>
+torch::Tensor Numbers(const BasicTensor<Number>& tensor) {
+  const std::vector<int64_t> shape(tensor.shape.begin(), tensor.shape.end());
+  torch::Tensor copy = torch::empty(shape, torch::kDouble);
+  std::copy(tensor.values.begin(), tensor.values.end(), copy.template data_ptr<double>());
+  return copy;
+}
 
 // Returns the integers of inputs with `fraction` fraction bits, halves to even, limited to 16 bits.
 torch::Tensor RoundInputs(const torch::Tensor& inputs, int fraction);
@@ -32,6 +45,7 @@ struct HeadInputs {
   torch::Tensor fires;     // whether a query neuron fires, bool: [B, H, Q, 1]
   torch::Tensor values;    // spike counts: [B, H, S, d_h]
   torch::Tensor band;      // whether a token attends to another, bool: [Q, S]
+  torch::Tensor biases;    // of the scores: [H, Q, S], or undefined without biases
 };
 
 // Returns y with kGateFraction fraction bits: [B, H, Q, d_h]. `scale` is [H]. REQUIRES: attention

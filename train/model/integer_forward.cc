@@ -146,21 +146,32 @@ class IntegerPass {
         v.sum(0).unflatten(-1, {config_.heads, config_.head_size()}).transpose(1, 2);
     const torch::Tensor band = IsLast(layer) ? StateTokens(band_, 0) : band_;
     const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
-    const torch::Tensor level = AttendInIntegers({.overlaps = overlaps.detach().to(torch::kDouble),
-                                                  .fires = asking.detach().amax(-1, true) > 0.0,
-                                                  .values = counts.detach().to(torch::kDouble),
-                                                  .band = band},
-                                                 weights.attention_scale, config_);
+    HeadInputs inputs = {.overlaps = overlaps.detach().to(torch::kDouble),
+                         .fires = asking.detach().amax(-1, true) > 0.0,
+                         .values = counts.detach().to(torch::kDouble),
+                         .band = band,
+                         .biases = {}};
+    if (config_.relative_bias) inputs.biases = Biases(Numbers(weights.attention_relative), layer);
+    const torch::Tensor level = AttendInIntegers(inputs, weights.attention_scale, config_);
     const torch::Tensor real =
         torch::matmul(Weights(overlaps, band, layer), counts / config_.ticks);
     return {level.transpose(1, 2),
             StraightThrough(level * std::ldexp(1.0, -kGateFraction), real).transpose(1, 2)};
   }
 
+  // Returns the biases of the scores of a layer from those by distance, [H, Q, S].
+  torch::Tensor Biases(const torch::Tensor& relative, int layer) const {
+    const torch::Tensor biases = RelativeBiases(relative, band_.size(-1));
+    return IsLast(layer) ? StateTokens(biases, 1) : biases;
+  }
+
   // Returns the weights of the tokens from which the gradient comes, [B, H, Q, S].
   torch::Tensor Weights(const torch::Tensor& overlaps, const torch::Tensor& band, int layer) const {
     const torch::Tensor& scale = p_[absl::StrCat("layers.", layer, ".attention.scale")];
-    const torch::Tensor scores = overlaps * scale.view({-1, 1, 1}) / config_.ticks;
+    torch::Tensor scores = overlaps * scale.view({-1, 1, 1}) / config_.ticks;
+    if (config_.relative_bias) {
+      scores = scores + Biases(p_[absl::StrCat("layers.", layer, ".attention.relative")], layer);
+    }
     return torch::softmax(scores.masked_fill(band.logical_not(), -1e9), -1);
   }
 

@@ -195,7 +195,7 @@ MODES_OF_SHARES = ("baseline", "pos", "full")  # of shorter trainings
 # The modes, and `full` trained with a context of one step, which has no past.
 ARMS = {mode: Arm(mode, priced=True) for mode in MODES}
 ARMS["full-n1"] = Arm(flags=("--context=1",), priced=True)
-# `full` with one thing changed, and shorter trainings.
+# `full` with one thing changed, `baseline` with biases by distance, and shorter trainings.
 PARTS = {
     "surrogate-sigmoid": Arm(flags=("--surrogate=sigmoid",)),
     "surrogate-piecewise": Arm(flags=("--surrogate=piecewise_linear",)),
@@ -203,6 +203,7 @@ PARTS = {
     **{f"context-{context}": Arm(flags=(f"--context={context}",), clip=context) for context in (20, 50, 100)},
     "gate-sigmoid": Arm(flags=("--gate=sigmoid",)),
     "router-activity": Arm(flags=("--gate=sigmoid", "--routing_hidden_size=4", "--activity_router")),
+    "baseline-bias": Arm("baseline", flags=("--relative_bias=true",), priced=True),
     "clock-window": Arm(flags=("--phase_clock=window",)),
     "phase-frozen": Arm(flags=("--freeze=phase",)),
     "head-frozen": Arm(flags=("--freeze=head",)),

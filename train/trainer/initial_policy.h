@@ -24,6 +24,10 @@ Moments EncodedLabels(const EpisodeSource& source);
 Policy InitialPolicy(const ModelConfig& config, const EpisodeSource& source, uint64_t seed,
                      const PatchShape& patches = {});
 
+// Adds biases by distance of 0 to a policy whose config has them, but whose layers do not. They
+// change no decision but by the rounding of sums.
+void AddRelativeBias(Policy* policy);
+
 }  // namespace spikeserve
 
 #endif  // TRAIN_TRAINER_INITIAL_POLICY_H_

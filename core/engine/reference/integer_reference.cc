@@ -228,10 +228,10 @@ class IntegerReferencePass {
   }
 
   // Counts the bytes of the key and the value of a token, the additions by which its values enter
-  // the running sum, and the subtractions by which they will leave it.
+  // the running sum, and the subtractions by which they will leave it. Biases need no such sum.
   void CountStoring(size_t i) {
     if (!IsNew(i)) return;
-    const uint64_t sums = 2 * Nonzero(values_[i]);
+    const uint64_t sums = config_.relative_bias ? 0 : 2 * Nonzero(values_[i]);
     counts_.attention_products += sums;
     counts_.attention_bytes += KeyBytes(config_.hidden_size) +
                                static_cast<uint64_t>(config_.hidden_size) +
@@ -254,7 +254,12 @@ class IntegerReferencePass {
     return std::any_of(first, first + config_.head_size(), [](int32_t count) { return count > 0; });
   }
 
-  // Returns the weights of the tokens `band` for a head whose query fires.
+  // Returns whether the weights of a head's row are computed. Otherwise all of them are 1.
+  bool HasWeights(const Fired& query, int head) const {
+    return config_.relative_bias || Fires(query, head);
+  }
+
+  // Returns the weights of the tokens `band`, the last of which asks.
   Row WeighKeys(int layer, const Fired& query, const std::vector<size_t>& band, int head,
                 bool is_new) {
     std::vector<int64_t> overlaps;
@@ -262,19 +267,25 @@ class IntegerReferencePass {
     if (is_new) {
       counts_.softmax_terms += band.size();
       const int size = config_.head_size();
-      counts_.attention_bytes += band.size() * (KeyBytes(size) + static_cast<uint64_t>(size));
+      const uint64_t key_bytes = Fires(query, head) ? KeyBytes(size) : 0;
+      counts_.attention_bytes += band.size() * (key_bytes + static_cast<uint64_t>(size));
+      if (config_.relative_bias) counts_.attention_products += band.size();
       for (const int64_t overlap : overlaps) counts_.attention_products += overlap;
     }
     Row row;
     if (config_.attention == spikeserve::Attention::kLinear) {
       row.weights = overlaps;
     } else {
-      const int64_t scale = policy_.weights.layers[layer].fixed_point.attention_scale.values[head];
-      const auto [lowest, highest] = std::minmax_element(overlaps.begin(), overlaps.end());
-      const int64_t best = scale >= 0 ? *highest : *lowest;
-      for (const int64_t overlap : overlaps) {
-        const int64_t octaves =
-            RoundShift(std::abs(overlap - best) * std::abs(scale), kScaleFraction);
+      const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
+      std::vector<int64_t> scores;
+      for (size_t n = 0; n < band.size(); ++n) {
+        scores.push_back(weights.attention_scale.values[head] * overlaps[n]);
+        if (!config_.relative_bias) continue;
+        scores[n] += weights.attention_relative.at(head, static_cast<int>(band.back() - band[n]));
+      }
+      const int64_t best = *std::max_element(scores.begin(), scores.end());
+      for (const int64_t score : scores) {
+        const int64_t octaves = RoundShift(best - score, kScaleFraction);
         row.weights.push_back(octaves > 8 ? 0 : 256 >> octaves);
       }
     }
@@ -289,9 +300,9 @@ class IntegerReferencePass {
       if (IsInBand(i, j)) band.push_back(j);
     }
     Row row;
-    if (Fires(query, head)) row = WeighKeys(layer, query, band, head, IsNew(i));
+    if (HasWeights(query, head)) row = WeighKeys(layer, query, band, head, IsNew(i));
     const bool is_mean = row.sum == 0;
-    if (IsNew(i) && !Fires(query, head)) {
+    if (IsNew(i) && !HasWeights(query, head)) {
       counts_.attention_bytes += static_cast<uint64_t>(config_.head_size()) * sizeof(int16_t);
     }
     if (is_mean) row = {std::vector<int64_t>(band.size(), 1), static_cast<int64_t>(band.size())};

@@ -7,17 +7,19 @@
 namespace spikeserve {
 
 void IntegerAttention::Attend(const ModelConfig& config, const std::vector<int16_t>& scales,
-                              const IntegerBand& band, const IntegerCache& cache,
-                              const uint32_t* query, int16_t* y, Counts* counts) {
+                              const int16_t* biases, const IntegerBand& band,
+                              const IntegerCache& cache, const uint32_t* query, int16_t* y,
+                              Counts* counts) {
   const int size = config.head_size();
   for (int head = 0; head < config.heads; ++head) {
     ReadQuery(config, query, head);
     const int32_t* sums = cache.sums() + head * size;
     int32_t weights = 0;
-    if (query_.empty()) {
+    if (query_.empty() && biases == nullptr) {
       counts->attention_bytes += static_cast<uint64_t>(size) * sizeof(int16_t);
     } else {
-      weights = WeighKeys(config, scales[head], band, cache.head(head), counts);
+      const int16_t* const own = biases == nullptr ? nullptr : biases + 2 * head * band.slots();
+      weights = WeighKeys(config, scales[head], own, band, cache.head(head), counts);
     }
     if (weights == 0) {
       weights = band.tokens();
@@ -44,18 +46,24 @@ void IntegerAttention::ReadQuery(const ModelConfig& config, const uint32_t* quer
   }
 }
 
-int32_t IntegerAttention::WeighKeys(const ModelConfig& config, int32_t scale,
+int32_t IntegerAttention::WeighKeys(const ModelConfig& config, int32_t scale, const int16_t* biases,
                                     const IntegerBand& band, const kernels::HeadSlots& head,
                                     Counts* counts) {
   const auto tokens = static_cast<uint64_t>(band.tokens());
   const int size = config.head_size();
   counts->softmax_terms += tokens;
-  counts->attention_bytes += tokens * static_cast<uint64_t>((config.ticks * size + 7) / 8 + size);
+  const int key_bytes = query_.empty() ? 0 : (config.ticks * size + 7) / 8;
+  counts->attention_bytes += tokens * static_cast<uint64_t>(key_bytes + size);
   const int slots = band.used_slots();
   overlaps_.resize(slots);
   weights_.resize(slots);
   const uint64_t products = kernels::Overlaps(query_, head, band.held(), slots, overlaps_.data());
   counts->attention_products += products;
+  if (biases != nullptr) {
+    counts->attention_products += tokens;
+    return kernels::BiasedShiftmax(scale, overlaps_.data(), biases + band.slots() - 1 - band.last(),
+                                   band.held(), slots, weights_.data());
+  }
   if (config.attention == Attention::kShiftmax) {
     return kernels::Shiftmax(scale, overlaps_.data(), band.held(), slots, weights_.data());
   }

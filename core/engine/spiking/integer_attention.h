@@ -19,9 +19,10 @@ namespace spikeserve {
 class IntegerAttention {
  public:
   // Sets y [d] to the outputs of all heads for a query [T][H][W], or null if no neuron fires. A
-  // head whose query does not fire returns the mean of the values. `scales` are [H]. Adds the
-  // operations to `counts`.
-  void Attend(const ModelConfig& config, const std::vector<int16_t>& scales,
+  // head whose query does not fire returns the mean of the values, unless there are biases.
+  // `scales` are [H]; `biases` are RingBiases() of 3 N slots, or null. Adds the operations to
+  // `counts`.
+  void Attend(const ModelConfig& config, const std::vector<int16_t>& scales, const int16_t* biases,
               const IntegerBand& band, const IntegerCache& cache, const uint32_t* query, int16_t* y,
               Counts* counts);
 
@@ -29,8 +30,9 @@ class IntegerAttention {
   // Sets query_ to the words of a head's query that are not 0.
   void ReadQuery(const ModelConfig& config, const uint32_t* query, int head);
   // Sets weights_ to those of the slots for query_, and returns their sum.
-  int32_t WeighKeys(const ModelConfig& config, int32_t scale, const IntegerBand& band,
-                    const kernels::HeadSlots& head, Counts* counts);
+  // `biases` are those of the head, or null.
+  int32_t WeighKeys(const ModelConfig& config, int32_t scale, const int16_t* biases,
+                    const IntegerBand& band, const kernels::HeadSlots& head, Counts* counts);
 
   std::vector<kernels::QueryWord> query_;
   AlignedVector<int32_t> overlaps_;  // [slots]

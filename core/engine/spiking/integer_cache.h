@@ -27,6 +27,10 @@ class IntegerBand {
   int Expire(int64_t first);
 
   int tokens() const { return tokens_; }
+  // Returns the number of slots of the ring, 3 N.
+  int slots() const { return static_cast<int>(timesteps_.size()); }
+  // Returns the slot of the newest token. REQUIRES: tokens() > 0.
+  int last() const { return slot(tokens_ - 1); }
   // Returns the number of slots that have ever held a token, in whole blocks.
   int used_slots() const { return used_slots_; }
   // Returns for each slot all bits if it holds a token, and 0 otherwise, [used_slots()].
@@ -34,7 +38,7 @@ class IntegerBand {
 
  private:
   // Returns the slot of a token, counted from the oldest one.
-  int slot(int i) const { return (first_ + i) % static_cast<int>(timesteps_.size()); }
+  int slot(int i) const { return (first_ + i) % slots(); }
 
   int first_ = 0;
   int tokens_ = 0;

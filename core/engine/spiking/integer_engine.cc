@@ -194,8 +194,10 @@ class IntegerTokenPass {
     // A value enters the sum of all values now, and leaves it later.
     const int size = config_.hidden_size;
     const auto sums =
-        2 * static_cast<uint64_t>(
-                size - std::count(scratch_.counts.begin(), scratch_.counts.begin() + size, 0));
+        config_.relative_bias
+            ? 0
+            : 2 * static_cast<uint64_t>(size - std::count(scratch_.counts.begin(),
+                                                          scratch_.counts.begin() + size, 0));
     counts_->attention_products += sums;
     counts_->attention_bytes +=
         static_cast<uint64_t>((config_.ticks * size + 7) / 8 + size) + sums * 2 * sizeof(int16_t);
@@ -222,11 +224,12 @@ class IntegerTokenPass {
   // x <- norm(x + W_O yhat + b_O).
   void Attend(int layer) {
     const PackedIntegerLayer& packed = packed_.layers[layer];
-    const auto& scales = policy_.weights.layers[layer].fixed_point.attention_scale.values;
+    const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
+    const int16_t* const biases = config_.relative_bias ? packed.attention_bias.data() : nullptr;
     scratch_.y.assign(PadToLanes(config_.hidden_size), 0);
-    scratch_.attention.Attend(config_, scales, context_->band, context_->caches[layer],
-                              query_spikes_ > 0 ? scratch_.query.data() : nullptr,
-                              scratch_.y.data(), counts_);
+    scratch_.attention.Attend(
+        config_, weights.attention_scale.values, biases, context_->band, context_->caches[layer],
+        query_spikes_ > 0 ? scratch_.query.data() : nullptr, scratch_.y.data(), counts_);
     MergeHeads(packed);
     Apply(packed.attention_output, scratch_.input);
     Normalize(packed.attention_norm);

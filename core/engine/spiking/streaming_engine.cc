@@ -197,9 +197,12 @@ class TokenPass {
     const AttentionCache& cache = token_->context->caches[layer];
     scratch_.y.resize(static_cast<size_t>(config_.ticks) * config_.hidden_size);
     counts().attention_products += cache.ValueSpikes(token_->band);
+    const kernels::HeadScores scores = {
+        .scale = weights.scale.values.data(),
+        .weight = packed.attention_weight.data(),
+        .biases = config_.relative_bias ? packed.attention_bias.data() : nullptr};
     const kernels::Attended attended = kernels::Attend(
-        cache.Window(token_->band), token_->query.data(), packed.attention_weight.data(),
-        weights.scale.values.data(), scratch_.y.data());
+        cache.Window(token_->band), token_->query.data(), scores, scratch_.y.data());
     counts().attention_products += attended.products;
     Merge(packed, attended.ticks);
     Affine(packed.attention_output, scratch_.merged.data(), scratch_.update);

@@ -115,6 +115,13 @@ TEST(ModelConfig, ValidateNamesTheField) {
         .attention = Attention::kLinear},
        "attention: expected shiftmax for overlaps of up to 3200 (ticks hidden_size / heads) and "
        "sums of up to 3932160000 (3 context ticks^2 hidden_size / heads), received linear"},
+      {{.mode = Mode::kDense, .relative_bias = true},
+       "relative_bias: expected false in mode dense, received true"},
+      {{.membrane_decay = 0.9375f,
+        .arithmetic = Arithmetic::kInteger,
+        .relative_bias = true,
+        .attention = Attention::kLinear},
+       "relative_bias: expected false with attention linear, received true"},
   };
   for (const auto& c : cases) {
     const absl::Status status = c.config.Validate();

@@ -112,6 +112,33 @@ TEST_F(PolicyFileRefusalTest, ObservationChanges) {
       SmallPolicy(config));
 }
 
+TEST_F(PolicyFileRefusalTest, RelativeBias) {
+  ModelConfig config = SmallConfig();
+  config.relative_bias = true;
+  const auto set = [](const char* key, const json& value) {
+    return [=](Safetensors& c) {
+      json changed = json::parse(c.metadata["config"]);
+      changed[key] = value;
+      c.metadata["config"] = changed.dump();
+    };
+  };
+  ExpectRefused({{set("relative_bias", true),
+                  "tensor \"layers.0.attention.relative\": expected, but missing"},
+                 {set("relative_bias", "yes"),
+                  "config.relative_bias: expected true or false, received \"yes\""}});
+  const std::string distances = absl::StrCat(3 * config.context);
+  const std::string heads = absl::StrCat(config.heads);
+  const std::string longer = absl::StrCat(3 * config.context + 3);
+  ExpectRefused({{set("context", config.context + 1),
+                  absl::StrCat("tensor \"layers.0.attention.relative\": expected shape [", heads,
+                               ", ", longer, "], received [", heads, ", ", distances, "] with ",
+                               config.heads * 3 * config.context, " values")},
+                 {set("relative_bias", false),
+                  "tensor \"layers.0.attention.relative\": not expected in a policy of mode full "
+                  "in float32"}},
+                SmallPolicy(config));
+}
+
 TEST_F(PolicyFileRefusalTest, Norms) {
   const auto set = [](const json& value) {
     return [=](Safetensors& c) {

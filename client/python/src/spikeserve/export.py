@@ -128,6 +128,8 @@ def _layer_shapes(config: ModelConfig, layer: str) -> dict[str, Shape]:
         shapes |= _pair(f"{layer}.coder", "gain", d)
         shapes |= _pair(f"{layer}.ffn.coder", "gain", d)
         shapes[f"{attention}.scale"] = (config.heads,)
+    if config.relative_bias:
+        shapes[f"{attention}.relative"] = (config.heads, 3 * config.context)
     if config.has_routing:
         shapes |= _linear(f"{layer}.routing.hidden", config.routing_hidden_size, d)
         shapes |= _linear(f"{layer}.routing.gate", config.heads, config.routing_hidden_size)
@@ -173,8 +175,9 @@ def _config_values(config: ModelConfig) -> dict[str, Any]:
     # Without these keys, servers that do not know them can read the file.
     if not config.is_int8:
         del values["arithmetic"]
-    if not config.observation_changes:
-        del values["observation_changes"]
+    for field in ("observation_changes", "relative_bias"):
+        if not values[field]:
+            del values[field]
     if config.has_norms:
         del values["norm"]
     return values

@@ -36,6 +36,8 @@ class ModelConfig:
     norm: str = "layer"  # after each addition to the residual stream; or none
     # Whether the state token also contains the change of the observation since the last timestep.
     observation_changes: bool = False
+    # Whether attention adds a learned number to a score, by head and distance in tokens.
+    relative_bias: bool = False
 
     CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {
         "mode": ("baseline", "pos", "route", "full", "dense"),
@@ -65,8 +67,11 @@ class ModelConfig:
             value = getattr(self, field)
             fits = type(value) is int and 1 <= value <= limit
             check(fits, field, f"an integer from 1 to {limit}", repr(value))
-        is_bool = isinstance(self.observation_changes, bool)
-        check(is_bool, "observation_changes", "True or False", repr(self.observation_changes))
+        for field in ("observation_changes", "relative_bias"):
+            value = getattr(self, field)
+            check(isinstance(value, bool), field, "True or False", repr(value))
+        fits = not (self.relative_bias and self.is_dense)
+        check(fits, "relative_bias", "False in mode dense", repr(self.relative_bias))
         divides = self.hidden_size % self.heads == 0
         check(divides, "hidden_size", f"a multiple of heads = {self.heads}", self.hidden_size)
         check(0 <= self.membrane_decay <= 1, "membrane_decay", "0 to 1", self.membrane_decay)

@@ -7,6 +7,7 @@
 // clang-format off
 #include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
 // clang-format on
+#include "core/engine/spiking/kernels/biased_weights-inl.h"
 #include "core/engine/spiking/kernels/overlap-inl.h"
 #include "core/engine/spiking/kernels/simd-inl.h"
 #include "hwy/highway.h"
@@ -85,6 +86,12 @@ class HeadAttention {
     }
     Scale(1.0f / total, y);
     return products;
+  }
+
+  // Computes y from the weights of keys whose scores have biases by distance.
+  void AttendWeighted(int index, const BiasedWeights& weights, float* y) {
+    weights.SumValues(index, sums_);
+    Scale(1.0f / weights.total(), y);
   }
 
  private:
@@ -190,10 +197,11 @@ void FindNonzeroImpl(const uint32_t* bits, int ticks_and_heads, int words, uint6
 }
 
 template <class Keys>
-Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const float* weight,
-                    const float* scale, float* y) {
+Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const HeadScores& scores,
+                    float* y) {
   Scratch& scratch = ThreadScratch();
   HeadAttention<Keys> attention(window, &scratch);
+  BiasedWeights weights(window, scores, &scratch);
   const int size = window.ticks * window.heads;
   scratch.meeting.resize((size + 63) / 64);
   FindNonzeroImpl(query, size, window.words, scratch.meeting.data());
@@ -210,12 +218,16 @@ Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const 
       if (!has_values) {
         Clear(head_y, window.head_size);
         if (has_overlaps) attended.products += attention.keys().Sum();
+      } else if (scores.biases != nullptr) {
+        weights.Weigh(head, has_overlaps ? attention.keys().BySlot() : nullptr);
+        attention.AttendWeighted(i, weights, head_y);
+        if (has_overlaps) attended.products += attention.keys().Sum();
       } else if (!has_overlaps) {
         attention.AttendUniformly(i, head_y);
       } else {
         attended.products +=
-            attention.Attend(i, weight + static_cast<size_t>(head) * (window.head_size + 1),
-                             scale[head] >= 0.0f, head_y);
+            attention.Attend(i, scores.weight + static_cast<size_t>(head) * (window.head_size + 1),
+                             scores.scale[head] >= 0.0f, head_y);
       }
       any_has_values |= has_values;
     }
@@ -226,10 +238,10 @@ Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const 
   return attended;
 }
 
-Attended AttendImpl(const AttentionWindow& window, const uint32_t* query, const float* weight,
-                    const float* scale, float* y) {
-  return window.HasKeyRows() ? AttendWith<KeyRows>(window, query, weight, scale, y)
-                             : AttendWith<KeyWords>(window, query, weight, scale, y);
+Attended AttendImpl(const AttentionWindow& window, const uint32_t* query, const HeadScores& scores,
+                    float* y) {
+  return window.HasKeyRows() ? AttendWith<KeyRows>(window, query, scores, y)
+                             : AttendWith<KeyWords>(window, query, scores, y);
 }
 
 void StoreValuesImpl(const uint32_t* bits, int slot, const AttentionWindow& window,
@@ -269,9 +281,9 @@ HWY_EXPORT(AttendImpl);
 HWY_EXPORT(FindNonzeroImpl);
 HWY_EXPORT(StoreValuesImpl);
 
-Attended Attend(const AttentionWindow& window, const uint32_t* query, const float* weight,
-                const float* scale, float* y) {
-  return HWY_DYNAMIC_DISPATCH(AttendImpl)(window, query, weight, scale, y);
+Attended Attend(const AttentionWindow& window, const uint32_t* query, const HeadScores& scores,
+                float* y) {
+  return HWY_DYNAMIC_DISPATCH(AttendImpl)(window, query, scores, y);
 }
 
 void FindNonzero(const uint32_t* bits, int ticks_and_heads, int words, uint64_t* nonzero) {

@@ -10,6 +10,7 @@
 // clang-format off
 #include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
 // clang-format on
+#include "core/engine/spiking/kernels/ordered_sum-inl.h"
 #include "core/engine/spiking/kernels/simd-inl.h"
 #include "hwy/highway.h"
 
@@ -107,25 +108,6 @@ uint64_t AffineTicksImpl(const PackedLinear& linear, const float* input, int str
   for (; t + 2 <= ticks; t += 2) AffineBlock<2>(linear, *active, in(), stride, out());
   for (; t < ticks; ++t) AffineBlock<1>(linear, *active, in(), stride, out());
   return products;
-}
-
-// Returns the sum of term(i) over kSumLanes interleaved partial sums, folded as in
-// core/math/layer_norm.h.
-template <class Term>
-HWY_INLINE float OrderedSum(int size, Term term) {
-  const F32 d;
-  constexpr int kParts = kSumLanes / kVector;
-  VecF part[kParts];
-  for (int p = 0; p < kParts; ++p) part[p] = hn::Zero(d);
-  for (int i = 0; i < size; i += kSumLanes) {
-    for (int p = 0; p < kParts; ++p) part[p] = hn::Add(part[p], term(i + p * kVector));
-  }
-  float partial[kSumLanes];
-  for (int p = 0; p < kParts; ++p) hn::StoreU(part[p], d, partial + p * kVector);
-  for (int half = kSumLanes / 2; half > 0; half /= 2) {
-    for (int lane = 0; lane < half; ++lane) partial[lane] += partial[lane + half];
-  }
-  return partial[0];
 }
 
 void LayerNormImpl(const float* weight, const float* bias, float* x, int size) {

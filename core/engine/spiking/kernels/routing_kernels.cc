@@ -7,31 +7,13 @@
 // clang-format off
 #include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
 // clang-format on
+#include "core/engine/spiking/kernels/exp-inl.h"
 #include "core/engine/spiking/kernels/simd-inl.h"
 #include "hwy/highway.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace spikeserve::kernels::HWY_NAMESPACE {
 namespace {
-
-// Equals spikeserve::Exp bit for bit in every lane.
-HWY_INLINE VecF Exp(VecF x) {
-  const F32 d;
-  const I32 di;
-  const auto round = hn::Set(d, 12582912.0f);
-  x = hn::Min(hn::Max(x, hn::Set(d, -87.0f)), hn::Set(d, 88.0f));
-  const auto n = hn::Sub(hn::Add(hn::Mul(x, hn::Set(d, 1.44269504088896341f)), round), round);
-  x = hn::Sub(x, hn::Mul(n, hn::Set(d, 0.693359375f)));
-  x = hn::Sub(x, hn::Mul(n, hn::Set(d, -2.12194440e-4f)));
-  auto y = hn::Set(d, 1.9875691500e-4f);
-  for (const float coefficient :
-       {1.3981999507e-3f, 8.3334519073e-3f, 4.1665795894e-2f, 1.6666665459e-1f, 5.0000001201e-1f}) {
-    y = hn::Add(hn::Mul(y, x), hn::Set(d, coefficient));
-  }
-  y = hn::Add(hn::Add(hn::Mul(y, hn::Mul(x, x)), x), hn::Set(d, 1.0f));
-  const auto exponent = hn::ShiftLeft<23>(hn::Add(hn::ConvertTo(di, n), hn::Set(di, 127)));
-  return hn::Mul(y, hn::BitCast(d, exponent));
-}
 
 void SoftmaxImpl(float* rows, int count, int stride, int size) {
   const F32 d;

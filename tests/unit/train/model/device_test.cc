@@ -11,6 +11,7 @@
 #include <array>
 #include <string>
 #include <tuple>
+#include <vector>
 
 #include "tests/support/small_policy.h"
 #include "train/model/loss.h"
@@ -45,9 +46,17 @@ std::tuple<Tensor, Tensor, Tensor> LayerNormBackwardOnMeta(
   return {torch::empty_like(x), torch::empty_like(*weight), torch::empty_like(*bias)};
 }
 
+Tensor IndexSelectOnMeta(const Tensor& x, int64_t dimension, const Tensor& index) {
+  EXPECT_TRUE(x.is_meta() && index.is_meta());
+  std::vector<int64_t> shape = x.sizes().vec();
+  shape[dimension] = index.size(0);
+  return torch::empty(shape, x.options());
+}
+
 TORCH_LIBRARY_IMPL(aten, Meta, library) {
   library.impl("relu", ReluOnMeta);
   library.impl("abs.out", AbsOnMeta);
+  library.impl("index_select", IndexSelectOnMeta);
   library.impl("native_layer_norm", LayerNormOnMeta);
   library.impl("native_layer_norm_backward", LayerNormBackwardOnMeta);
 }
@@ -71,6 +80,7 @@ class ModelDeviceTest : public testing::TestWithParam<Mode> {};
 TEST_P(ModelDeviceTest, ForwardAndBackwardStayOnTheDevice) {
   ModelConfig config = SmallConfig(GetParam());
   config.observation_changes = true;
+  config.relative_bias = !config.is_dense();
   const Policy policy = SmallPolicy(config);
   const TorchModel model(policy, Surrogate{}, Arithmetic::kFloat32, {}, /*seed=*/0, torch::kMeta);
   const ModelOutput output = model.Forward(MetaClips(policy));
@@ -88,6 +98,9 @@ TEST_P(ModelDeviceTest, ForwardAndBackwardStayOnTheDevice) {
   }
   EXPECT_TRUE(model.parameters()["embed.state.weight"].grad().defined());
   EXPECT_TRUE(model.parameters()["head.weight"].grad().defined());
+  if (config.relative_bias) {
+    EXPECT_TRUE(model.parameters()["layers.0.attention.relative"].grad().defined());
+  }
   const torch::Tensor change = HeadChange({.rate = 0.1}, policy.action_space, output,
                                           {.return_to_go = mask,
                                            .targets = torch::empty_like(output.logits),

@@ -21,6 +21,7 @@ _SET_BY_STAGES = (
 )
 # Only for a policy without --init.
 _OWN_SETTINGS = ("lookback", "mirror", "image_shape", "patch_size")
+_DISTANCE_BIASES = "--relative_bias=true"  # with which attention knows distances without phase spikes
 
 # The settings that are chosen where they are None, and their types.
 CHOSEN: dict[str, type[int] | type[float]] = {
@@ -73,7 +74,7 @@ class ImitationOptions:
     lookback: int | None = _setting(
         None,
         "timesteps back at which attention looks first, if the action depends on that observation; "
-        "needs --mode=pos or full",
+        "needs --mode=pos or full, or --train-flags=--relative_bias=true",
     )
     mirror: int | None = _setting(
         None,
@@ -159,7 +160,9 @@ class ImitationOptions:
             if self.context is not None:
                 below = f"1 to {self.context - 1}, below the context"
                 check(self.lookback < self.context, "lookback", below, self.lookback)
-            check(self.mode in ("pos", "full"), "mode", "pos or full beside lookback", self.mode)
+            sees_distance = self.mode in ("pos", "full") or _DISTANCE_BIASES in self.train_flags
+            expected = f"pos or full beside lookback, unless train_flags have {_DISTANCE_BIASES}"
+            check(sees_distance, "mode", expected, self.mode)
         if self.mirror is not None:
             check(self.lookback is None, "mirror", "none beside lookback", self.mirror)
             check(self.mirror >= 1, "mirror", "at least 1", self.mirror)
