@@ -17,6 +17,7 @@
 #include "core/math/counter_random.h"
 #include "core/math/exp.h"
 #include "core/math/fixed_point.h"
+#include "core/math/layer_norm.h"
 #include "core/model/fixed_point_weights.h"
 #include "tests/support/simd_targets.h"
 
@@ -79,15 +80,13 @@ class RelativeBiasTest : public testing::TestWithParam<ModelConfig> {
     }
     const float best = *std::max_element(scores.begin(), scores.end());
     std::vector<float> y(size, 0.0f);
-    float sum = 0.0f;
     for (size_t n = 0; n < band_.size(); ++n) {
-      const float weight = Exp(scores[n] - best);
-      sum += weight;
+      const float weight = scores[n] = Exp(scores[n] - best);
       for (int k = 0; k < size; ++k) {
         if (band_[n].values[at + k / 32] >> (k % 32) & 1u) y[k] += weight;
       }
     }
-    const float inverse = 1.0f / sum;
+    const float inverse = 1.0f / OrderedSum(scores.data(), scores.size());
     for (float& value : y) value *= inverse;
     return y;
   }

@@ -21,7 +21,8 @@ _SET_BY_STAGES = (
 )
 # Only for a policy without --init.
 _OWN_SETTINGS = ("lookback", "mirror", "image_shape", "patch_size")
-_DISTANCE_BIASES = "--relative_bias=true"  # with which attention knows distances without phase spikes
+# With these, attention knows distances without phase spikes.
+_DISTANCE_BIASES = "--relative_bias=true"
 
 # The settings that are chosen where they are None, and their types.
 CHOSEN: dict[str, type[int] | type[float]] = {
