@@ -9,7 +9,7 @@
 // clang-format on
 #include "core/engine/spiking/kernels/biased_weights-inl.h"
 #include "core/engine/spiking/kernels/overlap-inl.h"
-#include "core/engine/spiking/kernels/simd-inl.h"
+#include "core/engine/spiking/kernels/simd/vectors-inl.h"
 #include "hwy/highway.h"
 
 HWY_BEFORE_NAMESPACE();

@@ -6,10 +6,10 @@
 #include <limits>
 
 #include "core/engine/spiking/kernels/attention_kernels.h"
-#include "core/engine/spiking/kernels/exp-inl.h"
-#include "core/engine/spiking/kernels/ordered_sum-inl.h"
 #include "core/engine/spiking/kernels/overlap-inl.h"
-#include "core/engine/spiking/kernels/simd-inl.h"
+#include "core/engine/spiking/kernels/simd/exp-inl.h"
+#include "core/engine/spiking/kernels/simd/ordered_sum-inl.h"
+#include "core/engine/spiking/kernels/simd/vectors-inl.h"
 #include "hwy/highway.h"
 
 // Highway's include guard, which admits this file once per target.

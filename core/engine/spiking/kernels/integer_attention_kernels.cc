@@ -14,8 +14,8 @@
 // clang-format off
 #include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
 // clang-format on
-#include "core/engine/spiking/kernels/integer_simd-inl.h"
-#include "core/engine/spiking/kernels/simd-inl.h"
+#include "core/engine/spiking/kernels/simd/integer_vectors-inl.h"
+#include "core/engine/spiking/kernels/simd/vectors-inl.h"
 #include "hwy/highway.h"
 
 HWY_BEFORE_NAMESPACE();

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "core/engine/spiking/kernels/attention_kernels.h"
-#include "core/engine/spiking/kernels/simd-inl.h"
+#include "core/engine/spiking/kernels/simd/vectors-inl.h"
 #include "hwy/highway.h"
 
 // Highway's include guard, which admits this file once per target.

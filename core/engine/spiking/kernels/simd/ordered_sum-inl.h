@@ -1,15 +1,15 @@
 // Sums whose order does not depend on the length of a vector. Compiled once per SIMD target; only
 // kernels may include it.
-#include "core/engine/spiking/kernels/simd-inl.h"
+#include "core/engine/spiking/kernels/simd/vectors-inl.h"
 #include "core/math/layer_norm.h"
 #include "hwy/highway.h"
 
 // Highway's include guard, which admits this file once per target.
-#if defined(CORE_ENGINE_SPIKING_KERNELS_ORDERED_SUM_INL_H_) == defined(HWY_TARGET_TOGGLE)
-#ifdef CORE_ENGINE_SPIKING_KERNELS_ORDERED_SUM_INL_H_
-#undef CORE_ENGINE_SPIKING_KERNELS_ORDERED_SUM_INL_H_
+#if defined(CORE_ENGINE_SPIKING_KERNELS_SIMD_ORDERED_SUM_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef CORE_ENGINE_SPIKING_KERNELS_SIMD_ORDERED_SUM_INL_H_
+#undef CORE_ENGINE_SPIKING_KERNELS_SIMD_ORDERED_SUM_INL_H_
 #else
-#define CORE_ENGINE_SPIKING_KERNELS_ORDERED_SUM_INL_H_
+#define CORE_ENGINE_SPIKING_KERNELS_SIMD_ORDERED_SUM_INL_H_
 #endif
 
 HWY_BEFORE_NAMESPACE();

@@ -3,15 +3,15 @@
 #include <cstdint>
 
 #include "core/engine/spiking/kernels/active_inputs.h"
-#include "core/engine/spiking/kernels/simd-inl.h"
+#include "core/engine/spiking/kernels/simd/vectors-inl.h"
 #include "hwy/highway.h"
 
 // Highway's include guard, which admits this file once per target.
-#if defined(CORE_ENGINE_SPIKING_KERNELS_INTEGER_SIMD_INL_H_) == defined(HWY_TARGET_TOGGLE)
-#ifdef CORE_ENGINE_SPIKING_KERNELS_INTEGER_SIMD_INL_H_
-#undef CORE_ENGINE_SPIKING_KERNELS_INTEGER_SIMD_INL_H_
+#if defined(CORE_ENGINE_SPIKING_KERNELS_SIMD_INTEGER_VECTORS_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef CORE_ENGINE_SPIKING_KERNELS_SIMD_INTEGER_VECTORS_INL_H_
+#undef CORE_ENGINE_SPIKING_KERNELS_SIMD_INTEGER_VECTORS_INL_H_
 #else
-#define CORE_ENGINE_SPIKING_KERNELS_INTEGER_SIMD_INL_H_
+#define CORE_ENGINE_SPIKING_KERNELS_SIMD_INTEGER_VECTORS_INL_H_
 #endif
 
 HWY_BEFORE_NAMESPACE();
