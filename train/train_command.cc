@@ -73,7 +73,7 @@ void AddFlags(Command command, TrainFlags* flags) {
       .Add("arithmetic", EnumKind<Arithmetic>(), &flags->trainer.options.arithmetic,
            "Numbers of the spike-driven parts")
       .Add("norm", EnumKind<NormTraining>(), &flags->trainer.options.norm,
-           "Norms: fade leaves a policy without any; layer keeps what the policy has")
+           "Norms: fade ends without any; layer keeps the policy's")
       .Add("observation_changes", "true|false", &flags->shape.observation_changes,
            "State tokens contain the change, too; default: by the data")
       .Add("relative_bias", "true|false", &flags->shape.relative_bias,

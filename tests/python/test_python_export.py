@@ -27,7 +27,7 @@ SHAPES = [
     {"mode": "route", "routing_hidden_size": 3, "ffn_size": 7, "threshold": 0.5},
     *({"mode": mode, "observation_changes": True} for mode in ("full", "dense")),
     {"mode": "full", "observation_changes": True, "arithmetic": "int8"},
-    *({"relative_bias": True, "arithmetic": arithmetic} for arithmetic in ("float32", "int8")),
+    *({"mode": "baseline", "relative_bias": True, "arithmetic": arithmetic} for arithmetic in ("float32", "int8")),
     {"mode": "full", "norm": "none"},
     {"mode": "baseline", "norm": "none", "arithmetic": "int8"},
     *({"mode": mode, "arithmetic": "int8"} for mode in ModelConfig.CHOICES["mode"][:-1]),
