@@ -29,6 +29,15 @@ struct Refusal {
   std::string message;
 };
 
+// Returns the change that sets `key` of the config.
+std::function<void(Safetensors&)> SetConfig(const std::string& key, const json& value) {
+  return [=](Safetensors& contents) {
+    json config = json::parse(contents.metadata["config"]);
+    config[key] = value;
+    contents.metadata["config"] = config.dump();
+  };
+}
+
 std::vector<float>& Floats(Safetensors& contents, const std::string& name) {
   return std::get<Tensor>(contents.tensors.at(name)).values;
 }
@@ -87,15 +96,10 @@ TEST_F(PolicyFileRefusalTest, Tensors) {
 }
 
 TEST_F(PolicyFileRefusalTest, ObservationChanges) {
-  const auto set = [](const json& value) {
-    return [=](Safetensors& c) {
-      json config = json::parse(c.metadata["config"]);
-      config["observation_changes"] = value;
-      c.metadata["config"] = config.dump();
-    };
-  };
-  ExpectRefused({{set(true), "tensor \"observation.change_std\": expected, but missing"},
-                 {set(1), "config.observation_changes: expected true or false, received 1"},
+  ExpectRefused({{SetConfig("observation_changes", true),
+                  "tensor \"observation.change_std\": expected, but missing"},
+                 {SetConfig("observation_changes", 1),
+                  "config.observation_changes: expected true or false, received 1"},
                  {[](auto& c) { c.tensors["observation.change_std"] = Tensor::Zeros({4}); },
                   "tensor \"observation.change_std\": not expected in a policy of mode full in "
                   "float32"}});
@@ -107,7 +111,7 @@ TEST_F(PolicyFileRefusalTest, ObservationChanges) {
         "received 0"},
        {[](auto& c) { c.tensors["observation.change_std"] = Tensor::Zeros({3}); },
         "tensor \"observation.change_std\": expected shape [4], received [3] with 3 values"},
-       {set(false),
+       {SetConfig("observation_changes", false),
         "tensor \"observation.change_std\": not expected in a policy of mode full in float32"}},
       SmallPolicy(config));
 }
@@ -115,46 +119,34 @@ TEST_F(PolicyFileRefusalTest, ObservationChanges) {
 TEST_F(PolicyFileRefusalTest, RelativeBias) {
   ModelConfig config = SmallConfig();
   config.relative_bias = true;
-  const auto set = [](const char* key, const json& value) {
-    return [=](Safetensors& c) {
-      json changed = json::parse(c.metadata["config"]);
-      changed[key] = value;
-      c.metadata["config"] = changed.dump();
-    };
-  };
-  ExpectRefused({{set("relative_bias", true),
+  ExpectRefused({{SetConfig("relative_bias", true),
                   "tensor \"layers.0.attention.relative\": expected, but missing"},
-                 {set("relative_bias", "yes"),
+                 {SetConfig("relative_bias", "yes"),
                   "config.relative_bias: expected true or false, received \"yes\""}});
   const std::string distances = absl::StrCat(3 * config.context);
   const std::string heads = absl::StrCat(config.heads);
   const std::string longer = absl::StrCat(3 * config.context + 3);
-  ExpectRefused({{set("context", config.context + 1),
+  ExpectRefused({{SetConfig("context", config.context + 1),
                   absl::StrCat("tensor \"layers.0.attention.relative\": expected shape [", heads,
                                ", ", longer, "], received [", heads, ", ", distances, "] with ",
                                config.heads * 3 * config.context, " values")},
-                 {set("relative_bias", false),
+                 {SetConfig("relative_bias", false),
                   "tensor \"layers.0.attention.relative\": not expected in a policy of mode full "
                   "in float32"}},
                 SmallPolicy(config));
 }
 
 TEST_F(PolicyFileRefusalTest, Norms) {
-  const auto set = [](const json& value) {
-    return [=](Safetensors& c) {
-      json config = json::parse(c.metadata["config"]);
-      config["norm"] = value;
-      c.metadata["config"] = config.dump();
-    };
-  };
-  ExpectRefused({{set("batch"), "config.norm: expected layer or none, received \"batch\""},
-                 {set("none"),
-                  "tensor \"embed.action.norm.bias\": not expected in a policy of mode full in "
-                  "float32 without norms"}});
+  ExpectRefused(
+      {{SetConfig("norm", "batch"), "config.norm: expected layer or none, received \"batch\""},
+       {SetConfig("norm", "none"),
+        "tensor \"embed.action.norm.bias\": not expected in a policy of mode full in "
+        "float32 without norms"}});
   ModelConfig config = SmallConfig();
   config.norm = NormKind::kNone;
-  ExpectRefused({{set("layer"), "tensor \"embed.return.norm.weight\": expected, but missing"}},
-                SmallPolicy(config));
+  ExpectRefused(
+      {{SetConfig("norm", "layer"), "tensor \"embed.return.norm.weight\": expected, but missing"}},
+      SmallPolicy(config));
 }
 
 TEST_F(PolicyFileRefusalTest, TensorsOfAnotherDtype) {
@@ -260,28 +252,21 @@ TEST_F(PolicyFileRefusalTest, IntegerTensors) {
 }
 
 TEST_F(PolicyFileRefusalTest, IntegerConfig) {
-  const auto set = [](const char* key, const json& value) {
-    return [=](Safetensors& c) {
-      json config = json::parse(c.metadata["config"]);
-      config[key] = value;
-      c.metadata["config"] = config.dump();
-    };
-  };
   ExpectRefused(
       {
-          {set("arithmetic", "int4"),
+          {SetConfig("arithmetic", "int4"),
            "config.arithmetic: expected float32, int8 or integer, received \"int4\""},
-          {set("arithmetic", "float32"),
+          {SetConfig("arithmetic", "float32"),
            "tensor \"layers.0.attention.query.weight\": expected dtype \"F32\", received \"I8\""},
-          {set("mode", "dense"), "arithmetic: expected float32 in mode dense, received int8"},
-          {set("membrane_decay", 1.0),
+          {SetConfig("mode", "dense"), "arithmetic: expected float32 in mode dense, received int8"},
+          {SetConfig("membrane_decay", 1.0),
            "membrane_decay: expected at most 32767/32768 after rounding with arithmetic int8, "
            "received 1"},
-          {set("ticks", 257), "ticks: expected 1 to 256, received 257"},
-          {set("ffn_size", 16385), "ffn_size: expected 1 to 16384, received 16385"},
+          {SetConfig("ticks", 257), "ticks: expected 1 to 256, received 257"},
+          {SetConfig("ffn_size", 16385), "ffn_size: expected 1 to 16384, received 16385"},
       },
       *Quantize(SmallPolicy()));
-  ExpectRefused({{set("arithmetic", "int8"),
+  ExpectRefused({{SetConfig("arithmetic", "int8"),
                   "tensor \"layers.0.attention.query.weight\": expected dtype \"I8\", received "
                   "\"F32\""}});
 }
@@ -375,12 +360,7 @@ TEST_F(PolicyFileRefusalTest, ActionSpace) {
 TEST_F(PolicyFileRefusalTest, Config) {
   std::vector<Refusal> refusals;
   const auto set = [&](const char* key, const json& value, const std::string& message) {
-    refusals.push_back({[=](Safetensors& c) {
-                          json config = json::parse(c.metadata["config"]);
-                          config[key] = value;
-                          c.metadata["config"] = config.dump();
-                        },
-                        message});
+    refusals.push_back({SetConfig(key, value), message});
   };
   for (const char* key :
        {"mode", "hidden_size", "heads", "layers", "ticks", "context", "routing_hidden_size",
