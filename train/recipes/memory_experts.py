@@ -1,5 +1,5 @@
 """Experts for tasks that one observation does not solve: POPGym's RepeatFirst, RepeatPrevious,
-CountRecall and Autoencode, MiniGrid's Memory.
+CountRecall, Autoencode and Concentration, MiniGrid's Memory.
 
     python -m spikeserve imitate popgym:popgym-RepeatFirstEasy-v0 --expert memory_experts:repeat_first
 """
@@ -32,6 +32,24 @@ def autoencode(environment, observation):
     """The expert of Autoencode: the suit of the card on top of the pile, which is the newest one while cards are dealt."""
     deck = environment.deck
     return int(deck.suits_idx[deck["system"][-1]])
+
+
+def concentration(environment, observation):
+    """The expert of Concentration: turns cards over from the first place on, and pairs those it has seen as soon as it can."""
+    if environment.curr_step == 0:
+        environment.seen_places = set()
+    environment.seen_places |= set(environment.last_in_play_idx)
+    deck = environment.deck
+    hidden = set(range(len(deck))) - set(deck["face_up_idx"]) - set(deck["in_play_idx"])
+    known = sorted(hidden & environment.seen_places)
+    unknown = sorted(hidden - environment.seen_places)
+    values = environment.deck_idx_type[deck.idx]
+    if deck["in_play_idx"]:
+        open_value = values[deck["in_play_idx"][0]]
+        choices = [place for place in known if values[place] == open_value]
+    else:
+        choices = [place for i, place in enumerate(known) if values[place] in values[known[i + 1 :]]]
+    return int([*choices, *unknown, *known][0])
 
 
 def find_match(environment, observation):

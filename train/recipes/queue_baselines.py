@@ -2,9 +2,9 @@
 
     python train/recipes/queue_baselines.py popgym:popgym-CountRecallEasy-v0 --data=FOLDER --length=52 --hidden=0,64,256
 
-FOLDER is a dataset that `spikeserve imitate` recorded, `OUT/data/expert-v0`. The input is the last LENGTH observations side by
-side, newest first, 0 where there was none. HIDDEN is the width of two hidden layers; 0 is a linear map. GRU is the size of a
-recurrent state, which reads one observation at a time. Actions are Discrete, or a Box.
+FOLDER is a dataset that `spikeserve imitate` recorded, such as `OUT/data/expert-v0`; several are joined. The input is the last
+LENGTH observations side by side, newest first, 0 where there was none. HIDDEN is the width of two hidden layers; 0 is a linear map.
+GRU is the size of a recurrent state, which reads one observation at a time. Actions are Discrete, or a Box.
 """
 
 import argparse
@@ -34,9 +34,9 @@ def queue_of(observations, length):
     return queue.ravel()
 
 
-def read(folder):
-    """Returns the observations [steps, size] and the labels, as in losses.py, of all episodes of a dataset."""
-    return [seen_and_done(episode) for episode in read_dataset(folder)]
+def read(folders):
+    """Returns the observations [steps, size] and the labels, as in losses.py, of all episodes of datasets."""
+    return [seen_and_done(episode) for folder in folders for episode in read_dataset(folder)]
 
 
 def seen_and_done(episode):
@@ -60,10 +60,28 @@ def absorb(model, mean, deviation):
     offsets -= mean @ weights
 
 
-def queues(episodes, length):
-    """Returns the inputs and the labels of all decisions."""
-    inputs = [queue_of(seen[: step + 1], length) for seen, _ in episodes for step in range(len(seen))]
-    return np.stack(inputs), np.concatenate([labels for _, labels in episodes])
+class Queues:
+    """The inputs of all decisions, [decisions, length * size], made as they are asked for: together they may not fit into memory."""
+
+    def __init__(self, episodes, length):
+        before = np.zeros((length - 1, episodes[0][0].shape[1]), np.float32)
+        rows = np.concatenate([part for seen, _ in episodes for part in (before, seen)])
+        self._windows = np.lib.stride_tricks.sliding_window_view(rows, length, axis=0)  # [rows, size, length], oldest first
+        firsts = np.cumsum([0, *(len(before) + len(seen) for seen, _ in episodes[:-1])])
+        self._starts = np.concatenate([first + np.arange(len(seen)) for first, (seen, _) in zip(firsts, episodes, strict=True)])
+        self.size = self._windows.shape[1] * length
+        self.mean, self.deviation = np.zeros(self.size), np.ones(self.size)
+
+    def __getitem__(self, decisions):
+        """Returns the inputs of an index or a slice."""
+        windows = self._windows[self._starts[decisions]]
+        return (windows[:, :, ::-1].transpose(0, 2, 1).reshape(len(windows), -1) - self.mean) / self.deviation
+
+    def standardise(self):
+        """Makes every number have mean 0 and deviation 1."""
+        ages = range(self._windows.shape[2])
+        of_ages = [scaling(self._windows[self._starts, :, -1 - age]) for age in ages]
+        self.mean, self.deviation = (np.concatenate(values) for values in zip(*of_ages, strict=True))
 
 
 class Perceptron:
@@ -142,7 +160,7 @@ def choice_of(space):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("env_id", help="as `spikeserve imitate` takes it")
-    parser.add_argument("--data", required=True, type=pathlib.Path)
+    parser.add_argument("--data", required=True, type=pathlib.Path, action="append", help="may be repeated")
     parser.add_argument("--length", required=True, type=int)
     parser.add_argument("--hidden", default="0,64,256", help="widths; empty: none")
     parser.add_argument("--gru", default="", help="sizes of recurrent states; empty: none")
@@ -165,26 +183,25 @@ def main():
         returns = [e.episode_return for e in play(factory.make, actor, seeds, ENVIRONMENTS)]
         print(f"{name}: return {np.mean(returns):.3f} ± {np.std(returns):.3f}, {multiplications} multiplications", flush=True)
 
-    def scaling_of(rows):
-        return scaling(rows) if arguments.standardise else (np.zeros(rows.shape[1]), np.ones(rows.shape[1]))
-
-    mean, deviation = scaling_of(np.concatenate([seen for seen, _ in episodes]))
+    mean, deviation = 0.0, np.ones(episodes[0][0].shape[1])
+    if arguments.standardise:
+        mean, deviation = scaling(np.concatenate([seen for seen, _ in episodes]))
     clips = cut([((seen - mean) / deviation, done) for seen, done in episodes], arguments.clip)
     for size in sizes(arguments.gru):
-        unit = Gru(len(mean), size, actions, seed=0)
+        unit = Gru(len(deviation), size, actions, seed=0)
         unit.train(clips, arguments.gru_epochs)
         absorb(unit, mean, deviation)
         report(f"unit of {size}", GruActor(unit, choice), unit.multiplications)
     if not arguments.hidden:
         return
-    inputs, labels = queues(episodes, arguments.length)
-    mean, deviation = scaling_of(inputs)
-    inputs = (inputs - mean) / deviation
+    inputs, labels = Queues(episodes, arguments.length), np.concatenate([labels for _, labels in episodes])
+    if arguments.standardise:
+        inputs.standardise()
     for hidden in sizes(arguments.hidden):
-        model = Perceptron([inputs.shape[1], *([hidden] * 2 if hidden else []), actions], seed=0)
+        model = Perceptron([inputs.size, *([hidden] * 2 if hidden else []), actions], seed=0)
         model.train(inputs, labels, arguments.epochs)
         fit = fit_of(model.outputs(inputs[:20000])[-1], labels[:20000])
-        absorb(model, mean, deviation)
+        absorb(model, inputs.mean, inputs.deviation)
         report(f"hidden {hidden}, {fit}", QueueActor(model, arguments.length, choice), model.multiplications)
 
 
