@@ -183,12 +183,13 @@ def main():
         returns = [e.episode_return for e in play(factory.make, actor, seeds, ENVIRONMENTS)]
         print(f"{name}: return {np.mean(returns):.3f} ± {np.std(returns):.3f}, {multiplications} multiplications", flush=True)
 
-    mean, deviation = 0.0, np.ones(episodes[0][0].shape[1])
+    numbers = episodes[0][0].shape[1]
+    mean, deviation = np.zeros(numbers), np.ones(numbers)
     if arguments.standardise:
         mean, deviation = scaling(np.concatenate([seen for seen, _ in episodes]))
     clips = cut([((seen - mean) / deviation, done) for seen, done in episodes], arguments.clip)
     for size in sizes(arguments.gru):
-        unit = Gru(len(deviation), size, actions, seed=0)
+        unit = Gru(numbers, size, actions, seed=0)
         unit.train(clips, arguments.gru_epochs)
         absorb(unit, mean, deviation)
         report(f"unit of {size}", GruActor(unit, choice), unit.multiplications)
