@@ -1,0 +1,42 @@
+"""CartPole with hidden physics: they change between episodes, and the expert plays all of them."""
+
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+from documentation import DOCS
+
+sys.path.insert(0, str(DOCS.parent / "train/recipes"))
+from hidden_physics import balance  # noqa: E402
+
+
+def play(seed, policy):
+    """Returns the episode's steps, its observations and its actions."""
+    environment = gymnasium.make("HiddenCartPole-v0").unwrapped
+    observation, _ = environment.reset(seed=seed)
+    observations, actions, done = [observation], [], False
+    while not done and len(actions) < 500:
+        actions.append(policy(environment, observation))
+        observation, _, done, *_ = environment.step(actions[-1])
+        observations.append(observation)
+    return len(actions), observations, actions
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_expert_balances_and_sees_the_action_before(seed):
+    steps, observations, actions = play(seed, balance)
+    assert steps == 500
+    assert [observation[-1] for observation in observations] == [0, *(2 * action - 1 for action in actions)]
+
+
+def test_who_does_not_know_the_sign_falls_in_half_of_the_episodes():
+    lengths = [play(seed, lambda environment, observation: int(np.dot([0.5, 1, 9, 2.5], observation[:4]) > 0))[0] for seed in range(20)]
+    assert 5 <= sum(length == 500 for length in lengths) <= 15
+    assert min(lengths) < 50
+
+
+def test_an_episode_has_the_same_physics_in_each_run():
+    (_, first, _), (_, again, _), (_, other, _) = play(1, balance), play(1, balance), play(2, balance)
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first[1][:4] - first[0][:4], other[1][:4] - other[0][:4])
