@@ -8,7 +8,7 @@ import pytest
 from documentation import DOCS
 
 sys.path.insert(0, str(DOCS.parent / "train/recipes"))
-from hidden_physics import balance  # noqa: E402
+from hidden_physics import GAINS, balance  # noqa: E402
 
 
 def play(seed, policy):
@@ -31,7 +31,7 @@ def test_the_expert_balances_and_sees_the_action_before(seed):
 
 
 def test_who_does_not_know_the_sign_falls_in_half_of_the_episodes():
-    lengths = [play(seed, lambda environment, observation: int(np.dot([0.5, 1, 9, 2.5], observation[:4]) > 0))[0] for seed in range(20)]
+    lengths = [play(seed, lambda environment, observation: int(GAINS @ observation[:4] > 0))[0] for seed in range(20)]
     assert 5 <= sum(length == 500 for length in lengths) <= 15
     assert min(lengths) < 50
 

@@ -9,10 +9,11 @@ actions return in the task, 1 as the expert.
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from hidden_physics import GAINS
 
 # Experts of observations, and the mean returns of random actions and of the expert on the starts 1,000,000 to 1,000,299.
 TASKS = {
-    "CartPole-v1": (lambda seen: 2 * int(np.dot([0.5, 1.0, 9.0, 2.5], seen) > 0), 17.2, 500.0),
+    "CartPole-v1": (lambda seen: 2 * int(GAINS @ seen[:4] > 0), 17.2, 500.0),
     "Acrobot-v1": (lambda seen: 0 if seen[4] > 0 else 2, -498.9, -83.2),
     "MountainCar-v0": (lambda seen: 2 if seen[1] >= 0 else 0, -200.0, -119.5),
 }
@@ -30,7 +31,7 @@ class ManyTasks(gymnasium.Env):
         self.name = list(TASKS)[self.np_random.integers(len(TASKS))]
         self.total = 0.0
         observation, _ = self.tasks[self.name].reset(seed=int(self.np_random.integers(2**31)))
-        return self._filled(observation), {"task": self.name}
+        return filled(observation), {"task": self.name}
 
     def step(self, action):
         if self.name == "CartPole-v1":
@@ -39,20 +40,20 @@ class ManyTasks(gymnasium.Env):
         self.total += reward
         _, random, expert = TASKS[self.name]
         score = (self.total - random) / (expert - random)
-        return self._filled(observation), score if terminated or truncated else 0.0, terminated, truncated, {"task": self.name}
+        return filled(observation), score if terminated or truncated else 0.0, terminated, truncated, {"task": self.name}
 
     def close(self):
         for task in self.tasks.values():
             task.close()
 
-    def _filled(self, observation):
-        self.seen = observation
-        return np.pad(observation, (0, NUMBERS - len(observation))).astype(np.float32)
+
+def filled(observation):
+    return np.pad(observation, (0, NUMBERS - len(observation))).astype(np.float32)
 
 
 def play(environment, observation):
     """The expert of the episode's task."""
-    return TASKS[environment.name][0](environment.seen)
+    return TASKS[environment.name][0](observation)
 
 
 gymnasium.register("ManyTasks-v0", ManyTasks)
