@@ -20,6 +20,8 @@ import study_page  # noqa: E402
 import study_parts  # noqa: E402
 import study_plan  # noqa: E402
 import study_settings  # noqa: E402
+import study_structured  # noqa: E402
+import study_tasks  # noqa: E402
 
 COMMITTED = ROOT / "docs/evidence/study"
 
@@ -103,7 +105,7 @@ def test_less_within_the_margin_is_not_worse(tmp_path, less, verdict):
 
 
 def test_no_run_looks_further_back_than_its_context():
-    tasks = list(study_plan.TASKS)
+    tasks = list(study_tasks.TASKS)
     for run in [*study_plan.study_runs(tasks, 1), *study_plan.part_runs(tasks, 1)]:
         flags = dict(flag.split("=") for flag in study_plan.train_flags(run, "1e-3", study_plan.Budget()) if "=" in flag)
         assert int(flags.get("--lookback", 0)) < int(flags["--context"]), run.name
@@ -211,7 +213,7 @@ def test_a_miniature_of_the_field(tmp_path):
             env={**os.environ, "PYTHONPATH": os.pathsep.join([os.environ["PYTHONPATH"], str(ROOT / "train/recipes")])},
         )
         assert ("hopper-medium-v0: " in made.stdout) == is_first
-    sets = {kind: list(read_dataset(tmp_path / f"sets/hopper-{kind}-v0")) for kind in study_plan.SETS}
+    sets = {kind: list(read_dataset(tmp_path / f"sets/hopper-{kind}-v0")) for kind in study_tasks.SETS}
     steps = {kind: sum(episode.steps for episode in episodes) for kind, episodes in sets.items()}
     assert steps["medium"] >= 400 and steps["medium-expert"] >= 400 and 0 < steps["medium-replay"] <= 400
     assert max(e.episode_return for e in sets["medium-expert"]) > max(e.episode_return for e in sets["medium"])
@@ -230,9 +232,51 @@ def test_a_miniature_of_the_field(tmp_path):
     assert "| multiplications |  |  |  |  |  | 69120 | 14784 |" in text
 
 
+def test_a_miniature_of_the_structured_tasks(tmp_path):
+    """Policies and models without attention learn from the same data, and have their cells in the tables."""
+    arms = ("line", "perceptron-64", "recurrent-64", "dense", "spiking")
+    for arm in arms:
+        only = study(tmp_path, "--structured", f"--only=recall-{arm}-1")
+        assert only.returncode == 0, only.stderr
+    assert [path.name for path in (tmp_path / "work/data").glob("*-v0")] == ["recall-1-v0"]
+    results = {path.stem: json.loads(path.read_text()) for path in (tmp_path / "out/structured").glob("*.json")}
+    assert results.keys() == {f"recall-{arm}-1" for arm in arms}
+    assert {"--mode=baseline", "--ticks=2", "--iterations=2"} <= set(results["recall-spiking-1"]["training"].split())
+    assert results["recall-spiking-1"]["spikes_per_decision"] > 0
+    assert {"--hidden=64", "--queue=16"} <= set(results["recall-perceptron-64-1"]["training"].split())
+    assert results["recall-perceptron-64-1"]["multiplications"] == 16 * 21 * 64 + 64 * 64 + 64 * 4
+    text = study_structured.tables(tmp_path / "out")
+    assert "| recall | -0.500 | 1.000 | " in text
+    assert "| difference of the returns |" not in text  # it takes two seeds
+    assert "| 1344 | 25856 |  | 16768 |  |" in text
+
+
+def test_spiking_arms_have_what_a_structured_task_needs():
+    flags = {
+        arm: study_plan.train_flags(study_plan.Run("autoencode", arm, 1), "3e-3", study_plan.Budget())
+        for arm in ("dense", "spiking")
+    }
+    assert {"--mode=pos", "--mirror=51", "--ticks=2"} <= set(flags["spiking"])
+    assert "--mode=dense" in flags["dense"] and "--mirror=51" not in flags["dense"]
+    assert len(study_plan.structured_runs()) == 3 * 8 * 7
+
+
+def test_structured_returns_are_compared_with_the_best_other(tmp_path):
+    """The best model without attention is that of the highest mean; differences are those of the same seed."""
+    (tmp_path / "structured").mkdir()
+    for arm, returns in {"line": (0.1, 0.3), "recurrent-64": (0.4, 0.2), "dense": (1.0, 1.0), "spiking": (0.9, 0.5)}.items():
+        for seed, value in enumerate(returns, 1):
+            result = {"task": "recall", "arm": arm, "seed": seed, "mean_return": value, "spikes_per_decision": 3}
+            further = {"integer": {"nanojoules_per_decision": 2}} if arm in ("dense", "spiking") else {"multiplications": 5}
+            (tmp_path / f"structured/recall-{arm}-{seed}.json").write_text(json.dumps(result | further))
+    text = study_structured.tables(tmp_path)
+    assert "| recall | `recurrent-64` | +0.700 ± 1.271 | +0.400 ± 1.271 | -0.300 ± 2.541 |" in text
+    assert "| recall | -0.500 | 1.000 | 0.200 ± 1.271 |  |  | 0.300 ± 1.271 |  | 1.000 ± 0.000 | 0.700 ± 2.541 | 0 to 2 |" in text
+
+
 def test_scores_of_the_field_are_means_of_all_sets(tmp_path):
     (tmp_path / "field").mkdir()
-    for task, plan in study_plan.FIELD_TASKS.items():
+    for task, plan in study_tasks.FIELD_TASKS.items():
         for place, arm in enumerate(study_plan.FIELD_ARMS):
             for seed in (1, 2, 3):
                 score = 10 * place + seed + (9 if task == "hopper-medium" else 0)
@@ -247,7 +291,7 @@ def test_scores_of_the_field_are_means_of_all_sets(tmp_path):
 
 
 def test_a_run_of_the_settings_has_the_papers_epochs():
-    settings = study_plan.SETTINGS
+    settings = study_tasks.SETTINGS
     assert (settings["table1"].epoch, settings["table5"].epoch) == (7, 11)
     flags = study_plan.train_flags(study_plan.Run("pendulum-table5", "full", 1), "1e-4", study_plan.Budget())
     assert {"--batch=16", "--context=50", "--iterations=2200", "--validate_every=55", "--hidden_size=128"} <= set(flags)
@@ -269,7 +313,7 @@ def test_the_table_of_the_settings_compares_with_baseline(tmp_path):
 
 
 def test_the_study_orders_seeds_before_tasks():
-    runs = study_plan.study_runs(list(study_plan.TASKS), 2)
+    runs = study_plan.study_runs(list(study_tasks.TASKS), 2)
     half = len(runs) // 2
     assert {run.seed for run in runs[:half]} == {1}
     assert {run.name for run in runs[half:]} == {run.name.removesuffix("1") + "2" for run in runs[:half]}

@@ -70,7 +70,7 @@ class Queues:
         firsts = np.cumsum([0, *(len(before) + len(seen) for seen, _ in episodes[:-1])])
         self._starts = np.concatenate([first + np.arange(len(seen)) for first, (seen, _) in zip(firsts, episodes, strict=True)])
         self.size = self._windows.shape[1] * length
-        self.mean, self.deviation = np.zeros(self.size), np.ones(self.size)
+        self.mean, self.deviation = np.zeros(self.size, np.float32), np.ones(self.size, np.float32)
 
     def __getitem__(self, decisions):
         """Returns the inputs of an index or a slice."""
@@ -184,7 +184,7 @@ def main():
         print(f"{name}: return {np.mean(returns):.3f} ± {np.std(returns):.3f}, {multiplications} multiplications", flush=True)
 
     numbers = episodes[0][0].shape[1]
-    mean, deviation = np.zeros(numbers), np.ones(numbers)
+    mean, deviation = np.zeros(numbers, np.float32), np.ones(numbers, np.float32)
     if arguments.standardise:
         mean, deviation = scaling(np.concatenate([seen for seen, _ in episodes]))
     clips = cut([((seen - mean) / deviation, done) for seen, done in episodes], arguments.clip)

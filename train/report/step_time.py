@@ -16,12 +16,13 @@ import statistics
 import subprocess
 
 import study_plan
+import study_tasks
 from study_tables import row
 
 SHORT, LONG = 2, 12  # steps
 COUNTER = pathlib.Path("/sys/class/powercap/intel-rapl:0/energy_uj")
 SILENT = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-SETTINGS = study_plan.SETTINGS["table1"]
+SETTINGS = study_tasks.SETTINGS["table1"]
 
 
 def joules():
@@ -55,7 +56,7 @@ def main():
     arguments.work.mkdir(parents=True, exist_ok=True)
     data = arguments.work / "data.cbor"
     if not data.exists():
-        number = study_plan.SMOKE.steps if arguments.smoke else study_plan.STEPS_OF_THE_PAPER
+        number = study_plan.SMOKE.steps if arguments.smoke else study_tasks.STEPS_OF_THE_PAPER
         recorded = ("dataset", "--env=CartPole-v1", f"--steps={number}", "--expert_fraction=0.5")
         subprocess.run([arguments.spiketrain, *recorded, f"--out={data}"], check=True, **SILENT)
     files = (f"--data={data}", f"--out={arguments.work}/policy", "--overwrite")

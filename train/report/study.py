@@ -4,13 +4,15 @@
     python train/report/study.py --work=build/study --out=docs/evidence/study --parts
     python train/report/study.py --work=build/study --out=docs/evidence/study --settings
     python train/report/study.py --work=build/study --out=docs/evidence/study --field
+    python train/report/study.py --work=build/study --out=docs/evidence/study --structured
 
 Needs `spiketrain` and a Python with what docs/guides/imitation.md installs, popgym and minigrid; PYTHONPATH names
 train/recipes. The learning rate of `dense` is chosen first. The same command continues after an interruption, and
-leaves out what is finished. `--jobs=2` runs two processes. `--parts` trains the variants of one mode instead, and
-`--settings` the modes on the paper's tasks with the paper's settings, and `--field` some modes and models without attention
-on datasets of MuJoCo. Those that the folder of `--sets` lacks are made by offline_sets.py; D4RL's, in Minari's format and
-under the same names, are read as well. study_page.py makes a page of the files.
+leaves out what is finished. `--jobs=2` runs two processes. Each of these trains something else instead: `--parts` the variants
+of one mode, `--settings` the modes on the paper's tasks with the paper's settings, `--structured` a dense and a spiking policy
+and models without attention on tasks that should need it, and `--field` some modes and models without attention on datasets of
+MuJoCo. Those that the folder of `--sets` lacks are made by offline_sets.py; D4RL's, in Minari's format and under the same
+names, are read as well. study_page.py makes a page of the files.
 """
 
 import argparse
@@ -22,6 +24,7 @@ import subprocess
 import sys
 
 import study_plan
+import study_tasks
 from spikeserve.imitation.training import find_spiketrain
 from study_run import Workshop, write_json
 
@@ -34,15 +37,13 @@ class Study:
         self._budget = budget
 
     def path(self, run):
-        part = "sweep" if run.rate else "settings" if run.plan.settings else "field" if run.plan.dataset else "."
-        return self._out / part / f"{run.name}.json"
+        return self._out / run.folder / f"{run.name}.json"
 
     def rate_of(self, run):
         """Returns the learning rate of a run. That of `dense` is the best of the sweep."""
-        if run.plan.dataset and run.arm == "dense":
-            return study_plan.FIELD_RATE_OF_DENSE
-        if run.rate or run.arm != "dense" or run.plan.settings:
-            return run.rate or run.plan.rate
+        known = run.rate or (run.plan.rate_of_dense if run.arm == "dense" else run.plan.rate)
+        if known:
+            return known
         means = {}
         for tried in study_plan.sweep_runs([run.task]):
             means.setdefault(tried.rate, []).append(json.loads(self.path(tried).read_text())["mean_return"])
@@ -63,6 +64,7 @@ class Study:
 def run_named(name, tasks, seeds):
     runs = [*study_plan.settings_runs(), *study_plan.sweep_runs(tasks), *study_plan.study_runs(tasks, seeds)]
     runs += [*study_plan.part_runs(tasks, seeds), *study_plan.field_runs()]
+    runs += [*study_plan.structured_sweep_runs(), *study_plan.structured_runs()]
     run = next((run for run in runs if run.name == name), None)
     if run is None:
         sys.exit(f"study: --only: expected a run of the plan, such as {runs[-1].name}, received {name}")
@@ -87,11 +89,12 @@ def main():
     parser.add_argument("--out", required=True, type=pathlib.Path, help="folder of the results")
     parser.add_argument("--spiketrain", help="the program; default: $SPIKETRAIN, or the one on PATH")
     parser.add_argument("--seeds", default=study_plan.SEEDS, type=int, help="train from seed 1 to this one")
-    parser.add_argument("--tasks", default=",".join(study_plan.TASKS), help="tasks of study_plan.py")
+    parser.add_argument("--tasks", default=",".join(study_tasks.TASKS), help="tasks of study_plan.py")
     parser.add_argument("--jobs", default=1, type=int, help="runs at the same time")
     parser.add_argument("--parts", action="store_true", help="train the variants of `full`")
     parser.add_argument("--settings", action="store_true", help="train on the paper's four tasks with its settings")
     parser.add_argument("--field", action="store_true", help="train on the datasets of MuJoCo")
+    parser.add_argument("--structured", action="store_true", help="train on tasks that a queue should not play")
     parser.add_argument("--sets", default="build/sets", type=pathlib.Path, help="folder of the datasets of MuJoCo")
     parser.add_argument("--only", help="the name of one run, such as cartpole-full-3")
     parser.add_argument("--smoke", action="store_true", help="tiny models and hardly any training: a test in seconds")
@@ -113,6 +116,8 @@ def main():
         stages = [study_plan.settings_runs()]
     if arguments.field:
         stages = [study_plan.field_runs()]
+    if arguments.structured:
+        stages = [study_plan.structured_sweep_runs(), study_plan.structured_runs()]
     return 0 if all(train_all(study, runs, command, arguments.jobs) for runs in stages) else 1
 
 

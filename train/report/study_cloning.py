@@ -1,22 +1,24 @@
-"""Models without attention that imitate a dataset: perceptrons on one observation, and a gated recurrent unit."""
+"""Models without attention that imitate a dataset: lines and perceptrons on a queue of observations, gated recurrent units."""
 
 import numpy as np
 from gru import Gru, GruActor
-from queue_baselines import Perceptron, QueueActor, absorb, choice_of, cut, scaling, seen_and_done
+from gymnasium import spaces
+from queue_baselines import Perceptron, QueueActor, Queues, absorb, choice_of, cut, scaling, seen_and_done
 from spikeserve.imitation.datasets import read_dataset
 
-CLIP = 50  # steps of an episode from which a recurrent unit learns at once
 
+def fit(clone, how, data, seed, share, space):
+    """Fits a model to the dataset of a folder. Returns its actor, and the multiplications of a decision.
 
-def fit(clone, data, seed, budget, space):
-    """Fits a model to the dataset of a folder. Returns an actor for a Box of actions, and the multiplications of a decision."""
+    `how` is a study_tasks.Cloning, of whose epochs a share is made; `space` is that of the actions, a Discrete or a Box.
+    """
     episodes = [seen_and_done(episode) for episode in best(list(read_dataset(data)), clone.best)]
-    mean, deviation = scaling(np.concatenate([seen for seen, _ in episodes]))
-    episodes = [((seen - mean) / deviation, done) for seen, done in episodes]
-    model = fit_unit(clone, episodes, seed, budget) if clone.recurrent else fit_perceptron(clone, episodes, seed, budget)
-    absorb(model, mean, deviation)
-    actor = GruActor(model, choice_of(space)) if clone.recurrent else QueueActor(model, 1, choice_of(space))
-    return actor, model.multiplications
+    outputs = int(space.n if isinstance(space, spaces.Discrete) else space.shape[0])
+    if clone.recurrent:
+        unit = fit_unit(clone, how, episodes, outputs, seed, share)
+        return GruActor(unit, choice_of(space)), unit.multiplications
+    model = fit_perceptron(clone, how, episodes, outputs, seed, share)
+    return QueueActor(model, how.queue, choice_of(space)), model.multiplications
 
 
 def best(episodes, share):
@@ -25,15 +27,23 @@ def best(episodes, share):
     return ordered[: max(1, round(share * len(ordered)))]
 
 
-def fit_perceptron(clone, episodes, seed, budget):
-    inputs, labels = (np.concatenate(values) for values in zip(*episodes, strict=True))
-    model = Perceptron([inputs.shape[1], clone.hidden, clone.hidden, labels.shape[1]], seed)
-    model.train(inputs, labels, budget.epochs / clone.best)  # as many steps whatever the share
+def fit_perceptron(clone, how, episodes, outputs, seed, share):
+    inputs, labels = Queues(episodes, how.queue), np.concatenate([done for _, done in episodes])
+    if how.standardised:
+        inputs.standardise()
+    model = Perceptron([inputs.size, *([clone.hidden] * 2 if clone.hidden else []), outputs], seed)
+    model.train(inputs, labels, share * how.epochs / clone.best)  # as many steps whatever the share of the episodes
+    absorb(model, inputs.mean, inputs.deviation)
     return model
 
 
-def fit_unit(clone, episodes, seed, budget):
-    clips = cut(episodes, CLIP)
-    unit = Gru(clips[0][0].shape[1], clone.hidden, clips[0][1].shape[1], seed)
-    unit.train(clips, budget.epochs)
+def fit_unit(clone, how, episodes, outputs, seed, share):
+    numbers = episodes[0][0].shape[1]
+    mean, deviation = np.zeros(numbers, np.float32), np.ones(numbers, np.float32)
+    if how.standardised:
+        mean, deviation = scaling(np.concatenate([seen for seen, _ in episodes]))
+    clips = cut([((seen - mean) / deviation, done) for seen, done in episodes], how.clip)
+    unit = Gru(numbers, clone.hidden, outputs, seed)
+    unit.train(clips, share * how.recurrent_epochs)
+    absorb(unit, mean, deviation)
     return unit

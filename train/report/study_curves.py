@@ -10,6 +10,7 @@ import pathlib
 
 import matplotlib
 import study_plan
+import study_tasks
 from plot import COLOURS, DOTS_PER_INCH, LINE_STYLES, STYLE, panels
 from study_settings import losses_of
 from study_tables import read_runs
@@ -17,7 +18,7 @@ from study_tables import read_runs
 
 def draw(runs):
     """Returns a figure with a panel for each task and setting that has runs."""
-    drawn = [task for task in study_plan.TASKS_OF_SETTINGS if any((task, mode) in runs for mode in study_plan.MODES)]
+    drawn = [task for task in study_tasks.TASKS_OF_SETTINGS if any((task, mode) in runs for mode in study_plan.MODES)]
     figure, axes = panels(len(drawn))
     for axis, task in zip(axes, drawn, strict=True):
         axis.set_title(task)

@@ -1,15 +1,9 @@
 """The tables of the runs on MuJoCo's datasets: normalised scores and energy."""
 
 import numpy as np
-import seed_statistics
 import study_plan
-from study_tables import joined, read_runs, row, score
-
-
-def with_interval(values):
-    """Returns a mean over seeds with Student's interval."""
-    half = f" ± {seed_statistics.half_width(values):.1f}" if len(values) > 1 else ""
-    return f"{np.mean(values):.1f}{half}"
+import study_tasks
+from study_tables import joined, read_runs, row, score, with_interval
 
 
 def scores_by_seed(runs, task, arm):
@@ -18,7 +12,7 @@ def scores_by_seed(runs, task, arm):
 
 def scores_table(runs):
     """Scores by D4RL's references, and the mean of all sets by the seeds that every set has."""
-    tasks = [task for task in study_plan.FIELD_TASKS if any((task, arm) in runs for arm in study_plan.FIELD_ARMS)]
+    tasks = [task for task in study_tasks.FIELD_TASKS if any((task, arm) in runs for arm in study_plan.FIELD_ARMS)]
     if not tasks:
         return
     yield row(["score", *(f"`{arm}`" for arm in study_plan.FIELD_ARMS), "seeds"])
@@ -27,12 +21,12 @@ def scores_table(runs):
     for task in tasks:
         found = [cells[task, arm] for arm in study_plan.FIELD_ARMS]
         counts = sorted({len(scores) for scores in found})
-        texts = [with_interval(list(scores.values())) if scores else "" for scores in found]
+        texts = [with_interval(list(scores.values()), 1) if scores else "" for scores in found]
         yield row([task, *texts, " to ".join(map(str, counts[:: max(1, len(counts) - 1)]))])
     seeds = sorted(set.intersection(*(set(scores) for scores in cells.values())))
     if seeds:
         means = [[np.mean([cells[task, arm][seed] for task in tasks]) for seed in seeds] for arm in study_plan.FIELD_ARMS]
-        yield row([f"mean of {len(tasks)}", *map(with_interval, means), str(len(seeds))])
+        yield row([f"mean of {len(tasks)}", *(with_interval(values, 1) for values in means), str(len(seeds))])
 
 
 # What a decision costs: what a run says of it, and digits. Policies have spikes and energy, models without attention neither.
@@ -61,6 +55,6 @@ def mean_of(runs, arm, cost, digits):
 
 
 def tables(folder):
-    """Returns the fourth generated part of the page."""
+    """Returns the fifth generated part of the page."""
     runs = read_runs(folder / "field")
     return joined([scores_table(runs), costs_table(runs)])

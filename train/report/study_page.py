@@ -18,8 +18,10 @@ import seed_statistics
 import study_field
 import study_parts
 import study_plan
+import study_tasks
 import study_settings
-from study_tables import ALPHA, joined, read_runs, row, score
+import study_structured
+from study_tables import ALPHA, digits_of, joined, read_runs, row, score
 
 MARGIN = 5.0  # points of the score: a smaller difference counts as none
 SMALLEST_P = 1e-15  # smaller ones are rounding errors
@@ -59,7 +61,7 @@ STATEMENTS = (
 def read_results(folder):
     """Returns the results of the study by task, arm and seed."""
     runs = read_runs(folder)
-    return {task: {arm: runs.get((task, arm), {}) for arm in study_plan.ARMS} for task in study_plan.TASKS}
+    return {task: {arm: runs.get((task, arm), {}) for arm in study_plan.ARMS} for task in study_tasks.TASKS}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,7 +126,7 @@ def returns_table(results):
     yield row(["task", "arm", "seeds", "return", "spikes", "nJ", "learning rate"])
     yield row(["---", "---", "---:", "---:", "---:", "---:", "---:"])
     for task, arms in results.items():
-        digits = 1 if abs(study_plan.TASKS[task].expert_return) > 10 else 3
+        digits = digits_of(task)
         for arm, seeds in arms.items():
             if not seeds:
                 continue
@@ -185,6 +187,7 @@ GENERATED = (
     ("<!-- tables of the study -->", "<!-- end of the tables of the study -->", tables),
     ("<!-- tables of the parts -->", "<!-- end of the tables of the parts -->", study_parts.tables),
     ("<!-- tables of the settings -->", "<!-- end of the tables of the settings -->", study_settings.tables),
+    ("<!-- tables of the structured -->", "<!-- end of the tables of the structured -->", study_structured.tables),
     ("<!-- tables of the field -->", "<!-- end of the tables of the field -->", study_field.tables),
 )
 

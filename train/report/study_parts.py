@@ -3,6 +3,7 @@
 import numpy as np
 import seed_statistics
 import study_plan
+import study_tasks
 from study_tables import ALPHA, joined, read_runs, row, score
 
 ENERGY = "nanojoules_per_decision"
@@ -61,7 +62,7 @@ def difference(sample, p_value):
 
 def longer_tables(runs):
     """The returns of policies in a context that is longer than that of their training."""
-    for name, task in study_plan.TASKS.items():
+    for name, task in study_tasks.TASKS.items():
         arms = [arm for arm in study_plan.MODES if runs.get((name, arm))]
         if not task.longer or not arms:
             continue

@@ -1,18 +1,19 @@
-"""What the study trains: tasks on which memory decides, arms that differ in nothing but attention, and seeds.
+"""What the study trains: tasks (study_tasks.py), arms that differ in nothing but attention, and seeds.
 
 A seed decides the data, the initial weights and the order of the clips. All arms of a seed have the same data.
 """
 
 import dataclasses
-import math
 
-WRAPPERS_OF_MEMORY = ("minigrid.wrappers:OneHotPartialObsWrapper", "minigrid.wrappers:ImgObsWrapper")
+from study_tasks import ALL_TASKS, FIELD_TASKS, FOLDERS, STRUCTURED_TASKS, TASKS_OF_SETTINGS
+
 FIRST_UNSEEN_SEED = 2_000_000  # starts of the evaluation
 FIRST_SELECTION_SEED = 1_000_000  # starts by which the learning rate of `dense` is chosen
 STARTS_OF_A_SEED = 4_000  # seed 3 records its data from the environment's start 12,000 on
 RATES = ("3e-4", "1e-3", "3e-3")  # of `dense`
 SWEEP_SEEDS = (101, 102)
 SEEDS = 10
+FEW_SEEDS = 3  # of the field and the structured tasks
 SHARES = {"quarter": 0.25, "half": 0.5}  # of the iterations
 COMMON = (
     *("--hidden_size=64", "--ticks=8", "--slope=4", "--observation_changes=false", "--no_baselines", "--episodes=1"),
@@ -21,151 +22,10 @@ COMMON = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Task:
-    """A task. `flags` are those of `spiketrain train` that all arms have. Returns are those of random actions and the expert."""
-
-    environment: str  # of spiketrain, or `module:id` of Gymnasium
-    flags: tuple[str, ...]
-    rate: str  # the learning rate of spiking arms
-    chance: float
-    expert_return: float
-    data: tuple[str, ...] = ()  # flags of `spiketrain dataset`, for its own environments
-    steps: int = 20_000  # of data
-    expert: str = ""  # `module:function`, for those of Gymnasium
-    wrappers: tuple[str, ...] = ()
-    disturbed: float = 0.0  # share of the episodes with bursts of random actions, for those of Gymnasium
-    lookback: int | None = None  # where attention by phase spikes begins
-    longer: tuple[int, ...] = ()  # further contexts in which the trained policies play
-    settings: "Settings | None" = None  # those of the paper
-    dataset: str = ""  # recorded before, in the folder of sets
-
-    @property
-    def is_gymnasium(self):
-        return bool(self.expert or self.dataset)
-
-
-TASKS = {
-    "cartpole": Task(
-        "PositionOnlyCartPole-v1",
-        ("--context=10", "--clip_steps=8", "--batch=32", "--iterations=300"),
-        rate="2e-3",
-        chance=22.6,
-        expert_return=500.0,
-        data=("--expert_fraction=0.3", "--disturbed_fraction=0.7"),
-        longer=(20, 50),
-    ),
-    "pendulum": Task(
-        "PositionOnlyPendulum-v1",
-        ("--context=5", "--clip_steps=12", "--batch=24", "--merge=concat", "--iterations=1200"),
-        rate="3e-3",
-        chance=-1217.3,
-        expert_return=-143.6,
-        data=("--expert=robust", "--expert_fraction=0", "--disturbed_fraction=1", "--wide_start_fraction=0.25"),
-        longer=(10, 25),
-    ),
-    "repeat-4": Task(
-        "popgym:popgym-RepeatPreviousEasy-v0",
-        ("--layers=1", "--context=4", "--clip_steps=51", "--batch=8", "--iterations=600"),
-        rate="3e-3",
-        chance=-0.5,
-        expert_return=1.0,
-        expert="memory_experts:repeat_previous",
-    ),
-    "repeat-32": Task(
-        "popgym:popgym-RepeatPreviousMedium-v0",
-        ("--layers=1", "--heads=8", "--ffn_size=128", "--context=32", "--clip_steps=103", "--batch=4", "--iterations=400"),
-        rate="3e-3",
-        chance=-0.5,
-        expert_return=1.0,
-        expert="memory_experts:repeat_previous",
-        lookback=31,
-    ),
-    "memory": Task(
-        "minigrid:MiniGrid-MemoryS11-v0",
-        ("--context=16", "--clip_steps=16", "--batch=24", "--merge=concat", "--iterations=800"),
-        rate="3e-3",
-        chance=0.20,
-        expert_return=0.98,
-        expert="memory_experts:find_match",
-        wrappers=WRAPPERS_OF_MEMORY,
-        disturbed=0.5,
-    ),
-}
-
-
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    """Values of the optimiser that the paper prints. An epoch draws as many steps as are trained on."""
-
-    rate: str
-    batch: int  # clips
-    steps: int  # of a clip, and of the context
-    epochs: int
-
-    @property
-    def epoch(self):
-        """Returns the iterations of an epoch. A tenth of the data is held out."""
-        return round(0.9 * STEPS_OF_THE_PAPER / (self.batch * self.steps))
-
-    @property
-    def flags(self):
-        iterations = self.epochs * self.epoch
-        validations = f"--validate_every={EPOCHS_BETWEEN_VALIDATIONS * self.epoch}"
-        sizes = (f"--context={self.steps}", f"--batch={self.batch}", f"--iterations={iterations}", validations)
-        return (*sizes, "--hidden_size=128", "--ticks=10", "--slope=10", *OPTIMISER_OF_THE_PAPER)
-
-
-STEPS_OF_THE_PAPER = 10_000  # of data
-OPTIMISER_OF_THE_PAPER = ("--weight_decay=1e-2", "--schedule=constant", "--warmup=0", "--padding=front")
-EPOCHS_BETWEEN_VALIDATIONS = 5
-# The paper's tables 1 and 5; by its section 5.4 sequences of table 5 have 50 steps, and by 9.3.1 its curves 200 epochs.
-SETTINGS = {"table1": Settings("3e-4", 64, 20, 50), "table5": Settings("1e-4", 16, 50, 200)}
-PAPER_TASKS = {"acrobot": "Acrobot-v1", "cartpole": "CartPole-v1", "mountaincar": "MountainCar-v0", "pendulum": "Pendulum-v1"}
-# The paper's tasks with its settings. Their returns are not scored.
-TASKS_OF_SETTINGS = {
-    f"{name}-{setting}": Task(
-        environment,
-        settings.flags,
-        rate=settings.rate,
-        chance=math.nan,
-        expert_return=math.nan,
-        data=("--expert_fraction=0.5",),
-        steps=STEPS_OF_THE_PAPER,
-        settings=settings,
-    )
-    for setting, settings in SETTINGS.items()
-    for name, environment in PAPER_TASKS.items()
-}
-
-# D4RL's three sets of its three tasks, and its returns of random actions and an expert. A policy is asked for the best return of
-# the data.
-REFERENCES = {
-    "hopper": ("Hopper-v5", -20.27, 3234.3),
-    "half-cheetah": ("HalfCheetah-v5", -280.18, 12135.0),
-    "walker2d": ("Walker2d-v5", 1.63, 4592.3),
-}
-SETS = ("medium", "medium-replay", "medium-expert")
-FIELD_TASKS = {
-    f"{name}-{kind}": Task(
-        environment,
-        ("--context=5", "--clip_steps=5", "--batch=64", "--ticks=4", "--iterations=2000"),
-        rate="3e-3",
-        chance=chance,
-        expert_return=expert_return,
-        steps=100_000,
-        dataset=f"{name}-{kind}-v0",
-    )
-    for name, (environment, chance, expert_return) in REFERENCES.items()
-    for kind in SETS
-}
-FIELD_SEEDS, FIELD_RATE_OF_DENSE = 3, "1e-3"
-
-
-@dataclasses.dataclass(frozen=True)
 class Clone:
-    """A model without attention that imitates: a perceptron on one observation, or a gated recurrent unit."""
+    """A model without attention that imitates: a perceptron on a queue of observations, or a gated recurrent unit."""
 
-    hidden: int  # of both layers, or of the state
+    hidden: int  # of both layers, or of the state; 0: a line
     recurrent: bool = False
     best: float = 1.0  # share of the episodes, by their returns
 
@@ -174,8 +34,15 @@ class Clone:
         return (f"--hidden={self.hidden}", *(["--recurrent"] if self.recurrent else []), f"--best={self.best:g}")
 
 
-CLONES = {"cloning": Clone(256), "cloning-10": Clone(256, best=0.1), "recurrent": Clone(64, recurrent=True)}
-FIELD_ARMS = ("dense", "baseline", "full", "quiet", *CLONES)
+CLONES_OF_FIELD = {"cloning": Clone(256), "cloning-10": Clone(256, best=0.1), "recurrent": Clone(64, recurrent=True)}
+CLONES_OF_STRUCTURED = {
+    "line": Clone(0),
+    **{f"perceptron-{hidden}": Clone(hidden) for hidden in (64, 256)},
+    **{f"recurrent-{hidden}": Clone(hidden, recurrent=True) for hidden in (64, 256)},
+}
+CLONES = CLONES_OF_FIELD | CLONES_OF_STRUCTURED
+FIELD_ARMS = ("dense", "baseline", "full", "quiet", *CLONES_OF_FIELD)
+STRUCTURED_ARMS = (*CLONES_OF_STRUCTURED, "dense", "spiking")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -220,7 +87,9 @@ PARTS = {
 PART_TASKS = ("cartpole", "pendulum", "repeat-4")  # the shortest
 # A mode that is trained with penalties on spikes and operations, on the sets of the field.
 QUIET = {"quiet": Arm("baseline", flags=("--target_rate=4", "--readout_rate=15", "--operation_penalty=0.02"), priced=True)}
-ARMS_OF_TRAINING = ARMS | PARTS | QUIET
+# A mode that each structured task may change.
+SPIKING = {"spiking": Arm("baseline", priced=True)}
+ARMS_OF_TRAINING = ARMS | PARTS | QUIET | SPIKING
 
 
 @dataclasses.dataclass(frozen=True)
@@ -230,7 +99,7 @@ class Budget:
     steps: int | None = None  # of data; None: those of the task
     starts: int = 100  # that a policy plays
     priced_starts: int = 5  # that its integer form plays, for the energy
-    epochs: float = 20  # of a model without attention
+    epochs: float = 1.0  # share of those of a model without attention
     further: tuple[str, ...] = ()  # flags of `spiketrain train`, after those of the task
 
 
@@ -238,7 +107,7 @@ SMOKE = Budget(
     steps=300,
     starts=2,
     priced_starts=1,
-    epochs=0.1,
+    epochs=0.005,
     further=("--hidden_size=16", "--heads=4", "--ffn_size=16", "--ticks=2", "--batch=2", "--iterations=2", "--clip_steps=8"),
 )
 
@@ -260,7 +129,12 @@ class Run:
     @property
     def plan(self):
         """Returns its task's plan."""
-        return (TASKS | TASKS_OF_SETTINGS | FIELD_TASKS)[self.task]
+        return ALL_TASKS[self.task]
+
+    @property
+    def folder(self):
+        """Returns the folder of its result."""
+        return "sweep" if self.rate else next(folder for folder, tasks in FOLDERS.items() if self.task in tasks)
 
     @property
     def first_start(self):
@@ -289,15 +163,27 @@ def settings_runs():
 
 def field_runs():
     """Returns the runs on the sets of the field, all of a seed before the next."""
-    return [Run(task, arm, seed) for seed in range(1, FIELD_SEEDS + 1) for task in FIELD_TASKS for arm in FIELD_ARMS]
+    return [Run(task, arm, seed) for seed in range(1, FEW_SEEDS + 1) for task in FIELD_TASKS for arm in FIELD_ARMS]
+
+
+def structured_sweep_runs():
+    """Returns the runs that choose the learning rate of `dense` on structured tasks that have none."""
+    return sweep_runs([name for name, task in STRUCTURED_TASKS.items() if not task.rate_of_dense])
+
+
+def structured_runs():
+    """Returns the runs on the structured tasks, in the same order."""
+    return [Run(task, arm, seed) for seed in range(1, FEW_SEEDS + 1) for task in STRUCTURED_TASKS for arm in STRUCTURED_ARMS]
 
 
 def train_flags(run, rate, budget):
     """Returns the flags of `spiketrain train` for a run, without data and folder. `rate` is the learning rate."""
     if run.arm in CLONES:
-        return [f"--seed={run.seed}", *CLONES[run.arm].flags]
+        return [f"--seed={run.seed}", *CLONES[run.arm].flags, *run.plan.cloning.flags]
     task, arm = run.plan, ARMS_OF_TRAINING[run.arm]
     flags = [f"--mode={arm.mode}", f"--seed={run.seed}", *COMMON, *task.flags, f"--learning_rate={rate}"]
+    if arm.mode != "dense":
+        flags += task.spiking
     number = {flag.partition("=")[0]: int(flag.partition("=")[2]) for flag in task.flags if flag.partition("=")[2].isdigit()}
     context = next((int(flag.partition("=")[2]) for flag in arm.flags if flag.startswith("--context=")), number["--context"])
     if task.lookback is not None and arm.mode in ("pos", "full") and task.lookback < context:

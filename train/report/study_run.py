@@ -20,7 +20,6 @@ from spikeserve.imitation.figures import Figures
 from study_cloning import fit
 
 ENVIRONMENTS = 16  # of Gymnasium, played at once
-BURST_RATE, LONGEST_BURST = 0.1, 2
 ENERGY_MODEL, FLOAT_ENERGY_MODEL = "int_45nm", "horowitz_45nm"  # of policies in integers and in float32
 
 
@@ -77,7 +76,8 @@ class Workshop:
         """Returns the result of a model without attention."""
         with contextlib.closing(factory_of(run.plan).make()) as environment:
             space = environment.action_space
-        actor, multiplications = fit(study_plan.CLONES[run.arm], data, run.seed, self._budget, space)
+        how = run.plan.cloning
+        actor, multiplications = fit(study_plan.CLONES[run.arm], how, self._folder / data, run.seed, self._budget.epochs, space)
         result = {"task": run.task, "arm": run.arm, "seed": run.seed, "learning_rate": "", "training": " ".join(flags)}
         result |= self._play_with(run.plan, actor, run.first_start)
         return result | {"multiplications": multiplications}
@@ -117,7 +117,7 @@ class Workshop:
         steps = self._budget.steps or task.steps
         if task.is_gymnasium:
             factory = factory_of(task)
-            actor = ExpertActor(load_expert(task.expert), Bursts(run.seed, task.disturbed, BURST_RATE, LONGEST_BURST))
+            actor = ExpertActor(load_expert(task.expert), Bursts(run.seed, task.disturbed, *task.bursts))
             seeds = Starts(run.seed * study_plan.STARTS_OF_A_SEED, steps)
             episodes = [seeds.counted(episode) for episode in play(factory.make, actor, seeds, ENVIRONMENTS)]
             with contextlib.closing(factory.make()) as environment:

@@ -1,6 +1,7 @@
 """The table of the runs with the paper's own settings: losses by epoch, and what its text says of them."""
 
 import study_plan
+import study_tasks
 from study_tables import joined, read_runs, row
 
 EPOCHS = (20, 50, 100, 200)  # of the paper's table 2, and of its figure 18
@@ -27,7 +28,7 @@ def settings_table(runs, task):
     arms = {mode: runs[task, mode] for mode in study_plan.MODES if (task, mode) in runs}
     if not arms:
         return
-    epochs = [epoch for epoch in EPOCHS if epoch <= study_plan.TASKS_OF_SETTINGS[task].settings.epochs]
+    epochs = [epoch for epoch in EPOCHS if epoch <= study_tasks.TASKS_OF_SETTINGS[task].settings.epochs]
     yield row([task, *(f"epoch {epoch}" for epoch in epochs), "lowest, of `baseline`'s", "speed", "return", "spikes"])
     yield row(["---"] + ["---:"] * (len(epochs) + 4))
     for mode, seeds in arms.items():
@@ -44,4 +45,4 @@ def settings_table(runs, task):
 def tables(folder):
     """Returns the third generated part of the page."""
     runs = read_runs(folder / "settings")
-    return joined([settings_table(runs, task) for task in study_plan.TASKS_OF_SETTINGS])
+    return joined([settings_table(runs, task) for task in study_tasks.TASKS_OF_SETTINGS])

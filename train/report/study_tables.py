@@ -3,7 +3,9 @@
 import json
 import pathlib
 
-import study_plan
+import numpy as np
+import seed_statistics
+import study_tasks
 
 ALPHA = 0.05
 
@@ -27,5 +29,16 @@ def joined(tables):
 
 
 def score(result):
-    task = (study_plan.TASKS | study_plan.FIELD_TASKS)[result["task"]]
+    task = study_tasks.ALL_TASKS[result["task"]]
     return 100 * (result["mean_return"] - task.chance) / (task.expert_return - task.chance)
+
+
+def digits_of(task):
+    """Returns the digits of a task's returns after the point."""
+    return 1 if abs(study_tasks.ALL_TASKS[task].expert_return) > 10 else 3
+
+
+def with_interval(values, digits):
+    """Returns a mean over seeds with Student's interval."""
+    half = f" ± {seed_statistics.half_width(values):.{digits}f}" if len(values) > 1 else ""
+    return f"{np.mean(values):.{digits}f}{half}"
