@@ -3,7 +3,7 @@
 import numpy as np
 import study_plan
 import study_tasks
-from study_tables import joined, read_runs, row, score, with_interval
+from study_tables import count_text, joined, read_runs, row, score, with_interval
 
 
 def scores_by_seed(runs, task, arm):
@@ -20,9 +20,8 @@ def scores_table(runs):
     cells = {(task, arm): scores_by_seed(runs, task, arm) for task in tasks for arm in study_plan.FIELD_ARMS}
     for task in tasks:
         found = [cells[task, arm] for arm in study_plan.FIELD_ARMS]
-        counts = sorted({len(scores) for scores in found})
         texts = [with_interval(list(scores.values()), 1) if scores else "" for scores in found]
-        yield row([task, *texts, " to ".join(map(str, counts[:: max(1, len(counts) - 1)]))])
+        yield row([task, *texts, count_text(found)])
     seeds = sorted(set.intersection(*(set(scores) for scores in cells.values())))
     if seeds:
         means = [[np.mean([cells[task, arm][seed] for task in tasks]) for seed in seeds] for arm in study_plan.FIELD_ARMS]

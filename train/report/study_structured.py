@@ -4,7 +4,7 @@ import numpy as np
 import seed_statistics
 import study_plan
 import study_tasks
-from study_tables import ALPHA, digits_of, joined, read_runs, row, with_interval
+from study_tables import ALPHA, count_text, digits_of, joined, read_runs, row, with_interval
 
 # Comparisons with a model without attention: the best of the task, by its mean over seeds.
 BEST = "best"
@@ -31,9 +31,8 @@ def returns_table(runs):
         plan, digits = study_tasks.STRUCTURED_TASKS[task], digits_of(task)
         found = [returns_of(runs, task, arm) for arm in study_plan.STRUCTURED_ARMS]
         texts = [with_interval(list(returns.values()), digits) if returns else "" for returns in found]
-        counts = sorted({len(returns) for returns in found})
         references = [f"{value:.{digits}f}" for value in (plan.chance, plan.expert_return)]
-        yield row([task, *references, *texts, " to ".join(map(str, counts[:: max(1, len(counts) - 1)]))])
+        yield row([task, *references, *texts, count_text(found)])
 
 
 def best_clone(runs, task):

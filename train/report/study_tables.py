@@ -42,3 +42,9 @@ def with_interval(values, digits):
     """Returns a mean over seeds with Student's interval."""
     half = f" ± {seed_statistics.half_width(values):.{digits}f}" if len(values) > 1 else ""
     return f"{np.mean(values):.{digits}f}{half}"
+
+
+def count_text(groups):
+    """Returns the number of values in each group, or the smallest and the largest number."""
+    counts = [len(group) for group in groups]
+    return " to ".join(str(count) for count in sorted({min(counts), max(counts)}))

@@ -198,6 +198,18 @@ STRUCTURED_TASKS = {
         spiking=(FOUR_TICKS,),
         cloning=Cloning(queue=64, epochs=10, clip=64, recurrent_epochs=60, standardised=False),
     ),
+    "repeat-64": Task(
+        "popgym:popgym-RepeatPreviousHard-v0",
+        ("--layers=1", "--context=64", "--clip_steps=155", "--batch=4", "--heads=8", "--ffn_size=128", "--iterations=1500"),
+        rate="3e-3",
+        rate_of_dense="3e-3",
+        chance=-0.5,
+        expert_return=1.0,
+        steps=40_000,
+        expert="memory_experts:repeat_previous",
+        spiking=(FOUR_TICKS, "--relative_bias=true"),
+        cloning=Cloning(queue=64, clip=155, recurrent_epochs=60, standardised=False),
+    ),
     "autoencode": Task(
         "popgym:popgym-AutoencodeEasy-v0",
         (
