@@ -1,15 +1,20 @@
-"""CartPole whose physics are hidden and drawn anew in each episode: the sign of the force, gravity, masses, length and force.
+"""CartPole whose physics are hidden and drawn anew in each episode: the force, its sign and its delay, gravity, masses and length.
 
-Registers HiddenCartPole-v0. The observation is CartPole's, and the action that was executed last: -1, 1, or 0 at the start.
+Registers HiddenCartPole-v0. An action pushes up to four steps later; before the first one arrives, random ones do. The
+observation is CartPole's, and the last action: -1, 1, or 0 at the start.
 
     python -m spikeserve imitate hidden_physics:HiddenCartPole-v0 --expert hidden_physics:balance
 """
+
+import collections
+import copy
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.classic_control.cartpole import CartPoleEnv
 
+LONGEST_DELAY = 4  # steps of 20 ms
 GAINS = np.array([0.5, 1.0, 9.0, 2.5])  # of position, velocity, angle and its velocity
 
 
@@ -26,19 +31,30 @@ class HiddenCartPole(CartPoleEnv):
         self.gravity, self.force_mag = draw(5, 15), draw(6, 16)
         self.masscart, self.masspole, self.length = draw(0.5, 2), draw(0.05, 0.3), draw(0.3, 1)
         self.total_mass, self.polemass_length = self.masscart + self.masspole, self.masspole * self.length
+        delay = self.np_random.integers(LONGEST_DELAY, endpoint=True)
+        self.underway = collections.deque(map(int, self.np_random.integers(2, size=delay)))  # actions, the oldest first
         return self._with(observation, 0), infos
 
     def step(self, action):
-        observation, *rest = super().step(int(action) ^ self.sign)
+        self.underway.append(int(action))
+        observation, *rest = super().step(self.underway.popleft() ^ self.sign)
         return self._with(observation, 2 * int(action) - 1), *rest
+
+    def foreseen_state(self):
+        """Returns the state in which an action of now will push."""
+        ghost = copy.copy(self)
+        for action in self.underway:
+            ghost.steps_beyond_terminated = None  # it may fall
+            CartPoleEnv.step(ghost, action ^ self.sign)
+        return np.asarray(ghost.state)
 
     def _with(self, observation, action):
         return np.append(observation, action).astype(np.float32)
 
 
 def balance(environment, observation):
-    """The expert: pushes against a weighted sum of the state, and knows the sign."""
-    return int(GAINS @ np.asarray(environment.state) > 0) ^ environment.sign
+    """The expert: pushes against a weighted sum of the state, knows the sign, and looks ahead by the delay."""
+    return int(GAINS @ environment.foreseen_state() > 0) ^ environment.sign
 
 
 gymnasium.register("HiddenCartPole-v0", HiddenCartPole, max_episode_steps=500)
