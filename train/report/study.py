@@ -1,4 +1,4 @@
-"""Trains the study: every arm on every task from ten seeds (study_plan.py). Writes a small file for each run.
+"""Trains the study: every arm on every task from ten seeds (study_tasks.py, study_plan.py). Writes a small file for each run.
 
     python train/report/study.py --work=build/study --out=docs/evidence/study
     python train/report/study.py --work=build/study --out=docs/evidence/study --parts
@@ -89,7 +89,7 @@ def main():
     parser.add_argument("--out", required=True, type=pathlib.Path, help="folder of the results")
     parser.add_argument("--spiketrain", help="the program; default: $SPIKETRAIN, or the one on PATH")
     parser.add_argument("--seeds", default=study_plan.SEEDS, type=int, help="train from seed 1 to this one")
-    parser.add_argument("--tasks", default=",".join(study_tasks.TASKS), help="tasks of study_plan.py")
+    parser.add_argument("--tasks", default=",".join(study_tasks.TASKS), help="tasks of study_tasks.py")
     parser.add_argument("--jobs", default=1, type=int, help="runs at the same time")
     parser.add_argument("--parts", action="store_true", help="train the variants of `full`")
     parser.add_argument("--settings", action="store_true", help="train on the paper's four tasks with its settings")
