@@ -99,7 +99,7 @@ class Budget:
     steps: int | None = None  # of data; None: those of the task
     starts: int = 100  # that a policy plays
     priced_starts: int = 5  # that its integer form plays, for the energy
-    epochs: float = 1.0  # share of those of a model without attention
+    share_of_epochs: float = 1.0  # of a model without attention
     further: tuple[str, ...] = ()  # flags of `spiketrain train`, after those of the task
 
 
@@ -107,7 +107,7 @@ SMOKE = Budget(
     steps=300,
     starts=2,
     priced_starts=1,
-    epochs=0.005,
+    share_of_epochs=0.005,
     further=("--hidden_size=16", "--heads=4", "--ffn_size=16", "--ticks=2", "--batch=2", "--iterations=2", "--clip_steps=8"),
 )
 

@@ -76,8 +76,8 @@ class Workshop:
         """Returns the result of a model without attention."""
         with contextlib.closing(factory_of(run.plan).make()) as environment:
             space = environment.action_space
-        how = run.plan.cloning
-        actor, multiplications = fit(study_plan.CLONES[run.arm], how, self._folder / data, run.seed, self._budget.epochs, space)
+        clone, share = study_plan.CLONES[run.arm], self._budget.share_of_epochs
+        actor, multiplications = fit(clone, run.plan.cloning, self._folder / data, run.seed, share, space)
         result = {"task": run.task, "arm": run.arm, "seed": run.seed, "learning_rate": "", "training": " ".join(flags)}
         result |= self._play_with(run.plan, actor, run.first_start)
         return result | {"multiplications": multiplications}
