@@ -11,7 +11,7 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference train study playground bench bench-beats bench-parts attacks chaos trace soak \
+.PHONY: demo test test-slow test-arm64 test-arm64-short golden build dist site reference playground bench attacks chaos trace soak \
   sanitize fuzz format clean \
   setup configure
 
@@ -90,45 +90,10 @@ reference: configure
 build: configure
 	cmake --build $(BUILD)
 
-# Trains the shipped CartPole policy in build/train. Continues a run that was interrupted.
-train: build
-	train/recipes/cartpole.sh $(BIN)/spiketrain build/train
-
-# Trains what docs/evidence/study.md compares, for hours, and writes its tables. Continues a study that was interrupted.
-# STUDY_FLAGS="--seeds=3 --jobs=2" selects less, and runs two at the same time.
-study: build setup
-	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
-	PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1):$(BUILD)/python:train/recipes \
-	  build/venv/bin/python train/report/study.py --work=build/study --out=docs/evidence/study \
-	  --spiketrain=$(BIN)/spiketrain $(STUDY_FLAGS)
-	build/venv/bin/python train/report/study_page.py docs/evidence/study docs/evidence/study.md
-	build/venv/bin/python train/report/study_curves.py docs/evidence/study docs/evidence/study/settings.png
-
-# Runs all benchmarks, which takes about eighteen minutes on an idle machine. BENCH_FLAGS="--rounds=20" makes the runs
-# longer, "--sections engine" selects a part.
-bench: build setup
-	loadtest/bench/setup.sh $(BUILD)/bench_venv
-	$(BUILD)/bench_venv/bin/python loadtest/bench/bench.py --bin=$(BIN) --python=$(BUILD)/bench_venv/bin/python \
-	  --json=$(BUILD)/bench.json --markdown=docs/evidence/performance.md $(BENCH_FLAGS)
-
-# Counts the beats of robots without a fresh action over links with delay, loss and cuts: the rows that loadtest/bench/beats.json
-# has not. BEATS_FLAGS='--rows="link cut"' runs those that match instead, --rows=. all of them, in about 20 minutes. Needs root.
-bench-beats: build setup
-	build/venv/bin/python loadtest/bench/beats_bench.py --bin=$(BIN) --docs=docs $(BEATS_FLAGS)
-
-# Measures parts that `make bench` does not: calls by thread, memory of connections, a neighbour during floods, traces that nobody
-# samples, the engine in Python, and online learning on the reversed CartPole. ADAPT_FLAGS selects another row of
-# docs/evidence/online-learning.md. A few minutes.
-ADAPT_FLAGS ?= --env=CartPole-v1 --perturb=force=-1 --episodes=60
-bench-parts: build setup
-	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
-	PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
-	  build/venv/bin/python loadtest/bench/call_costs.py --server=$(BIN)/spikeserve
-	build/venv/bin/python loadtest/bench/connection_memory.py --server=$(BIN)/spikeserve
-	build/venv/bin/python loadtest/bench/flood_bench.py --bin=$(BIN)
-	build/venv/bin/python loadtest/bench/trace_costs.py --server=$(BIN)/spikeserve
-	PYTHONPATH=$(BUILD)/python build/venv/bin/python loadtest/bench/binding_bench.py --bin=$(BIN)
-	python3 loadtest/bench/adapt_sweep.py --bin=$(BIN) $(ADAPT_FLAGS)
+# Measures the engine, its sessions and the server on this machine, and prints a table: about a minute on an idle machine.
+bench: configure
+	cmake --build $(BUILD) --target engine_bench session_bench spikeserve spikeload
+	/usr/bin/python3 loadtest/bench.py --bin=$(BIN)
 
 # Runs each attack of tests/attacks for 10 seconds and prints a table: memory and processor time of the server, latency of
 # another client. ATTACKS_FLAGS="--seconds=60 rapid_reset" selects others.
@@ -183,3 +148,5 @@ setup:
 configure:
 	$(SETUP) server build $(if $(filter clang,$(PRESET)),clang)
 	cmake --preset $(PRESET) $(if $(VERBOSE),,--log-level=WARNING)
+
+-include lab/lab.mk

@@ -9,6 +9,9 @@ that one links publicly. No header may include itself through others, and the li
 CONTRIBUTING.md's map names every folder that holds a library, and no other.
 
 Python and JavaScript: the modules of one package must not import each other in a circle.
+
+The laboratory (lab/) may use everything, and nothing may use it: no file outside includes its headers, imports its modules or
+names one of its files. Pages may link to it.
 """
 
 import ast
@@ -119,7 +122,7 @@ def check_cpp(layers):
     includes = {}
     for path in tracked("*.h", "*.cc"):
         includes[path] = [headers[h] for h in INCLUDE.findall(read(path)) if h in headers]
-        if path.startswith("tests/"):
+        if path.startswith(("tests/", "lab/tests/")):
             continue
         reachable = set()
         for owner in owners(path):
@@ -129,7 +132,7 @@ def check_cpp(layers):
             needed = owners(header)
             if needed and owners(path) and not needed & reachable:
                 complaints.append(f"{path} includes {header}: {'/'.join(owners(path))} does not link {'/'.join(needed)}")
-            if header.startswith("server/") and not path.startswith("server/"):
+            if header.startswith("server/") and not path.startswith(("server/", "lab/")):
                 complaints.append(f"{path} includes {header}: only server/ may include server/")
     if cycle := find_cycle(includes):
         complaints.append("headers include each other in a circle: " + " -> ".join(cycle))
@@ -152,7 +155,7 @@ def check_modules(includes):
 def check_map(layers):
     """Returns complaints about folders that CONTRIBUTING.md's map of the rooms does not name."""
     rooms = set(re.findall(r"^\| `([^`]+)` \|", read("CONTRIBUTING.md"), re.MULTILINE))
-    folders = {entry["folder"] for entry in layers if not entry["folder"].startswith("tests")}
+    folders = {entry["folder"] for entry in layers if not entry["folder"].startswith(("tests", "lab"))}
     return [f"CONTRIBUTING.md: the map of the rooms does not name {folder}" for folder in sorted(folders - rooms)] + [
         f"CONTRIBUTING.md: the map of the rooms names {room}, which is none" for room in sorted(rooms - folders)
     ]
@@ -174,6 +177,37 @@ def python_imports(path, modules):
                 yield file
 
 
+LAB_PATH = re.compile(r"(?<![\w.-])lab/\w")
+# Where the product meets the laboratory: make includes its targets, this file checks it.
+LAB_DOORS = {"Makefile", "tests/check_layers.py"}
+
+
+def imported(path):
+    """Returns the top names of all modules that a Python file imports, at any depth of its code."""
+    for node in ast.walk(ast.parse(read(path))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield node.module.split(".")[0]
+
+
+def check_lab():
+    """Returns complaints about files outside lab/ that use it."""
+    complaints = []
+    scripts = tracked("*.py")
+    stems = {path: os.path.splitext(os.path.basename(path))[0] for path in scripts}
+    outside = {stem for path, stem in stems.items() if not path.startswith("lab/")}
+    modules = {stem for path, stem in stems.items() if path.startswith("lab/")} - outside
+    for path in scripts:
+        if not path.startswith("lab/") and (used := sorted(modules.intersection(imported(path)))):
+            complaints.append(f"{path} imports {', '.join(used)}: only lab/ may use lab/")
+    code = ("*.h", "*.cc", "*.py", "*.sh", "*.js", "*.cmake", "*CMakeLists.txt", "Makefile", "*.toml", "*.json", "*.yaml", "*.yml")
+    for path in tracked(*code):
+        if not path.startswith("lab/") and path not in LAB_DOORS and LAB_PATH.search(read(path)):
+            complaints.append(f"{path} names a file of lab/: only lab/ may use lab/")
+    return complaints
+
+
 def check_scripts():
     """Returns complaints about circles among Python and JavaScript modules."""
     complaints = []
@@ -193,7 +227,7 @@ def check_scripts():
 def main():
     with open(os.path.join(sys.argv[1], "layers.json"), encoding="utf-8") as file:
         layers = json.load(file)
-    complaints = check_cpp(layers) + check_map(layers) + check_scripts()
+    complaints = check_cpp(layers) + check_map(layers) + check_scripts() + check_lab()
     for complaint in complaints:
         print(complaint, file=sys.stderr)
     print(f"check_layers: {len(layers)} libraries, {len(complaints)} complaints")

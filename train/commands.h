@@ -38,10 +38,6 @@ void AddAccountCommand(Program& program);
 // `spiketrain compare`: compares a policy with baselines that learn from the same data.
 void AddCompareCommand(Program& program);
 
-// Runs the paper's experiments that are not finished in --out, and writes the report there. The
-// report contains the command line.
-void AddReportCommand(Program& program);
-
 }  // namespace spikeserve
 
 #endif  // TRAIN_COMMANDS_H_

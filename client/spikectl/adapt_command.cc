@@ -21,7 +21,7 @@ namespace {
 
 using nlohmann::ordered_json;
 
-// Temperatures at which learning was reliable, see docs/evidence/online-learning.md.
+// Temperatures at which learning was reliable, see docs/design/learning.md.
 constexpr double kDiscreteTemperature = 4.0;
 constexpr double kContinuousTemperature = 1.0;
 

@@ -46,7 +46,7 @@ enum class ConnectionLimit {
 inline constexpr size_t kConnectionLimits = 7;
 
 // What a connection occupies apart from its streams: the session of nghttp2 with its HPACK tables,
-// and buffers. loadtest/bench/connection_memory.py measures it.
+// and buffers, measured with a server full of connections.
 inline constexpr int64_t kConnectionBytes = 28 << 10;
 
 // Returns the name of the flag behind a limit, or another word if it has none.

@@ -13,7 +13,7 @@
 namespace spikeserve {
 namespace {
 
-// What OpenSSL keeps of a connection, measured by loadtest/bench/connection_memory.py.
+// What OpenSSL keeps of a connection, measured with a server full of connections.
 constexpr int64_t kTlsBytes = 48 << 10;
 
 bool WouldBlock() { return errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR; }

@@ -1,5 +1,5 @@
 // Tests of `spikectl adapt` with a real server. The policies are random, so these tests do not
-// check how well they learn; docs/evidence/online-learning.md reports that.
+// check how well they learn.
 #include <string>
 #include <vector>
 

@@ -6,10 +6,8 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
-import gymnasium
 import numpy as np
 import pytest
-from documentation import DOCS
 from spikeserve.imitation.actors import Bursts, DelayedStudentActor
 from spikeserve.imitation.datasets import read_dataset
 from spikeserve.imitation.delays import Delays, label_after, label_all_after, parse_delay
@@ -17,9 +15,6 @@ from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Episode, play
 from spikeserve.imitation.options import ImitationOptions
 from spikeserve.imitation.pipeline import imitate
-
-sys.path.insert(0, str(DOCS.parent / "train/recipes"))
-import late  # noqa: E402
 
 
 @pytest.mark.parametrize(
@@ -176,37 +171,3 @@ def test_the_command_refuses_a_range_before_it_records(tmp_path):
         "spikeserve imitate: delay: expected 0 to 1000 beats, as a number like 3 or a range like 0..5, received 5..0\n"
     )
     assert not (tmp_path / "run").exists()
-
-
-def play_late(name, expert, beats, seed):
-    """Returns what the expert chose, what was executed and the return, with a delay of some beats."""
-    environment = gymnasium.make(name)
-    observation, _ = environment.reset(seed=seed)
-    robot = environment.unwrapped
-    robot.under_way = [robot.neutral] * beats
-    chosen, executed, rewards, over = [], [], [], False
-    while not over:
-        chosen.append(expert(robot, observation))
-        observation, reward, terminated, truncated, _ = environment.step(chosen[-1])
-        executed.append(robot.executed)
-        rewards.append(reward)
-        over = terminated or truncated
-    return chosen, executed, sum(rewards)
-
-
-@pytest.mark.parametrize("beats", [0, 3, 4])
-def test_the_experts_of_late_environments_bear_the_delay(beats):
-    chosen, executed, episode_return = play_late("LateCartPole-v0", late.balance, beats, seed=3)
-    assert executed == [0] * beats + chosen[: 500 - beats]
-    assert episode_return == 500
-    _, _, episode_return = play_late("LatePendulum-v0", late.swing_up, beats, seed=3)
-    assert episode_return > -450  # the usual expert, asked 3 beats ago, returns about -640
-
-
-def test_a_late_environment_draws_every_delay():
-    environment = gymnasium.make("LatePendulum-v0")
-    delays = set()
-    for seed in range(40):
-        environment.reset(seed=seed)
-        delays.add(len(environment.unwrapped.under_way))
-    assert delays == {0, 1, 2, 3, 4, 5}

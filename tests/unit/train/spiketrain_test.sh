@@ -261,20 +261,7 @@ refuses '--arithmetic: expected float32, int8 or integer, received "int4"' train
 refuses "--ablate: expected context, changes, attention, phase, routing or return, received 'head'" \
   eval --policy=tuned/policy.safetensors --ablate=head
 
-# Runs the paper's experiments with small sizes, then once more from the finished runs.
-"$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 >/dev/null 2>&1
-grep -q '"run":"Pendulum-v1-full-T4-N4-seed2"' report/runs.json || fail "runs.json"
-grep -q '"membrane"' report/figures.json || fail "figures.json"
-rm report/CartPole-v1-full-T4-N4-seed1/result.json  # interrupted after training
-"$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1,Pendulum-v1 2>&1 |
-  grep -c 'training' | grep -qx 1 || fail "report trains a finished run again"
-if "$spiketrain" report --smoke --out=report --seeds=2 --environments=CartPole-v1 --learning_rate=1 2>message; then
-  fail "accepted: runs made with other options"
-fi
-grep -q 'expected a run of .* --learning_rate=1 .*, received one of ' message || fail "report: $(cat message)"
-refuses "--out: expected the directory to write into, received none" report
-
-refuses 'command: expected one of expert, dataset, train, quantize, eval, compare, neurobench, account, report, received none'
+refuses 'command: expected one of expert, dataset, train, quantize, eval, compare, neurobench, account, received none'
 refuses '--out: expected the directory to write into, received none' train
 refuses '--heads: expected what --init has, 2, or no such flag, received 8' \
   train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8

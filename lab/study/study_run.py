@@ -1,0 +1,234 @@
+"""One run of the study: records the data of its seed, trains, plays unseen starts, and prices the policy in integers."""
+
+import contextlib
+import csv
+import fcntl
+import json
+import os
+import subprocess
+
+import offline_sets
+import study_plan
+from spikeserve.engine import Engine
+from spikeserve.imitation.actors import Bursts, ExpertActor, StudentActor
+from spikeserve.imitation.datasets import write_dataset
+from spikeserve.imitation.environments import EnvironmentFactory, load_object
+from spikeserve.imitation.episodes import Choice, play
+from spikeserve.imitation.experts import load_expert
+from spikeserve.imitation.figures import Figures
+from study_cloning import fit
+
+ENVIRONMENTS = 16  # of Gymnasium, played at once
+ENERGY_MODEL, FLOAT_ENERGY_MODEL = "int_45nm", "horowitz_45nm"  # of policies in integers and in float32
+
+
+class PricedActor(StudentActor):
+    """Plays a policy in integers, and adds up the energy of its decisions."""
+
+    def __init__(self, engine):
+        super().__init__(engine)
+        self.joules = 0.0
+
+    def choose(self, rows):
+        return [self._priced(row) for row in rows]
+
+    def _priced(self, row):
+        decision = self._session(row).act(row.episode.observations[-1], row.reward)
+        self.joules += decision.stats.int_energy_joules
+        return Choice(decision.action, spikes=decision.stats.spikes)
+
+
+class Workshop:
+    """Runs the programs in a folder, which holds data and policies. `spiketrain` is the program, `sets` a folder of datasets."""
+
+    def __init__(self, folder, spiketrain, budget, sets=None):
+        self._folder = folder
+        self._spiketrain = spiketrain
+        self._budget = budget
+        self._sets = sets
+
+    def carry_out(self, run, rate):
+        """Returns the result of a run, an object for JSON. Continues a training that was interrupted."""
+        task = run.plan
+        data = self._data(run, task)
+        flags = study_plan.train_flags(run, rate, self._budget)
+        if run.arm in study_plan.CLONES:
+            return self._clone(run, data, flags)
+        policy = f"{run.name}/policy.safetensors"
+        with locked(self._folder / f"{run.name}.lock"):
+            if not (self._folder / policy).is_file():
+                self._program("train", f"--data={data}", f"--out={run.name}", "--resume", *flags)
+        result = {"task": run.task, "arm": run.arm, "seed": run.seed, "learning_rate": rate, "training": " ".join(flags)}
+        result |= self._play(task, policy, run.first_start)
+        losses = self._losses(run.name)
+        if losses:
+            result["validation_loss"] = list(losses.values())[-1]
+        if task.settings:
+            return result | {"losses": {iteration // task.settings.epoch: loss for iteration, loss in losses.items()}}
+        if run.rate is None and study_plan.ARMS_OF_TRAINING[run.arm].priced:
+            result["integer"] = self._price(task, policy, data, run.first_start)
+        if run.rate is None and run.arm in study_plan.ARMS:
+            result |= self._play_longer(task, policy, run)
+        return result
+
+    def _clone(self, run, data, flags):
+        """Returns the result of a model without attention."""
+        with contextlib.closing(factory_of(run.plan).make()) as environment:
+            space = environment.action_space
+        clone, share = study_plan.CLONES[run.arm], self._budget.share_of_epochs
+        actor, multiplications = fit(clone, run.plan.cloning, self._folder / data, run.seed, share, space)
+        result = {"task": run.task, "arm": run.arm, "seed": run.seed, "learning_rate": "", "training": " ".join(flags)}
+        result |= self._play_with(run.plan, actor, run.first_start)
+        return result | {"multiplications": multiplications}
+
+    def _losses(self, name):
+        """Returns the validation losses of a training by iteration."""
+        with (self._folder / name / "learning_curve.csv").open() as file:
+            return {int(line["iteration"]): float(line["validation_loss"]) for line in csv.DictReader(file)}
+
+    def _program(self, *arguments):
+        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+        command = [self._spiketrain, *arguments]
+        finished = subprocess.run(command, cwd=self._folder, env=environment, check=False, capture_output=True, text=True)
+        if finished.returncode != 0:
+            raise RuntimeError(f"{' '.join(command)}: status {finished.returncode}\n{finished.stderr[-2000:]}")
+        return finished.stdout
+
+    # Data
+
+    def _data(self, run, task):
+        """Records the data of a seed, once for all arms. Returns the path in the folder, or that of a set."""
+        if task.dataset:
+            self._sets.mkdir(parents=True, exist_ok=True)
+            with locked(self._sets / f"{task.environment}.lock"):
+                if not (self._sets / task.dataset).exists():
+                    offline_sets.make_sets(task.environment, self._sets, task.steps)
+            return self._sets / task.dataset
+        name = f"data/{run.task}-{run.seed}"
+        data = f"{name}-v0" if task.is_gymnasium else f"{name}.cbor"
+        (self._folder / "data").mkdir(exist_ok=True)
+        with locked(self._folder / f"{name}.lock"):
+            if not (self._folder / data).exists():
+                self._record(run, task, data)
+        return data
+
+    def _record(self, run, task, data):
+        steps = self._budget.steps or task.steps
+        if task.is_gymnasium:
+            factory = factory_of(task)
+            actor = ExpertActor(load_expert(task.expert), Bursts(run.seed, task.disturbed, *task.bursts))
+            seeds = Starts(run.seed * study_plan.STARTS_OF_A_SEED, steps)
+            episodes = [seeds.counted(episode) for episode in play(factory.make, actor, seeds, ENVIRONMENTS)]
+            with contextlib.closing(factory.make()) as environment:
+                write_dataset(self._folder / data, episodes, environment, factory.name)
+            return
+        partial = data.replace(".cbor", ".partial.cbor")
+        flags = [*task.data, f"--steps={steps}", f"--seed={run.seed}"]
+        self._program("dataset", f"--env={task.environment}", *flags, "--tables=data", f"--out={partial}")
+        (self._folder / partial).rename(self._folder / data)
+
+    # Figures
+
+    def _play(self, task, policy, first_start):
+        starts = self._budget.starts
+        if not task.is_gymnasium:
+            return self._play_own(policy, first_start, starts)
+        return self._play_with(task, StudentActor(Engine(self._folder / policy)), first_start)
+
+    def _play_with(self, task, actor, first_start):
+        figures = play_starts(task, actor, first_start, self._budget.starts)
+        return {
+            "first_start": first_start,
+            "starts": self._budget.starts,
+            "mean_return": figures.mean,
+            "std_return": figures.std,
+            "spikes_per_decision": figures.spikes_per_decision,
+        }
+
+    def _play_own(self, policy, first_start, starts):
+        arguments = ("eval", f"--policy={policy}", f"--episodes={starts}", f"--seed={first_start}", "--json")
+        figures = json.loads(self._program(*arguments))
+        prices = figures["estimated_energy_joules_per_decision"]
+        priced = prices.get(ENERGY_MODEL, prices.get(FLOAT_ENERGY_MODEL))
+        names = ("mean_return", "std_return", "spikes_per_decision")
+        result = {"first_start": first_start, "starts": starts, **{name: figures[name] for name in names}}
+        return result if priced is None else {**result, "nanojoules_per_decision": 1e9 * priced}
+
+    def _play_longer(self, task, policy, run):
+        """Returns the mean returns in contexts that are longer than that of the training, by context."""
+        if run.arm == "full-n1" or not task.longer:
+            return {}
+        longer = policy.replace("policy.", "longer.")
+        means = {}
+        for context in task.longer:
+            write_with_context(self._folder / policy, context, self._folder / longer)
+            means[str(context)] = self._play(task, longer, run.first_start)["mean_return"]
+        return {"longer": means}
+
+    def _price(self, task, policy, data, first_start):
+        """Returns the figures of the policy in integer arithmetic, which has energies of `int_45nm`."""
+        integer = policy.replace("policy.", "integer.")
+        files = f"--policy={policy}", f"--out={integer}", f"--data={data}"
+        self._program("quantize", "--to=integer", *files, "--episodes=1")
+        starts = self._budget.priced_starts
+        if not task.is_gymnasium:
+            return self._play_own(integer, first_start, starts)
+        actor = PricedActor(Engine(self._folder / integer))
+        figures = play_starts(task, actor, first_start, starts)
+        return {
+            "first_start": first_start,
+            "starts": starts,
+            "mean_return": figures.mean,
+            "std_return": figures.std,
+            "spikes_per_decision": figures.spikes_per_decision,
+            "nanojoules_per_decision": 1e9 * actor.joules / figures.decisions,
+        }
+
+
+def write_with_context(policy, context, out):
+    """Writes a policy file with another context. The weights do not depend on it."""
+    data = policy.read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + size])
+    config = json.loads(header["__metadata__"]["config"]) | {"context": context}
+    header["__metadata__"]["config"] = json.dumps(config)
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    out.write_bytes(len(text).to_bytes(8, "little") + text + data[8 + size :])
+
+
+class Starts:
+    """Yields the environment's seeds from `first` on, until the finished episodes have a number of steps."""
+
+    def __init__(self, first, steps):
+        self._next, self._left = first, steps
+
+    def __iter__(self):
+        return self
+
+    def __next__(self):
+        if self._left <= 0:
+            raise StopIteration
+        self._next += 1
+        return self._next - 1
+
+    def counted(self, episode):
+        self._left -= episode.steps
+        return episode
+
+
+@contextlib.contextmanager
+def locked(path):
+    """Waits until no other process does the same work."""
+    with path.open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def factory_of(task):
+    return EnvironmentFactory(task.environment, [load_object(name, "wrapper") for name in task.wrappers])
+
+
+def play_starts(task, actor, first, starts):
+    seeds = iter(range(first, first + starts))
+    return Figures.of(play(factory_of(task).make, actor, seeds, min(starts, ENVIRONMENTS)))

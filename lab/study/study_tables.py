@@ -1,0 +1,48 @@
+"""What the tables of the study have in common."""
+
+import numpy as np
+import seed_statistics
+import study_tasks
+from run_table import read_results
+
+ALPHA = 0.05
+
+
+def read_runs(folder, group="study"):
+    """Returns all results of a group by task and arm, and each of these by seed."""
+    runs = {}
+    for result in read_results(folder, group):
+        runs.setdefault((result["task"], result["arm"]), {})[result["seed"]] = result
+    return runs
+
+
+def row(cells):
+    return f"| {' | '.join(cells)} |"
+
+
+def joined(tables):
+    """Returns the text of tables, each of which is a sequence of lines; those without a line are left out."""
+    texts = ("\n".join(table) for table in tables)
+    return "\n\n".join(text for text in texts if text)
+
+
+def score(result):
+    task = study_tasks.ALL_TASKS[result["task"]]
+    return 100 * (result["mean_return"] - task.chance) / (task.expert_return - task.chance)
+
+
+def digits_of(task):
+    """Returns the digits of a task's returns after the point."""
+    return 1 if abs(study_tasks.ALL_TASKS[task].expert_return) > 10 else 3
+
+
+def with_interval(values, digits):
+    """Returns a mean over seeds with Student's interval."""
+    half = f" ± {seed_statistics.half_width(values):.{digits}f}" if len(values) > 1 else ""
+    return f"{np.mean(values):.{digits}f}{half}"
+
+
+def count_text(groups):
+    """Returns the number of values in each group, or the smallest and the largest number."""
+    counts = [len(group) for group in groups]
+    return " to ".join(str(count) for count in sorted({min(counts), max(counts)}))

@@ -1,0 +1,22 @@
+"""The page of `make lab-bench` has the arm64 instructions that were counted apart from it, and the pages of `make lab-
+beats` have its rows."""
+
+import json
+import pathlib
+
+import beats_table
+import report
+
+ROOT = pathlib.Path(__file__).parents[2]
+
+
+def test_the_page_has_the_counted_instructions():
+    page = (ROOT / "lab/evidence/performance.md").read_text()
+    assert report.arm64_section() in page
+    assert "Not timed on real hardware" in page
+
+
+def test_the_pages_have_the_rows_of_the_beats():
+    rows = json.loads((ROOT / "lab/bench/beats.json").read_text())
+    for path, text in beats_table.pages(ROOT, rows):
+        assert path.read_text() == text, f"{path}: expected the rows of beats.json, as make lab-beats writes them"

@@ -1,0 +1,66 @@
+"""The recipes are those of the shipped policies, and the page shows what their integer versions return."""
+
+import argparse
+import dataclasses
+import json
+import re
+import shlex
+import subprocess
+import sys
+
+import pytest
+from policy_file import read_policy
+from serving import DEPLOY, SHIPPED_POLICIES
+from spikeserve.imitation.command import add_command
+from spikeserve.imitation.options import ImitationOptions
+
+ROOT = DEPLOY.parent
+NAMES = sorted(path.name for path in SHIPPED_POLICIES.iterdir())
+
+
+def training(path):
+    _, metadata = read_policy(path)
+    return json.loads(metadata["training"])
+
+
+def test_the_page_shows_what_the_integer_versions_return():
+    script = ROOT / "lab/recipes/integer_table.py"
+    table = subprocess.run([sys.executable, script], check=True, stdout=subprocess.PIPE, text=True).stdout
+    assert table.count("\n") == 2 + len(NAMES)
+    assert table in (ROOT / "lab/evidence/training-runs.md").read_text()
+    assert all(path.stat().st_size <= 400_000 for path in SHIPPED_POLICIES.glob("*/3/policy.safetensors"))
+
+
+def imitation(recipe):
+    """Returns the settings of the command `spikeserve imitate` of a recipe, as policies record them."""
+    parser = argparse.ArgumentParser()
+    add_command(parser.add_subparsers())
+    command = re.search(r"^imitate .*$", recipe.replace("\\\n", " "), re.MULTILINE)
+    words = shlex.split(command[0])
+    common = re.search(r"^settings=\((.*?)\)$", (ROOT / "lab/recipes/imitation.sh").read_text(), re.MULTILINE | re.DOTALL)
+    flags = [*common[1].split(), *words[2:]]
+    arguments = parser.parse_args([*words[:2], *flags, "--out=."])
+    settings = {field.name: getattr(arguments, field.name) for field in dataclasses.fields(ImitationOptions)}
+    names = [name.rpartition(":")[2] for name in (arguments.env_id, *arguments.wrapper)]
+    return json.loads(json.dumps({"environment": "-".join(names)} | settings))
+
+
+def with_settings_for_flags(recorded):
+    """Returns the settings of a policy. Flags of spiketrain that have become settings since then are settings."""
+    flags = dict(flag.removeprefix("--").split("=") for flag in recorded["train_flags"])
+    own = {name: int(flags.pop(name)) for name in list(flags) if name == "context"}
+    return recorded | own | {"train_flags": [f"--{name}={value}" for name, value in flags.items()]}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_there_is_a_recipe_with_as_many_stages(name):
+    recipe = (ROOT / "lab/recipes" / f"{name}.sh").read_text()
+    first = training(SHIPPED_POLICIES / name / "1/policy.safetensors")
+    if "imitation" in first:
+        recorded, of_recipe = with_settings_for_flags(first["imitation"]), imitation(recipe)
+        # Settings that are younger than the policy are in the recipe only.
+        assert recorded == {name: of_recipe[name] for name in recorded}
+        return
+    recorded = len([*first.get("lineage", []), first])
+    # A stage whose policy was replaced by a later one is in the recipe and not in the lineage.
+    assert len(re.findall(r"^stage ", recipe, re.MULTILINE)) >= recorded
