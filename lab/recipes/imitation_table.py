@@ -1,9 +1,9 @@
-"""Measures the table of docs/guides/imitation.md: one `imitate` after the other, with environment and expert only.
+"""Measures the table of lab/evidence/imitators.md: one `imitate` after the other, with environment and expert only.
 
     python lab/recipes/imitation_table.py --out=FOLDER [--modes=dense,baseline] [--rows=Spring,Vehicle]
     python lab/recipes/imitation_table.py --out=FOLDER --print
 
-The first form trains. It needs what docs/guides/imitation.md installs, and PYTHONPATH as it is set there.
+The first form trains. It needs what docs/guides/imitation.md installs, and PYTHONPATH as lab/evidence/imitators.md sets it.
 The same command continues after an interruption, and leaves out what is finished. The second form prints
 the runs that are finished, in Markdown.
 """

@@ -1,4 +1,4 @@
-"""The runs of the table of docs/guides/imitation.md, in a small form: every environment is imitated to the end.
+"""The runs of the table of lab/evidence/imitators.md, in a small form: every environment is imitated to the end.
 
 With SPIKESERVE_WHOLE_TABLE each runs with nothing but environment and expert, which takes hours, and has to come 95 %
 of the way from random actions to its expert, and to be no worse than the baselines.
@@ -7,17 +7,18 @@ of the way from random actions to its expert, and to be no worse than the baseli
 import dataclasses
 import json
 import os
+import pathlib
 import re
 import sys
 
 import pytest
 import spikeserve
-from documentation import page_of
 from imitation_table import MODES, ROWS, main, short_name
 from serving import running_server
 from spikeserve.imitation import pipeline
 from spikeserve.imitation.options import ImitationOptions
 
+PAGE = pathlib.Path(__file__).parents[1] / "evidence/imitators.md"
 SPIKETRAIN = os.environ["SPIKETRAIN"]
 WHOLE = "SPIKESERVE_WHOLE_TABLE" in os.environ
 SMALL = ImitationOptions(
@@ -46,7 +47,7 @@ SMALL = ImitationOptions(
 
 
 def test_the_page_has_figures_for_every_run_that_it_names():
-    rows = re.findall(r"^\| (\w+) \| ([^|]+) \|(.*)\|$", page_of("imitation.md").read_text(), re.MULTILINE)
+    rows = re.findall(r"^\| (\w+) \| ([^|]+) \|(.*)\|$", PAGE.read_text(), re.MULTILINE)
     rows = [(name, policy, cells) for name, policy, cells in rows if policy in MODES.values()]
     assert rows
     for name, policy, cells in rows:

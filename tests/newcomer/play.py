@@ -43,9 +43,8 @@ PAGES = (
 # Pages that a newcomer reads only. test_chips.py runs the examples of chips.md.
 WITHOUT_COMMANDS = {
     *("architecture.md", "chips.md", "compose.md", "energy.md", "image.md", "learning.md", "limits.md"),
-    *("README.md", "arm64.md", "attacks.md", "delay.md", "durability.md", "imitators.md", "online-learning.md"),
-    *("stores.md", "tracing.md", "training-runs.md", "tried.md", "beats.md", "how-far.md", "integer.md", "kubernetes.md"),
-    *("openpi.md", "report.md", "flags.md", "metrics.md", "errors.md", "files.md"),
+    *("README.md", "cost.md", "distance.md", "durability.md", "tracing.md", "beats.md", "how-far.md", "integer.md"),
+    *("kubernetes.md", "openpi.md", "flags.md", "metrics.md", "errors.md", "files.md"),
     *("packages.md", "paper.md", "performance.md", "playground.md", "robots.md", "robots-data.md", "ros.md", "site.md"),
     *("threat-model.md", "upgrades.md"),
 }
