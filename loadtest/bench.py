@@ -52,7 +52,7 @@ def server_rows(programs, seconds):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bin", type=pathlib.Path, required=True, help="folder of the programs")
-    parser.add_argument("--seconds", type=int, default=3, help="seconds of each row")
+    parser.add_argument("--seconds", type=float, default=3, help="seconds of each row")
     arguments = parser.parse_args()
     programs = arguments.bin.resolve()
     print(f"{'policy ' + POLICY:32} {'decisions/s':>12}")
