@@ -1,7 +1,7 @@
 """A hook of MkDocs: README.md becomes a page, and files outside docs/ to which pages link come along.
 
 A link to such a file leads to its copy below source/ of the site, so that the site has no broken link wherever it is
-served. Links to folders become text.
+served. Links to folders, and to the laboratory, become text with the path.
 """
 
 import posixpath
@@ -11,6 +11,7 @@ from mkdocs.structure.files import File
 
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 PROJECT = "project.md"
+LABORATORY = "lab/"
 
 
 def _root(config):
@@ -50,7 +51,7 @@ def on_files(files, config):
         for _, _, target in LINK.findall(_text(page, config)):
             path = _in_repository(page, target.partition("#")[0]) if _is_local(target) else "docs"
             source = posixpath.join(_root(config), path)
-            if not path.startswith("docs") and posixpath.isfile(source) and _copy_of(path) not in files.src_uris:
+            if not path.startswith(("docs", LABORATORY)) and posixpath.isfile(source) and _copy_of(path) not in files.src_uris:
                 files.append(File.generated(config, _copy_of(path), abs_src_path=source))
     return files
 
@@ -64,6 +65,8 @@ def on_page_markdown(markdown, page, config, files):
         if not _is_local(target):
             return link[0]
         path = _in_repository(page.file.src_uri, name)
+        if path.startswith(LABORATORY):
+            return f"`{path}`" if text == path else f"{text} (`{path}`)"
         if path == "docs" or posixpath.isdir(posixpath.join(_root(config), path)):
             return text
         inside = path.removeprefix("docs/") if path.startswith("docs/") else _copy_of(path)

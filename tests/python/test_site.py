@@ -70,6 +70,11 @@ def test_the_site_loads_nothing_from_other_hosts(site):
         assert not [address for address in Links(page).loaded if "//" in address]
 
 
+def test_the_laboratory_is_named_and_not_in_the_site(site):
+    assert "<code>lab/" in (site / "evidence/paper/index.html").read_text()
+    assert not list(site.glob("source/lab*"))
+
+
 def test_a_broken_link_fails_the_build(tmp_path):
     """A page that links to nothing, in a copy of the documentation."""
     for name in ("mkdocs.yml", "README.md"):
