@@ -8,6 +8,7 @@ tidy: with clang-tidy, as .clang-tidy configures it. threads: their thread annot
 import concurrent.futures
 import json
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -20,6 +21,15 @@ def tidy(entry, flags, _):
     # clang does not know the tree passes that GCC's flags of this form name.
     flags = [f for f in flags if not f.startswith("-fno-tree-")]
     return ["clang-tidy", "--quiet", entry["file"], "--", *flags]
+
+
+def sources(entry, root):
+    """Returns an entry for each source of a unit of sources (cmake/SpikeserveTargets.cmake), or of the file itself."""
+    if not re.search(r"_unit_\d+\.cc$", entry["file"]):
+        return [entry]
+    with open(entry["file"], encoding="utf-8") as unit:
+        files = [os.path.join(root, line.split('"')[1]) for line in unit]
+    return [{**entry, "file": file, "command": entry["command"].replace(entry["file"], file)} for file in files]
 
 
 def threads(_, flags, scratch):
@@ -36,10 +46,14 @@ def main():
     name, commands, *folders = sys.argv[1:]
     command_of = {"tidy": tidy, "threads": threads}[name]
     root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    prefixes = tuple(os.path.join(root, folder) + os.sep for folder in folders)
     with open(commands, encoding="utf-8") as file:
         # Without sources that see libtorch, whose headers clang refuses.
-        entries = [e for e in json.load(file) if e["file"].startswith(prefixes) and "/torch/" not in e["command"]]
+        entries = [e for e in json.load(file) if "/torch/" not in e["command"]]
+    if name == "tidy":  # which complains about the file that it is given, not about what that includes
+        entries = [source for entry in entries for source in sources(entry, root)]
+    build = os.path.dirname(commands)
+    prefixes = tuple(os.path.join(base, folder) + os.sep for folder in folders for base in (root, build))
+    entries = [e for e in entries if e["file"].startswith(prefixes) and not e["file"].endswith(".pb.cc")]
     if not entries:
         sys.exit(f"check_clang {name}: no sources below " + ", ".join(folders))
 

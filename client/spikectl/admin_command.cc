@@ -336,7 +336,7 @@ void AddCancel(FlagGroup& group, AdminFlags* flags) {
   group.AddSwitch("cancel", &flags->cancel, "Accept new sessions again");
 }
 
-struct Action {
+struct AdminAction {
   const char* name;
   const char* summary;
   bool needs_policy;
@@ -344,7 +344,7 @@ struct Action {
   absl::Status (*run)(const AdminFlags& flags);
 };
 
-constexpr Action kActions[] = {
+constexpr AdminAction kActions[] = {
     {"load", "Loads a version from its file", true, AddLoad, Load},
     {"unload", "Stops serving a version to new sessions", true, AddVersion, Unload},
     {"default", "Makes a version the default", true, AddNewDefault, Default},
@@ -364,7 +364,7 @@ constexpr Action kActions[] = {
     {"resume", "Resumes learning", false, AddFilter, ResumeLearning},
 };
 
-absl::Status RunAction(const Action& action, const AdminFlags& flags) {
+absl::Status RunAction(const AdminAction& action, const AdminFlags& flags) {
   if (action.needs_policy && flags.policy.empty()) {
     return absl::InvalidArgumentError("--policy: expected a name, received none");
   }
@@ -375,7 +375,7 @@ absl::Status RunAction(const Action& action, const AdminFlags& flags) {
 
 void AddAdminCommands(Command program, const ServerFlags& server) {
   const Command admin = program.AddCommand("admin", "Administers the server");
-  for (const Action& action : kActions) {
+  for (const AdminAction& action : kActions) {
     const Command command = admin.AddCommand(action.name, action.summary);
     const auto flags = std::make_shared<AdminFlags>();
     flags->server = &server;

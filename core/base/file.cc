@@ -13,13 +13,10 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
-
-absl::Status SystemError(absl::string_view what, const std::string& path) {
-  return absl::ErrnoToStatus(errno, absl::StrCat(path, ": cannot ", what));
-}
 
 // Owns a file descriptor and closes it on destruction.
 class Descriptor {

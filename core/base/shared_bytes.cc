@@ -15,6 +15,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -22,10 +23,6 @@ namespace {
 
 // More than one try is needed only if another process deletes or damages the file meanwhile.
 constexpr int kTries = 5;
-
-absl::Status SystemError(absl::string_view what, const std::string& path) {
-  return absl::ErrnoToStatus(errno, absl::StrCat(path, ": cannot ", what));
-}
 
 // A file of another user could be truncated while it is mapped.
 absl::Status CheckFolder(const std::string& folder) {

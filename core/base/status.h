@@ -1,4 +1,4 @@
-// Adds context to the message of a status.
+// Makes statuses, and adds context to their messages.
 //
 // All functions are pure and thread-safe.
 #ifndef CORE_BASE_STATUS_H_
@@ -14,6 +14,9 @@ namespace spikeserve {
 //
 //   Annotate(absl::NotFoundError("no such file"), "--tokens")  // "--tokens: no such file"
 absl::Status Annotate(const absl::Status& status, absl::string_view prefix);
+
+// Returns errno as a status with the message "`path`: cannot `what`: " and the system's text.
+absl::Status SystemError(absl::string_view what, absl::string_view path);
 
 }  // namespace spikeserve
 

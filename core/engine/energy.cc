@@ -8,15 +8,15 @@ namespace {
 constexpr double kPicojoule = 1e-12;
 
 // Horowitz, ISSCC 2014, figure 1.1.9: 45 nm, 0.9 V.
-constexpr double kFloatAdd = 0.9;
-constexpr double kFloatMultiply = 3.7;
-constexpr double kFloatMultiplyAccumulate = kFloatMultiply + kFloatAdd;
+constexpr double kAdd = 0.9;
+constexpr double kMultiply = 3.7;
+constexpr double kMultiplyAccumulate = kMultiply + kAdd;
 
 // A LayerNorm adds each element to the mean, subtracts the mean, squares and adds, multiplies by
 // the inverse deviation, multiplies by a weight and adds a bias.
-constexpr double kLayerNormElement = 2 * kFloatAdd + kFloatMultiply + 2 * kFloatMultiplyAccumulate;
+constexpr double kLayerNormElement = 2 * kAdd + kMultiply + 2 * kMultiplyAccumulate;
 // A term of a softmax is scaled, subtracted from the best one, added to the sum and divided by it.
-constexpr double kSoftmaxTerm = 2 * kFloatMultiplyAccumulate;
+constexpr double kHorowitzSoftmaxTerm = 2 * kMultiplyAccumulate;
 
 // Davies et al., IEEE Micro 38(1), 2018, table 2.
 constexpr double kLoihiSynapticOperation = 23.6;
@@ -75,13 +75,13 @@ constexpr std::array<EnergyModelInfo, kEnergyModels> kInfos = {{
 
 double Horowitz(const Counts& counts, const ModelConfig& config) {
   const auto number = [](uint64_t count) { return static_cast<double>(count); };
-  const double attention = config.is_dense() ? kFloatMultiplyAccumulate : kFloatAdd;
-  return kFloatAdd * number(counts.accumulates) +
-         kFloatMultiplyAccumulate * number(counts.multiply_accumulates + counts.membrane_updates +
-                                           counts.coder_gains + counts.gate_products) +
+  const double attention = config.is_dense() ? kMultiplyAccumulate : kAdd;
+  return kAdd * number(counts.accumulates) +
+         kMultiplyAccumulate * number(counts.multiply_accumulates + counts.membrane_updates +
+                                      counts.coder_gains + counts.gate_products) +
          attention * number(counts.attention_products) +
          kLayerNormElement * number(counts.layer_norm_elements) +
-         kSoftmaxTerm * number(counts.softmax_terms);
+         kHorowitzSoftmaxTerm * number(counts.softmax_terms);
 }
 
 double Operations(const Counts& counts, const ModelConfig& config) {

@@ -12,7 +12,7 @@ using std::cos;
 using std::sin;
 using std::numbers::pi;
 
-constexpr double kTimeStep = 0.2;  // s
+constexpr double kAcrobotTimeStep = 0.2;  // s
 constexpr double kMaxVelocity1 = 4 * pi;
 constexpr double kMaxVelocity2 = 9 * pi;
 
@@ -46,12 +46,12 @@ State AddScaled(const State& y, double step, const State& k) {
 // Returns the state after one step of the classical fourth-order Runge-Kutta method from `y`.
 State RungeKutta4(const AcrobotParameters& parameters, double torque, const State& y) {
   const State k1 = Derivative(parameters, torque, y);
-  const State k2 = Derivative(parameters, torque, AddScaled(y, kTimeStep / 2, k1));
-  const State k3 = Derivative(parameters, torque, AddScaled(y, kTimeStep / 2, k2));
-  const State k4 = Derivative(parameters, torque, AddScaled(y, kTimeStep, k3));
+  const State k2 = Derivative(parameters, torque, AddScaled(y, kAcrobotTimeStep / 2, k1));
+  const State k3 = Derivative(parameters, torque, AddScaled(y, kAcrobotTimeStep / 2, k2));
+  const State k4 = Derivative(parameters, torque, AddScaled(y, kAcrobotTimeStep, k3));
   State slope;
   for (int i = 0; i < 4; ++i) slope[i] = k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i];
-  return AddScaled(y, kTimeStep / 6, slope);
+  return AddScaled(y, kAcrobotTimeStep / 6, slope);
 }
 
 // Returns the angle in [-pi, pi].

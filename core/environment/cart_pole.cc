@@ -6,8 +6,8 @@
 namespace spikeserve {
 namespace {
 
-constexpr double kTimeStep = 0.02;      // s
-constexpr double kPositionLimit = 2.4;  // m
+constexpr double kCartPoleTimeStep = 0.02;  // s
+constexpr double kPositionLimit = 2.4;      // m
 constexpr double kAngleLimit = 12 * 2 * std::numbers::pi / 360;
 
 }  // namespace
@@ -41,10 +41,10 @@ double CartPole::Advance(const Action& action, absl::Span<double> state) const {
       (half_length * (4.0 / 3.0 - pole_mass * (cosine * cosine) / total_mass));
   const double x_acceleration = temp - pole_mass_length * theta_acceleration * cosine / total_mass;
 
-  x += kTimeStep * x_dot;
-  x_dot += kTimeStep * x_acceleration;
-  theta += kTimeStep * theta_dot;
-  theta_dot += kTimeStep * theta_acceleration;
+  x += kCartPoleTimeStep * x_dot;
+  x_dot += kCartPoleTimeStep * x_acceleration;
+  theta += kCartPoleTimeStep * theta_dot;
+  theta_dot += kCartPoleTimeStep * theta_acceleration;
 
   return 1.0;
 }

@@ -10,8 +10,8 @@ namespace {
 
 using std::numbers::pi;
 
-constexpr double kTimeStep = 0.05;  // s
-constexpr float kMaxTorque = 2.0F;  // N m
+constexpr double kPendulumTimeStep = 0.05;  // s
+constexpr float kMaxTorque = 2.0F;          // N m
 
 // Returns the angle in [-pi, pi). Computes the modulo like Python, whose result has the sign of the
 // divisor.
@@ -51,9 +51,9 @@ double Pendulum::Advance(const Action& action, absl::Span<double> state) const {
   const double cost = angle * angle + 0.1 * (velocity * velocity) + torque_cost;
 
   const float torque_acceleration = static_cast<float>(3.0 * force / (m * (l * l))) * torque;
-  velocity += (3 * g / (2 * l) * std::sin(theta) + torque_acceleration) * kTimeStep;
+  velocity += (3 * g / (2 * l) * std::sin(theta) + torque_acceleration) * kPendulumTimeStep;
   velocity = std::clamp(velocity, -kMaxSpeed, kMaxSpeed);
-  theta += velocity * kTimeStep;
+  theta += velocity * kPendulumTimeStep;
 
   return -cost;
 }

@@ -18,18 +18,12 @@ constexpr int kLargestNormShift = 15;
 // A residual is added to what a map returns.
 constexpr int64_t kLargestSum = std::numeric_limits<int32_t>::max() - kLargestResidual;
 
-absl::Status TensorError(const std::string& name, absl::string_view expected, int64_t received,
-                         size_t index) {
-  return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(name), ": expected ", expected,
-                                                 ", received ", received, " at index ", index));
-}
-
 // Checks that every number is from `low` to `high`.
 absl::Status CheckNumbers(const std::string& name, const auto& tensor, int low, int high) {
   for (size_t i = 0; i < tensor.values.size(); ++i) {
     const int value = tensor.values[i];
     if (value >= low && value <= high) continue;
-    return TensorError(name, absl::StrCat(low, " to ", high), value, i);
+    return ElementError(name, absl::StrCat(low, " to ", high), value, i);
   }
   return absl::OkStatus();
 }
@@ -50,7 +44,7 @@ absl::Status CheckMap(const std::string& name, const FixedPointMap& map, int lar
     const int64_t result = (shift > 0 ? sum >> shift : sum * (int64_t{1} << -shift)) +
                            std::abs(int{map.bias.values[k]});
     if (std::max(sum, result) <= kLargestSum) continue;
-    return TensorError(
+    return ElementError(
         name + ".weight",
         absl::StrCat("sums of at most ", kLargestSum, " for inputs of at most ", largest_input),
         std::max(sum, result), k);
@@ -69,14 +63,15 @@ absl::Status CheckNorm(const std::string& name, const FixedPointNorm& norm) {
 absl::Status CheckCoder(const std::string& name, const PeriodCoder& coder) {
   for (size_t j = 0; j < coder.sign.values.size(); ++j) {
     if (std::abs(int{coder.sign.values[j]}) != 1) {
-      return TensorError(name + ".sign", "1 or -1", coder.sign.values[j], j);
+      return ElementError(name + ".sign", "1 or -1", coder.sign.values[j], j);
     }
   }
   const int ticks = coder.threshold.shape[1];
   for (size_t i = 0; i < coder.threshold.values.size(); ++i) {
     if (i % ticks == 0 || coder.threshold.values[i] <= coder.threshold.values[i - 1]) continue;
-    return TensorError(name + ".threshold", absl::StrCat("at most ", coder.threshold.values[i - 1]),
-                       coder.threshold.values[i], i);
+    return ElementError(name + ".threshold",
+                        absl::StrCat("at most ", coder.threshold.values[i - 1]),
+                        coder.threshold.values[i], i);
   }
   return absl::OkStatus();
 }

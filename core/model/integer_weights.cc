@@ -17,17 +17,11 @@ namespace {
 static_assert(int64_t{kLargestInt8Weight} * ModelLimits::kTicks * ModelLimits::kFfnSize <=
               std::numeric_limits<int32_t>::max());
 
-absl::Status TensorError(absl::string_view name, absl::string_view expected, auto received,
-                         size_t index) {
-  return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(name), ": expected ", expected,
-                                                 ", received ", received, " at index ", index));
-}
-
 absl::Status CheckWeights(const std::string& name, const Int8Tensor& weight) {
   for (size_t i = 0; i < weight.values.size(); ++i) {
     const int value = weight.values[i];
     if (std::abs(value) > kLargestInt8Weight) {
-      return TensorError(name, "-127 to 127", value, i);
+      return ElementError(name, "-127 to 127", value, i);
     }
   }
   return absl::OkStatus();
@@ -36,7 +30,7 @@ absl::Status CheckWeights(const std::string& name, const Int8Tensor& weight) {
 absl::Status CheckScale(const std::string& name, const Tensor& scale) {
   for (size_t i = 0; i < scale.values.size(); ++i) {
     if (!(scale.values[i] > 0.0f && std::isfinite(scale.values[i]))) {
-      return TensorError(name, "positive finite numbers", scale.values[i], i);
+      return ElementError(name, "positive finite numbers", scale.values[i], i);
     }
   }
   return absl::OkStatus();
@@ -45,7 +39,7 @@ absl::Status CheckScale(const std::string& name, const Tensor& scale) {
 absl::Status CheckThreshold(const std::string& name, const Int16Tensor& threshold) {
   for (size_t i = 0; i < threshold.values.size(); ++i) {
     if (threshold.values[i] < 1) {
-      return TensorError(name, "1 to 32767", int{threshold.values[i]}, i);
+      return ElementError(name, "1 to 32767", int{threshold.values[i]}, i);
     }
   }
   return absl::OkStatus();
@@ -59,9 +53,9 @@ absl::Status CheckCurrents(const std::string& name, const IntegerPopulation& pop
     int current = std::abs(int{population.bias.values[k]});
     for (int j = 0; j < inputs; ++j) current += std::abs(int{population.weight.at(k, j)});
     if (current > kLargestCurrent) {
-      return TensorError(name + ".weight",
-                         absl::StrCat("|bias| + sum of |weight| of at most ", kLargestCurrent),
-                         current, k);
+      return ElementError(name + ".weight",
+                          absl::StrCat("|bias| + sum of |weight| of at most ", kLargestCurrent),
+                          current, k);
     }
   }
   return absl::OkStatus();
@@ -76,6 +70,12 @@ absl::Status CheckPopulation(const std::string& name, const IntegerPopulation& p
 }
 
 }  // namespace
+
+absl::Status ElementError(absl::string_view tensor, absl::string_view expected,
+                          const absl::AlphaNum& received, size_t index) {
+  return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(tensor), ": expected ", expected,
+                                                 ", received ", received, " at index ", index));
+}
 
 absl::Status CheckIntegerPopulations(absl::string_view name, const IntegerMaps& maps) {
   absl::Status status = CheckPopulation(absl::StrCat(name, ".attention.query"), maps.query);

@@ -7,6 +7,7 @@
 #define CORE_MODEL_INTEGER_WEIGHTS_H_
 
 #include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "core/math/tensor.h"
 
@@ -42,6 +43,10 @@ struct IntegerMaps {
   IntegerPopulation ffn_hidden;  // [F, d], [F]
   IntegerOutput ffn_output;      // [d, F], [d]
 };
+
+// Returns INVALID_ARGUMENT "tensor T: expected E, received R at index I".
+absl::Status ElementError(absl::string_view tensor, absl::string_view expected,
+                          const absl::AlphaNum& received, size_t index);
 
 // Returns INVALID_ARGUMENT if a number of layer `name` ("layers.0") is out of its range, or if the
 // magnitudes of a neuron's bias and weights add up to more than kLargestCurrent. The message names

@@ -16,7 +16,7 @@
 namespace spikeserve {
 namespace {
 
-constexpr char kFormat[] = "spikeserve.head_entry.v1";
+constexpr char kEntryFormat[] = "spikeserve.head_entry.v1";
 
 }  // namespace
 
@@ -35,7 +35,7 @@ void VisitFields(T& entry, Visitor&& visit) {
 std::string SerializeHeadEntry(const HeadEntry& entry) {
   std::string bytes;
   codec::Writer writer(&bytes);
-  writer.Begin(kFormat);
+  writer.Begin(kEntryFormat);
   writer.Write(entry);
   return bytes;
 }
@@ -57,7 +57,7 @@ std::string HeadEntryIdentity(const HeadEntry& entry) {
 }
 
 absl::StatusOr<HeadEntry> ParseHeadEntry(const std::string& bytes) {
-  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "head entry", kFormat));
+  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "head entry", kEntryFormat));
   HeadEntry entry;
   codec::Reader reader;
   reader.Read(json, "head entry", entry);

@@ -19,7 +19,7 @@
 namespace spikeserve {
 namespace {
 
-constexpr char kFormat[] = "spikeserve.heads.v1";
+constexpr char kHeadsFormat[] = "spikeserve.heads.v1";
 
 struct StoredHead {
   std::string tenant;
@@ -199,13 +199,13 @@ std::string HeadReplica::Serialize() const {
   }
   std::string bytes;
   codec::Writer writer(&bytes);
-  writer.Begin(kFormat);
+  writer.Begin(kHeadsFormat);
   writer.Write(stored);
   return bytes;
 }
 
 absl::Status HeadReplica::Restore(const HeadPosition& position, const std::string& bytes) {
-  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "heads", kFormat));
+  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "heads", kHeadsFormat));
   StoredHeads stored;
   codec::Reader reader;
   reader.Read(json, "heads", stored);

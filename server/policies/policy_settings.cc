@@ -16,8 +16,6 @@ namespace {
 
 using Json = nlohmann::json;
 
-constexpr int64_t kFirstVersion = 1;
-
 absl::Status CheckVersion(absl::string_view field, int64_t version) {
   if (version >= kFirstVersion) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat(field, ": expected an integer of at least ",

@@ -16,8 +16,6 @@ namespace {
 
 using Json = nlohmann::json;
 
-constexpr int64_t kFirstVersion = 1;
-
 Json EvidenceJson(const EvidenceByTenant& evidence) {
   Json tenants = Json::object();
   for (const auto& [tenant, counts] : evidence) {

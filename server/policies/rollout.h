@@ -18,6 +18,9 @@
 
 namespace spikeserve {
 
+// Versions are positive.
+inline constexpr int64_t kFirstVersion = 1;
+
 enum class RolloutMeasure { kReturn, kErrors, kP99 };
 
 constexpr std::array<EnumName<RolloutMeasure>, 3> EnumNames(RolloutMeasure) {

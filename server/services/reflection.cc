@@ -14,12 +14,12 @@
 namespace spikeserve {
 namespace {
 
-namespace v1 = grpc::reflection::v1;
+namespace reflection = grpc::reflection::v1;
 using google::protobuf::DescriptorPool;
 using google::protobuf::FieldDescriptor;
 using google::protobuf::FileDescriptor;
 
-void SetNotFound(const std::string& what, v1::ServerReflectionResponse* response) {
+void SetNotFound(const std::string& what, reflection::ServerReflectionResponse* response) {
   response->mutable_error_response()->set_error_code(static_cast<int>(absl::StatusCode::kNotFound));
   response->mutable_error_response()->set_error_message(absl::StrCat(what, ": not found"));
 }
@@ -41,20 +41,20 @@ const std::string& Described(const FileDescriptor& file) {
 
 // Adds the file and all files that it imports, each once.
 void AddFiles(const FileDescriptor& file, std::set<const FileDescriptor*>* added,
-              v1::FileDescriptorResponse* response) {
+              reflection::FileDescriptorResponse* response) {
   if (!added->insert(&file).second) return;
   response->add_file_descriptor_proto(Described(file));
   for (int i = 0; i < file.dependency_count(); ++i) AddFiles(*file.dependency(i), added, response);
 }
 
 void SetFile(const FileDescriptor* file, const std::string& what,
-             v1::ServerReflectionResponse* response) {
+             reflection::ServerReflectionResponse* response) {
   if (file == nullptr) return SetNotFound(what, response);
   std::set<const FileDescriptor*> added;
   AddFiles(*file, &added, response->mutable_file_descriptor_response());
 }
 
-const FileDescriptor* FileOfExtension(const v1::ExtensionRequest& request) {
+const FileDescriptor* FileOfExtension(const reflection::ExtensionRequest& request) {
   const DescriptorPool& pool = *DescriptorPool::generated_pool();
   const auto* type = pool.FindMessageTypeByName(request.containing_type());
   if (type == nullptr) return nullptr;
@@ -62,7 +62,8 @@ const FileDescriptor* FileOfExtension(const v1::ExtensionRequest& request) {
   return extension == nullptr ? nullptr : extension->file();
 }
 
-void SetExtensionNumbers(const std::string& type_name, v1::ServerReflectionResponse* response) {
+void SetExtensionNumbers(const std::string& type_name,
+                         reflection::ServerReflectionResponse* response) {
   const DescriptorPool& pool = *DescriptorPool::generated_pool();
   const auto* type = pool.FindMessageTypeByName(type_name);
   if (type == nullptr) return SetNotFound(type_name, response);
@@ -77,31 +78,31 @@ void SetExtensionNumbers(const std::string& type_name, v1::ServerReflectionRespo
 
 }  // namespace
 
-void AnswerReflection(const v1::ServerReflectionRequest& request,
+void AnswerReflection(const reflection::ServerReflectionRequest& request,
                       const std::vector<std::string>& services,
-                      v1::ServerReflectionResponse* response) {
+                      reflection::ServerReflectionResponse* response) {
   response->Clear();
   response->set_valid_host(request.host());
   *response->mutable_original_request() = request;
   const DescriptorPool& pool = *DescriptorPool::generated_pool();
   switch (request.message_request_case()) {
-    case v1::ServerReflectionRequest::kFileByFilename:
+    case reflection::ServerReflectionRequest::kFileByFilename:
       return SetFile(pool.FindFileByName(request.file_by_filename()), request.file_by_filename(),
                      response);
-    case v1::ServerReflectionRequest::kFileContainingSymbol:
+    case reflection::ServerReflectionRequest::kFileContainingSymbol:
       return SetFile(pool.FindFileContainingSymbol(request.file_containing_symbol()),
                      request.file_containing_symbol(), response);
-    case v1::ServerReflectionRequest::kFileContainingExtension:
+    case reflection::ServerReflectionRequest::kFileContainingExtension:
       return SetFile(FileOfExtension(request.file_containing_extension()),
                      request.file_containing_extension().containing_type(), response);
-    case v1::ServerReflectionRequest::kAllExtensionNumbersOfType:
+    case reflection::ServerReflectionRequest::kAllExtensionNumbersOfType:
       return SetExtensionNumbers(request.all_extension_numbers_of_type(), response);
-    case v1::ServerReflectionRequest::kListServices:
+    case reflection::ServerReflectionRequest::kListServices:
       for (const std::string& name : services) {
         response->mutable_list_services_response()->add_service()->set_name(name);
       }
       return;
-    case v1::ServerReflectionRequest::MESSAGE_REQUEST_NOT_SET:
+    case reflection::ServerReflectionRequest::MESSAGE_REQUEST_NOT_SET:
       response->mutable_error_response()->set_error_code(
           static_cast<int>(absl::StatusCode::kInvalidArgument));
       response->mutable_error_response()->set_error_message(
@@ -110,11 +111,11 @@ void AnswerReflection(const v1::ServerReflectionRequest& request,
 }
 
 void ReflectionCall::OnMessage(absl::string_view message) {
-  v1::ServerReflectionRequest request;
+  reflection::ServerReflectionRequest request;
   if (auto status = ParseRequest(message, &request); !status.ok()) {
     return call_->Finish(status);
   }
-  v1::ServerReflectionResponse response;
+  reflection::ServerReflectionResponse response;
   AnswerReflection(request, services_, &response);
   call_->Send(response);
 }

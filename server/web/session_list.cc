@@ -93,7 +93,7 @@ const std::map<std::string, ColumnKey>& Columns() {
 }
 
 // The place of a session in a list.
-struct Place {
+struct ListPlace {
   SortKey key;
   std::string id;
 };
@@ -148,14 +148,14 @@ absl::StatusOr<Order> OrderOf(const HttpQuery& query) {
 
 // A page token is the place of the last session of the page before, as CBOR in base64. It names
 // the order, because places of different orders cannot be compared.
-std::string TokenOf(const Place& place, const Order& order) {
+std::string TokenOf(const ListPlace& place, const Order& order) {
   const auto cbor = Json::to_cbor({order.column, order.descending, place.key.text, place.key.number,
                                    place.key.missing, place.id});
   return absl::WebSafeBase64Escape(std::string(cbor.begin(), cbor.end()));
 }
 
-absl::StatusOr<std::optional<Place>> PlaceOf(const std::string& token, const Order& order) {
-  if (token.empty()) return std::optional<Place>();
+absl::StatusOr<std::optional<ListPlace>> PlaceOf(const std::string& token, const Order& order) {
+  if (token.empty()) return std::optional<ListPlace>();
   std::string cbor;
   Json parts;
   if (absl::WebSafeBase64Unescape(token, &cbor)) parts = ParseCbor(cbor).value_or(Json());
@@ -168,7 +168,8 @@ absl::StatusOr<std::optional<Place>> PlaceOf(const std::string& token, const Ord
                      "order, received ",
                      Quoted(token)));
   }
-  return Place{.key = {.text = parts[2], .number = parts[3], .missing = parts[4]}, .id = parts[5]};
+  return ListPlace{.key = {.text = parts[2], .number = parts[3], .missing = parts[4]},
+                   .id = parts[5]};
 }
 
 // A session in a list.
@@ -253,16 +254,16 @@ class Filter {
 };
 
 // What a request for a list selects.
-struct Selection {
+struct ListSelection {
   int64_t open = 0;      // sessions that the caller may read
   int64_t matching = 0;  // those of them that match the filter
   std::vector<Row> rows;
 };
 
 // Selects sessions in the order of the store, without taking their locks.
-Selection FirstById(SessionStore& store, const Credential& caller,
-                    const std::optional<Place>& after, size_t limit) {
-  Selection found;
+ListSelection FirstById(SessionStore& store, const Credential& caller,
+                        const std::optional<ListPlace>& after, size_t limit) {
+  ListSelection found;
   const auto wanted = [&](const SessionEntry& entry) {
     const bool readable = caller.CanRead(entry.tenant);
     found.open += readable ? 1 : 0;
@@ -276,9 +277,10 @@ Selection FirstById(SessionStore& store, const Credential& caller,
   return found;
 }
 
-Selection FirstInOrder(SessionStore& store, const Credential& caller, const std::string& text,
-                       const Order& order, const std::optional<Place>& after, size_t limit) {
-  Selection found;
+ListSelection FirstInOrder(SessionStore& store, const Credential& caller, const std::string& text,
+                           const Order& order, const std::optional<ListPlace>& after,
+                           size_t limit) {
+  ListSelection found;
   FirstRows first(order, limit);
   Filter filter(text);
   const auto visit = [&](const ListedSession& listed) {
@@ -384,9 +386,9 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
   const std::string filter = query.Get("filter");
   const auto limit = static_cast<size_t>(page_size);
   // One more than the page, which shows whether there is another one.
-  Selection found = filter.empty() && order.IsByIdAscending()
-                        ? FirstById(store, caller, after, limit + 1)
-                        : FirstInOrder(store, caller, filter, order, after, limit + 1);
+  ListSelection found = filter.empty() && order.IsByIdAscending()
+                            ? FirstById(store, caller, after, limit + 1)
+                            : FirstInOrder(store, caller, filter, order, after, limit + 1);
   std::vector<Row>& rows = found.rows;
   std::string next;
   if (rows.size() > limit) {

@@ -15,7 +15,7 @@ constexpr absl::Duration kCloseTimeout = absl::Seconds(1);
 constexpr absl::Duration kFirstPause = absl::Milliseconds(50);
 constexpr absl::Duration kLongestPause = absl::Milliseconds(200);
 constexpr absl::Duration kGiveUp = absl::Seconds(1);  // without an answer, then another server
-constexpr absl::Duration kLongestWait = absl::Seconds(1);
+constexpr absl::Duration kLongestLinkWait = absl::Seconds(1);
 constexpr std::array<absl::string_view, kReplaced> kReplacedNames = {
     "observation: expected finite values of the policy's observation",
     "reward: expected a finite number", "executed: expected an action of the action space",
@@ -100,7 +100,7 @@ std::optional<absl::Duration> Link::Work() {
 }
 
 Link::Step Link::Plan(absl::Duration now, absl::Duration* until) {
-  *until = now + kLongestWait;
+  *until = now + kLongestLinkWait;
   if (facts_->log.is_too_long()) lost_ = "the server has missed too many beats";
   if (lost_.has_value()) return &Link::Lose;
   if (!settled_.empty()) return &Link::CompleteSettled;
