@@ -178,6 +178,60 @@ def test_what_is_too_much_is_refused(server):
             assert closed.value.rcvd.code == 1009
 
 
+IGNORED = {
+    "text": "pick up the cube",
+    "array of text": np.asarray("pick up the cube"),
+    "arrays of text": [np.asarray(["a", "b"])],
+    "bytes": np.asarray([b"ab"]),
+    "time stamps": np.array(["2026-01-01T00:00:00"], "M8[s]"),
+    "objects": array(b"|O"),
+    "cut off": array(data=b"\0" * 15),
+    "by number": {1: {2: np.zeros(3)}},
+    "none": None,
+}
+
+
+def test_entries_that_the_mapping_does_not_name_are_ignored(gateway):
+    with WebsocketClientPolicy(gateway) as policy:
+        for step, value in enumerate(IGNORED.values()):
+            assert policy.infer({"observation": np.zeros(4), "prompt": value})["step"] == step
+        for key in ("observation", "reward", "reset"):
+            message = {"observation": np.zeros(4)} | {key: np.asarray(["up"])}
+            with pytest.raises(RuntimeError, match=f"{key}: array: dtype: expected numbers, such as <f4, received <U2"):
+                policy.infer(message)
+
+
+def test_a_robot_that_paused_begins_an_episode_in_a_new_session(server):
+    """Longer than the server keeps a session."""
+
+    def lose(session_id):
+        with spikeserve.Client(server) as client:
+            client.run(spikeserve.Session(client, session_id).cursor.close())
+
+    def session_ids():
+        with spikeserve.AdminClient(server) as admin:
+            labelled = [session for session in admin.list_sessions().sessions if session.policy == "cartpole-dial"]
+            return {session.session_id for session in labelled}
+
+    with running_gateway(server, "--policy=cartpole-dial") as address, WebsocketClientPolicy(address) as policy:
+        first = policy.metadata["session_id"]
+        observation = {"observation": np.zeros(4)}
+        lose(first)  # before its first message
+        assert policy.infer(observation)["step"] == 0
+        assert policy.infer(observation)["step"] == 1
+        (second,) = session_ids()
+        assert second != first
+        lose(second)  # in the middle of an episode
+        assert policy.infer(observation | {"reset": True, "reward": 1.0})["step"] == 0
+        assert policy.infer(observation)["step"] == 1
+        policy.infer(observation | {"terminated": True})
+        lose(*session_ids())  # between two episodes, of a robot that never sends reset
+        assert policy.infer(observation)["step"] == 0
+        lose(*session_ids())
+        with pytest.raises(RuntimeError, match="NOT_FOUND"):
+            policy.infer(observation)  # in the middle of an episode
+
+
 def test_health_and_web_pages(gateway):
     with urllib.request.urlopen(gateway.replace("ws://", "http://") + "/healthz") as answer:
         assert answer.read() == b"OK\n"

@@ -129,6 +129,14 @@ def test_tensor_names_and_shapes_are_those_of_the_shipped_policy(version):
     assert {name: tensor.shape for name, tensor in tensors.items()} == shapes
 
 
+@pytest.mark.parametrize("path", sorted(SHIPPED_POLICIES.glob("*/3/*.safetensors")), ids=lambda p: p.parts[-3])
+def test_policies_in_integers_have_names_and_shapes(path):
+    metadata, tensors = read(path)
+    config = ModelConfig(**json.loads(metadata["config"]))
+    actions, observations = len(tensors["head.bias"]), len(tensors["observation.mean"])
+    assert {name: tensor.shape for name, tensor in tensors.items()} == tensor_shapes(config, observations, actions)
+
+
 CONFIG = ModelConfig(**SMALL)
 INT8 = replace(CONFIG, arithmetic="int8")
 FIELDS = {"action_space": spikeserve.Discrete(2), "environment": "CartPole-v1", "target_return": 1}
@@ -268,7 +276,7 @@ def test_bad_fields_are_refused_by_name(path, field, value, message):
         ("membrane_decay", 1.5, "expected 0 to 1, received 1.5"),
         ("threshold", 0.0, "expected a positive finite number, received 0.0"),
         ("threshold", 1e-60, "expected a positive finite number, received 1e-60"),
-        ("arithmetic", "int4", "expected one of float32, int8, received 'int4'"),
+        ("arithmetic", "int4", "expected one of float32, int8, integer, received 'int4'"),
         ("norm", "batch", "expected one of layer, none, received 'batch'"),
     ],
 )
@@ -289,6 +297,20 @@ def test_integers_have_their_own_limits():
         ModelConfig(mode="dense", arithmetic="int8")
     with pytest.raises(ValueError, match="membrane_decay: expected at most 32767/32768"):
         ModelConfig(membrane_decay=1.0, arithmetic="int8")
+
+
+def test_a_policy_in_integers_is_checked_and_not_exported(path):
+    integer = ModelConfig(**SMALL | {"arithmetic": "integer", "membrane_decay": 0.9375})
+    with pytest.raises(ValueError, match="arithmetic: expected float32 or int8; `spiketrain quantize --to=integer`"):
+        export_policy(path, {}, integer, **FIELDS)
+    for changes, field in (
+        ({"membrane_decay": 0.95}, "membrane_decay"),
+        ({"membrane_decay": 0.9375, "leak": "none"}, "membrane_decay"),
+        ({"membrane_decay": 0.9375, "coder": "bernoulli"}, "coder"),
+        ({"membrane_decay": 0.9375, "input_fraction": 15}, "input_fraction"),
+    ):
+        with pytest.raises(ValueError, match=f"^{field}: expected"):
+            ModelConfig(arithmetic="integer", **changes)
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(path, monkeypatch):

@@ -14,7 +14,8 @@ import gymnasium
 import numpy as np
 import pytest
 import spikeserve
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorWrapper
+from policy_file import read_policy, write_policy
 from random_policy import export_random
 from serving import SHIPPED_POLICIES, running_server
 
@@ -132,6 +133,86 @@ def test_the_async_rows_play_the_same(client, address, mode):
 
 async def open_rows(client, envs):
     return await spikeserve.AsyncVectorSession.open(client, "random_cartpole", envs)
+
+
+class WithoutFinals(VectorWrapper):
+    """Resets rows in the same step and does not keep, or does not say, which observations were the last ones."""
+
+    left_out = ()
+
+    def step(self, actions):
+        *outcome, infos = self.env.step(actions)
+        for key in self.left_out:
+            infos.pop(key, None)
+        return *outcome, infos
+
+
+@pytest.mark.parametrize("left_out", [("final_obs", "_final_obs"), ("final_obs",), ("_final_obs",)])
+def test_final_observations_may_be_missing(client, left_out):
+    envs = WithoutFinals(make_rows("CartPole-v1", AutoresetMode.SAME_STEP))
+    envs.left_out = left_out
+    with spikeserve.VectorSession(client, "random_cartpole", envs) as agents:
+        observations, _ = envs.reset(seed=SEED)
+        outcome, ended = (), 0
+        while ended < ROWS:
+            observations, *outcome = envs.step(agents.act(observations, *outcome))
+            ended += len(agents.ended)
+
+
+def test_a_masked_final_observation_is_none(client):
+    envs = make_rows("CartPole-v1", AutoresetMode.SAME_STEP)
+    with spikeserve.VectorSession(client, "cartpole", envs) as agents:
+        observations, _ = envs.reset(seed=SEED)
+        agents.act(observations)
+        ended = np.array([True, True, False])
+        infos = {"final_obs": np.full((ROWS, 4), np.nan), "_final_obs": np.zeros(ROWS, bool)}
+        agents.act(observations, np.ones(ROWS), ended, np.zeros(ROWS, bool), infos)
+        assert sorted(agents.ended) == [0, 1]
+
+
+@pytest.mark.parametrize("bound", [0.1, 1 / 3, np.pi])
+def test_actions_are_within_a_space_of_doubles(tmp_path, bound):
+    """A policy has bounds in float32, which are not those of the environment."""
+    space = gymnasium.spaces.Box(-bound, bound, (1,), np.float64)
+
+    def make_bounded():
+        return gymnasium.wrappers.RescaleAction(make("Pendulum-v1"), -bound, bound)
+
+    envs = SyncVectorEnv([make_bounded] * ROWS)
+    envs.single_action_space = space
+    envs.action_space = gymnasium.vector.utils.batch_space(space, ROWS)
+    with make("Pendulum-v1") as pendulum:
+        pendulum.action_space = space
+        export_random(tmp_path, "bounded", pendulum)
+    tensors, metadata = read_policy(tmp_path / "bounded/1/policy.safetensors")
+    tensors["head.bias"] = np.full_like(tensors["head.bias"], 100.0)  # its greatest action
+    write_policy(tmp_path / "bounded/1/policy.safetensors", tensors, metadata)
+    with running_server(tmp_path) as server, spikeserve.Client(server.grpc) as client:
+        with spikeserve.VectorSession(client, "bounded", envs) as agents:
+            observations, _ = envs.reset(seed=SEED)
+            outcome, chosen = (), []
+            for _ in range(20):
+                actions = agents.act(observations, *outcome)
+                assert envs.action_space.contains(actions), actions
+                chosen += actions.ravel().tolist()
+                observations, *outcome, _ = envs.step(actions)
+        assert set(chosen) == {bound}
+
+
+def test_masked_numbers_are_refused(client):
+    envs = make_rows("CartPole-v1", AutoresetMode.NEXT_STEP)
+    hidden = np.ma.masked_array(np.zeros(4), [False, True, False, False])
+    expected = "expected numbers, received a masked array without 1 of its numbers"
+    with spikeserve.VectorSession(client, "cartpole", envs) as agents:
+        with pytest.raises(ValueError, match=f"observations: {expected}"):
+            agents.act(np.ma.stack([hidden] + [np.zeros(4)] * (ROWS - 1)))
+        agents.act(np.ma.masked_array(np.zeros((ROWS, 4))))
+    with client.open_session("cartpole") as session:
+        with pytest.raises(ValueError, match=f"observation: {expected}"):
+            session.act(hidden)
+        session.act(hidden.filled(0.0))
+        with pytest.raises(ValueError, match=f"executed_action: {expected}"):
+            session.act(np.zeros(4), 1.0, executed_action=np.ma.masked_array([1.0], [True]))
 
 
 def test_an_ended_row_waits_for_its_reset(client):

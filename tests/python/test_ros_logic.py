@@ -19,7 +19,7 @@ sys.path.insert(0, str(PACKAGE))
 from spikeserve_ros.acting import Acting, Task  # noqa: E402
 from spikeserve_ros.errors import ValueRefusedError  # noqa: E402
 from spikeserve_ros.health import ERROR, OK, STALE, WARN, health  # noqa: E402
-from spikeserve_ros.mapping import RobotMapping  # noqa: E402
+from spikeserve_ros.mapping import Joints, RobotMapping  # noqa: E402
 from spikeserve_ros.parameters import PARAMETERS, Settings, target_return  # noqa: E402
 
 SAFE = {"safe_action": [0.0]}
@@ -151,13 +151,51 @@ def test_joints_become_an_observation_in_the_order_of_the_file():
         }
     )
     fields = {"position": [0.5, math.pi / 2], "velocity": [-3.0, 0.0], "effort": []}
-    assert mapping.observation(["slider", "hinge"], fields) == pytest.approx([0.0, 3.0, -3.0])
-    with pytest.raises(ValueRefusedError, match="the joint hinge"):
-        mapping.observation(["slider"], {"position": [0.5], "velocity": [0.0], "effort": []})
-    with pytest.raises(ValueRefusedError, match="velocity: expected 2 elements, received 0"):
-        mapping.observation(["slider", "hinge"], fields | {"velocity": []})
+
+    def observed(names, **changes):
+        joints = Joints()
+        joints.update(names, fields | changes, 1.0)
+        return mapping.observation(joints)
+
+    assert observed(["slider", "hinge"]) == pytest.approx([0.0, 3.0, -3.0])
+    with pytest.raises(ValueRefusedError, match="the joint hinge with its position"):
+        observed(["slider"], position=[0.5], velocity=[0.0])
+    with pytest.raises(ValueRefusedError, match="the joint slider with its velocity"):
+        observed(["slider", "hinge"], velocity=[])
+    with pytest.raises(ValueRefusedError, match="velocity: expected 2 elements, received 1"):
+        observed(["slider", "hinge"], velocity=[0.0])
+    with pytest.raises(ValueRefusedError, match="name: expected distinct joints"):
+        observed(["hinge", "hinge"])
     with pytest.raises(ValueRefusedError, match=r"observation\[2\]: expected a finite number"):
-        mapping.observation(["slider", "hinge"], fields | {"velocity": [math.nan, 0.0]})
+        observed(["slider", "hinge"], velocity=[math.nan, 0.0])
+
+
+def test_two_publishers_share_the_topic_of_the_joints(clock, pilot):
+    """Each with joints of its own, in any order; the observation is as old as the older of them."""
+    elements = [{"joint": name, "field": "position"} for name in ("elbow", "finger")]
+    acting = acting_of(clock, pilot, RobotMapping.parse({"observation": elements}), observation_timeout=0.2)
+
+    def hear(names, positions):
+        acting.observe_joints(names, {"position": positions, "velocity": [], "effort": []})
+
+    hear(["shoulder", "elbow"], [1.0, 2.0])
+    assert acting.beat().source == "lost"
+    assert "the joint finger with its position" in acting.refusal
+    clock.now += 0.1
+    hear(["finger"], [3.0])
+    assert acting.beat().source == "fresh"
+    hear(["elbow", "shoulder"], [4.0, 5.0])
+    acting.beat()
+    assert [beat[0] for beat in pilot.beats] == [[2.0, 3.0], [4.0, 3.0]]
+    clock.now += 0.15
+    hear(["elbow", "shoulder"], [6.0, 7.0])
+    assert acting.beat().source == "fresh"
+    clock.now += 0.1  # the publisher of the finger has stopped
+    hear(["elbow", "shoulder"], [8.0, 9.0])
+    assert acting.beat().source == "lost"
+    acting.end_episode(terminated=True)
+    hear(["elbow", "shoulder"], [8.0, 9.0])
+    assert acting.beat().source == "lost"  # an old finger belongs to no new episode
 
 
 def test_a_discrete_action_becomes_its_numbers():

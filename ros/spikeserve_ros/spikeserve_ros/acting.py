@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from spikeserve_ros.errors import ValueRefusedError
-from spikeserve_ros.mapping import RobotMapping, check_finite, vector
+from spikeserve_ros.mapping import Joints, RobotMapping, check_finite, vector
 from spikeserve_ros.parameters import Settings
 
 # No pilot yet, or no recent observation. The other sources are those of spikeserve.Pilot.
@@ -76,6 +76,7 @@ class Acting:
         self._task: Task | None = None
         self._observation: list[float] | None = None
         self._observed_at = 0.0
+        self._joints = Joints()
         self._reward = 0.0
         self.target_return = settings.target_return  # of the next episode
         self.beats = dict.fromkeys(SOURCES, 0)
@@ -95,19 +96,26 @@ class Acting:
     def observe_vector(self, values: Sequence[float]) -> None:
         """Keeps an observation. Refuses one of another size, or with values that are not finite."""
         size = self._task.observation_size if self._task else len(values)
-        self._observe(lambda: vector("observation", values, size))
+        self._observe(lambda: (vector("observation", values, size), self._clock()))
 
     def observe_joints(self, names: Sequence[str], fields: dict[str, Sequence[float]]) -> None:
-        """Keeps the observation that the mapping makes of joints. Refuses joints that lack one."""
-        self._observe(lambda: self._mapping.observation(names, fields))
+        """Keeps the observation that the mapping makes of the last numbers of all joints.
 
-    def _observe(self, make: Callable[[], list[float]]) -> None:
+        It is as old as the oldest of them. Refuses numbers that do not fit the names, and names the joint that lacks.
+        """
+
+        def make() -> tuple[list[float], float]:
+            now = self._clock()
+            self._joints.update(names, fields, now)
+            return self._mapping.observation(self._joints), now - self._mapping.age(self._joints, now)
+
+        self._observe(make)
+
+    def _observe(self, make: Callable[[], tuple[list[float], float]]) -> None:
         try:
-            self._observation = make()
+            self._observation, self._observed_at = make()
         except ValueRefusedError as error:  # the former observation grows older
             self.refusal = str(error)
-            return
-        self._observed_at = self._clock()
 
     def reward(self, value: float) -> None:
         """Adds a reward, which the next beat reports. Refuses one that is not finite."""
@@ -146,4 +154,5 @@ class Acting:
                 reward, terminated=terminated, truncated=not terminated, target_return=self.target_return
             )
         self._observation = None
+        self._joints = Joints()
         self._reward = 0.0

@@ -92,6 +92,37 @@ def _vectors(field: str, given: Any) -> tuple[tuple[float, ...], ...]:
     return tuple(vectors)
 
 
+class Joints:
+    """The last number of each field of each joint. Several publishers may share the topic, each with joints of its own."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[tuple[str, str], tuple[float, float]] = {}  # by joint and field: the number and its time
+
+    def update(self, names: Sequence[str], fields: Mapping[str, Sequence[float]], now: float) -> None:
+        """Keeps the numbers of a JointState. Raises ValueRefusedError, and keeps none, if they do not fit the names.
+
+        `fields` has position, velocity and effort, each empty or as long as `names`.
+        """
+        if len(set(names)) != len(names):
+            raise ValueRefusedError("name", "distinct joints", list(names))
+        for field in FIELDS:
+            if len(fields[field]) not in (0, len(names)):
+                raise ValueRefusedError(field, f"{len(names)} elements", len(fields[field]))
+        for field in FIELDS:
+            self._numbers.update({(name, field): (value, now) for name, value in zip(names, fields[field])})
+
+    def value(self, joint: str, field: str) -> float:
+        """Returns the last number of a joint. Raises ValueRefusedError if there is none."""
+        if (joint, field) not in self._numbers:
+            known = sorted(name for name, of in self._numbers if of == field)
+            raise ValueRefusedError("name", f"the joint {joint} with its {field}", known)
+        return self._numbers[joint, field][0]
+
+    def time(self, joint: str, field: str) -> float:
+        """Returns when the last number of a joint came. REQUIRES: there is one."""
+        return self._numbers[joint, field][1]
+
+
 @dataclasses.dataclass(frozen=True)
 class RobotMapping:
     """What a mapping file says. Without elements observations are vectors already."""
@@ -127,22 +158,17 @@ class RobotMapping:
         except ValueRefusedError as error:
             raise ValueRefusedError(f"{path}: {error.field}", error.expected, error.received) from None
 
-    def observation(self, names: Sequence[str], fields: Mapping[str, Sequence[float]]) -> list[float]:
-        """Returns the observation of a JointState. Raises ValueRefusedError if a joint or its field is missing.
-
-        `fields` has position, velocity and effort, each empty or as long as `names`.
-        """
-        index = {name: i for i, name in enumerate(names)}
+    def observation(self, joints: "Joints") -> list[float]:
+        """Returns the observation of the last numbers of all joints. Raises ValueRefusedError if one is missing."""
         observation = []
         for element in self.elements:
-            if element.joint not in index:
-                raise ValueRefusedError("name", f"the joint {element.joint}", list(names))
-            values = fields[element.field]
-            if len(values) != len(names):
-                raise ValueRefusedError(element.field, f"{len(names)} elements", len(values))
-            value = FUNCTIONS[element.function](values[index[element.joint]])
+            value = FUNCTIONS[element.function](joints.value(element.joint, element.field))
             observation.append(value * element.scale + element.offset)
         return check_finite("observation", observation)
+
+    def age(self, joints: "Joints", now: float) -> float:
+        """Returns the seconds since the oldest number of an observation. REQUIRES: all of them are there."""
+        return max((now - joints.time(each.joint, each.field) for each in self.elements), default=0.0)
 
     def command(self, action: int | Sequence[float]) -> list[float]:
         """Returns the numbers that are published for an action: those of the mapping, or the action itself."""

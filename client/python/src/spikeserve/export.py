@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikeserve.check import check
+from spikeserve.fixed_point_shapes import Shape, fixed_point_shapes
 from spikeserve.integer_weights import check_integers, integer_dtype, integer_shapes
 from spikeserve.model_config import ModelConfig
 from spikeserve.nir_export import to_nir
@@ -37,9 +38,6 @@ from spikeserve.spaces import ActionSpace, Discrete, as_action_space
 __all__ = ["ModelConfig", "export_policy", "tensor_shapes", "to_nir"]
 
 FORMAT = "spikeserve.policy.v1"
-
-# The lengths of a tensor. None stands for any length from 1.
-Shape = tuple[int | None, ...]
 
 
 def export_policy(
@@ -69,6 +67,8 @@ def export_policy(
     """
     import safetensors.numpy  # an optional dependency that agents do not need
 
+    expected = "float32 or int8; `spiketrain quantize --to=integer` makes the integers of a policy"
+    check(not config.is_integer, "arithmetic", expected, repr(config.arithmetic))
     space = as_action_space(action_space)
     _check_space(space)
     arrays = {name: _convert(name, tensor, config) for name, tensor in tensors.items()}
@@ -98,6 +98,9 @@ def tensor_shapes(config: ModelConfig, observation_size: int, action_size: int) 
     """
     d = config.hidden_size
     shapes: dict[str, Shape] = {}
+    if config.is_integer:
+        shapes = dict(fixed_point_shapes(config, observation_size, action_size))
+        return shapes | _ends(config, observation_size, action_size)
     states = observation_size * (2 if config.observation_changes else 1)
     inputs = {"return": 1, "state": states, "action": action_size}
     for modality, size in inputs.items():
@@ -111,7 +114,11 @@ def tensor_shapes(config: ModelConfig, observation_size: int, action_size: int) 
         shapes |= _layer_shapes(config, f"layers.{layer}")
     if not config.is_dense:
         shapes |= _pair("readout.coder", "gain", d)
-    shapes |= _linear("head", action_size, d)
+    return shapes | _ends(config, observation_size, action_size)
+
+
+def _ends(config: ModelConfig, observation_size: int, action_size: int) -> dict[str, Shape]:
+    shapes = _linear("head", action_size, config.hidden_size)
     shapes["observation.mean"] = shapes["observation.std"] = (observation_size,)
     if config.observation_changes:
         shapes["observation.change_std"] = (observation_size,)
@@ -175,6 +182,8 @@ def _config_values(config: ModelConfig) -> dict[str, Any]:
     # Without these keys, servers that do not know them can read the file.
     if not config.is_int8:
         del values["arithmetic"]
+    for field in ("leak", "attention", "input_fraction", "residual_fraction"):
+        del values[field]  # of arithmetic integer
     for field in ("observation_changes", "relative_bias"):
         if not values[field]:
             del values[field]

@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from spikeserve.check import check
+from spikeserve.check import check, unmasked
 
 LARGEST_JOINT_SPACE = 4096  # the outputs of an action head
 LARGEST_OBSERVATION = 1 << 20  # numbers; as in `spiketrain train --data`
@@ -40,8 +40,18 @@ class ObservationMap:
         self.stored_dtype = np.dtype(np.uint8 if space.dtype == np.uint8 else np.float32)
 
     def flatten(self, observation: Any) -> NDArray[np.float32]:
-        """Returns the observation as float32 [size]."""
+        """Returns the observation as float32 [size]. ValueError for masked numbers."""
+        _check_unmasked(observation, "observation")
         return np.asarray(spaces.flatten(self._space, observation), np.float32).reshape(self.size)
+
+
+def _check_unmasked(observation: Any, name: str) -> None:
+    if isinstance(observation, dict | tuple):
+        parts = observation.items() if isinstance(observation, dict) else enumerate(observation)
+        for key, part in parts:
+            _check_unmasked(part, f"{name}[{key!r}]")
+        return
+    unmasked(observation, name)
 
 
 def _check_observations(space: spaces.Space[Any], name: str) -> None:
@@ -56,6 +66,20 @@ def _check_observations(space: spaces.Space[Any], name: str) -> None:
     if name != "observation_space":
         expected += "; a wrapper such as gymnasium.wrappers.FilterObservation removes it"
     check(isinstance(space, leaf), name, expected, space)
+
+
+def element_names(space: spaces.Space[Any]) -> tuple[str, ...]:
+    """Returns a name for each number of a flattened Dict, such as "arm[0]"; () for other spaces."""
+    return tuple(_element_names(space, "")) if isinstance(space, spaces.Dict) else ()
+
+
+def _element_names(space: spaces.Space[Any], name: str) -> list[str]:
+    if isinstance(space, spaces.Dict | spaces.Tuple):
+        parts = space.items() if isinstance(space, spaces.Dict) else enumerate(space)
+        prefix = f"{name}/" if name else ""
+        return [n for key, part in parts for n in _element_names(part, f"{prefix}{key}")]
+    size = spaces.flatdim(space)
+    return [name] if size == 1 else [f"{name}[{index}]" for index in range(size)]
 
 
 class ActionMap:
@@ -87,12 +111,9 @@ class ActionMap:
         self.space = spaces.Discrete(joint)
 
     def to_native(self, action: Any) -> Any:
-        """Converts an action of `space` to one of the environment."""
+        """Converts an action of `space` to one of the environment, which its space contains."""
         if isinstance(self._native, spaces.Box):
-            values = np.asarray(action).reshape(self._native.shape)
-            if np.issubdtype(self._native.dtype, np.integer):
-                values = np.rint(values)
-            return values.astype(self._native.dtype)
+            return to_native_box(action, self._native)
         if isinstance(self._native, spaces.Discrete):
             return int(action) + int(self._native.start)
         indices = np.array(np.unravel_index(int(action), self._lengths)) + self._start
@@ -101,7 +122,7 @@ class ActionMap:
     def to_flat(self, action: Any) -> int | NDArray[np.float32]:
         """Converts an action of the environment to one of `space`. Clips values to the bounds."""
         if isinstance(self.space, spaces.Box):
-            values = np.asarray(action, np.float32).ravel()
+            values = np.asarray(unmasked(action, "action"), np.float32).ravel()
             check(
                 values.shape == self.space.shape,
                 "action",
@@ -121,6 +142,23 @@ class ActionMap:
         if isinstance(self.space, spaces.Discrete):
             return int(random.integers(self.space.n))
         return random.uniform(self.space.low, self.space.high).astype(np.float32)
+
+
+def to_native_box(action: Any, native: spaces.Box) -> NDArray[Any]:
+    """Converts values within the float32 bounds of a Box to values that the Box contains.
+
+    The bounds of a policy are float32 numbers. They become exactly the bounds of `native`, which
+    may lie beside them: 0.1, or 2^31 - 1.
+    """
+    values = np.asarray(action, np.float32).reshape(native.shape)
+    low, high = (np.asarray(bound, np.float32) for bound in (native.low, native.high))
+    inside = (values > low) & (values < high)
+    rounded = np.where(inside, values, 0)
+    if np.issubdtype(native.dtype, np.integer):
+        rounded = np.rint(rounded)
+    at_bound = np.where(values >= high, native.high, native.low)
+    result: NDArray[Any] = np.where(inside, rounded.astype(native.dtype), at_bound)
+    return result.astype(native.dtype)
 
 
 def _index_ranges(native: spaces.Space[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -32,12 +32,17 @@ class ModelConfig:
     phase_clock: str = "timestep"  # or window
     merge: str = "sum"  # or concat
     gate: str = "softmax"  # or sigmoid
-    arithmetic: str = "float32"  # of the spike-driven weights; or int8
+    arithmetic: str = "float32"  # of the spike-driven weights; or int8; or integer, of all parts
     norm: str = "layer"  # after each addition to the residual stream; or none
     # Whether the state token also contains the change of the observation since the last timestep.
     observation_changes: bool = False
     # Whether attention adds a learned number to a score, by head and distance in tokens.
     relative_bias: bool = False
+    # The following belong to arithmetic integer (docs/design/integer.md).
+    leak: str = "shift"  # or none
+    attention: str = "shiftmax"  # or linear
+    input_fraction: int = 8  # fraction bits of the embeddings' inputs
+    residual_fraction: int = 10  # fraction bits of the residual stream
 
     CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {
         "mode": ("baseline", "pos", "route", "full", "dense"),
@@ -45,8 +50,10 @@ class ModelConfig:
         "phase_clock": ("timestep", "window"),
         "merge": ("sum", "concat"),
         "gate": ("softmax", "sigmoid"),
-        "arithmetic": ("float32", "int8"),
+        "arithmetic": ("float32", "int8", "integer"),
         "norm": ("layer", "none"),
+        "leak": ("shift", "none"),
+        "attention": ("shiftmax", "linear"),
     }
     # The largest sizes that the server accepts.
     LIMITS: ClassVar[dict[str, int]] = {
@@ -57,6 +64,8 @@ class ModelConfig:
         "context": 4096,
         "routing_hidden_size": 4096,
         "ffn_size": 16384,
+        "input_fraction": 14,
+        "residual_fraction": 14,
     }
 
     def __post_init__(self) -> None:
@@ -83,6 +92,18 @@ class ModelConfig:
             fits = np.rint(np.float32(self.membrane_decay) * np.float32(32768)) <= 32767
             expected = "at most 32767/32768 after rounding with arithmetic int8"
             check(bool(fits), "membrane_decay", expected, self.membrane_decay)
+        if self.is_integer and not self.is_dense:
+            check(self.coder == "lif", "coder", "lif with arithmetic integer", repr(self.coder))
+            check(self.ticks <= 255, "ticks", "at most 255 with arithmetic integer", self.ticks)
+            shifts = [1 - 2.0**-k for k in range(1, 9)] if self.leak == "shift" else [1.0]
+            expected = "1 - 2^-k for a k from 1 to 8 with leak shift, and 1 with leak none"
+            fits = self.membrane_decay in shifts
+            check(fits, "membrane_decay", expected, self.membrane_decay)
+
+    @property
+    def is_integer(self) -> bool:
+        """Returns whether everything but the action head is computed with integers."""
+        return self.arithmetic == "integer"
 
     @property
     def is_int8(self) -> bool:

@@ -29,8 +29,12 @@ from spikeserve.model_config import ModelConfig
 
 __all__ = ["NirExport", "to_nir"]
 
-FORMAT = "spikeserve.nir.v1"
-TICK_SECONDS = 0.001
+FORMAT = "spikeserve.nir.v2"
+# snnTorch and others take this as the time of a step when they read a file.
+TICK_SECONDS = 0.0001
+# The leak of neurons that do not leak, and what is left of a membrane that leaks as a whole: with 0
+# NIR's LIF neurons have no time constant, or one that importers refuse.
+_NEGLIGIBLE = 2.0**-40
 POPULATIONS = ("attention.query", "attention.key", "attention.value", "ffn.hidden")
 
 
@@ -55,11 +59,12 @@ class NirExport:
 def to_nir(policy: str | os.PathLike[str]) -> NirExport:
     """Converts a policy file. ValueError for a dense policy, which has no spikes.
 
-    The weights, biases and thresholds of an int8 policy are its integers. A neuron of NIR fires
-    above its threshold, one of this project at its threshold or above, so the threshold of an
-    integer neuron is half a unit lower, and that of a float32 neuron is the next smaller number.
-    NIR has real-valued membranes: those of an int8 policy, which are rounded to integers at every
-    tick, can differ from them by a few units.
+    All neurons have the same threshold, as importers require. A neuron of NIR fires above its
+    threshold, one of this project at its threshold or above, so the threshold of a float32 neuron
+    is the next smaller number. The weights and biases of a policy with integers are divided by the
+    neuron's threshold less half a unit, and the threshold is 1; the manifest has the divisors.
+    NIR has real-valued membranes: those of a policy with integers, which are rounded to integers
+    at every tick, can differ from them by a few units.
     """
     import safetensors
 
@@ -77,33 +82,34 @@ def to_nir(policy: str | os.PathLike[str]) -> NirExport:
 def _population(name: str, tensors: dict[str, NDArray[Any]], config: ModelConfig) -> Any:
     import nir
 
-    weight = tensors[f"{name}.weight"].astype(np.float32)
-    ones = np.ones(len(weight), np.float64)
-    leak = 1 - _decay(config)
+    weight, bias = (tensors[f"{name}.{part}"] for part in ("weight", "bias"))
+    threshold = float(np.nextafter(np.float32(config.threshold), np.float32(-np.inf)))
+    units = _units(name, tensors)
+    if units is not None:
+        weight, bias, threshold = weight / units[:, np.newaxis], bias / units, 1.0
+    leak, ones = _leak(config), np.ones(len(weight), np.float64)
     lif = nir.LIF(
         tau=TICK_SECONDS / leak * ones,
         r=ones / leak,
         v_leak=0 * ones,
-        v_threshold=_thresholds(name, tensors, config),
+        v_threshold=threshold * ones,
         v_reset=0 * ones,
     )
-    affine = nir.Affine(weight=weight, bias=tensors[f"{name}.bias"].astype(np.float32))
+    affine = nir.Affine(weight=weight.astype(np.float32), bias=bias.astype(np.float32))
     return nir.NIRGraph.from_list(affine, lif)
 
 
-def _decay(config: ModelConfig) -> float:
-    """Returns the factor of a membrane at each tick."""
-    decay = np.float32(config.membrane_decay)
-    return round(float(decay) * 32768) / 32768 if config.is_int8 else float(decay)
+def _leak(config: ModelConfig) -> float:
+    """Returns the share of a membrane that leaks at each tick."""
+    decay = float(np.float32(config.membrane_decay))
+    leak = 1 - (round(decay * 32768) / 32768 if config.is_int8 else decay)
+    return min(max(leak, _NEGLIGIBLE), 1 - _NEGLIGIBLE)
 
 
-def _thresholds(
-    name: str, tensors: dict[str, NDArray[Any]], config: ModelConfig
-) -> NDArray[np.float64]:
-    if config.is_int8:
-        return tensors[f"{name}.threshold"].astype(np.float64) - 0.5
-    below = np.nextafter(np.float32(config.threshold), np.float32(-np.inf))
-    return np.full(len(tensors[f"{name}.bias"]), float(below))
+def _units(name: str, tensors: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
+    """Returns what the integers of each neuron are divided by; None: they are float32 numbers."""
+    thresholds = tensors.get(f"{name}.threshold")
+    return None if thresholds is None else thresholds.astype(np.float64) - 0.5
 
 
 def _manifest(config: ModelConfig, tensors: dict[str, NDArray[Any]]) -> dict[str, Any]:
@@ -117,19 +123,24 @@ def _manifest(config: ModelConfig, tensors: dict[str, NDArray[Any]]) -> dict[str
         "config": {field.name: getattr(config, field.name) for field in fields(config)},
         "tick_seconds": TICK_SECONDS,
         "ticks": config.ticks,
-        "units": "integers of the policy file" if config.is_int8 else "float32",
         "membranes": "start at 0 for every token and live for its ticks",
+        "fires": "only at a tick with an input spike" if config.is_integer else "at any tick",
         "populations": {
-            name.removesuffix(".weight"): {
-                "file": f"{name.removesuffix('.weight')}.nir",
-                "neurons": len(tensors[name]),
-                "inputs": tensors[name].shape[1],
-            }
-            for name in sorted(tensors)
-            if name.removesuffix(".weight").endswith(POPULATIONS) and name.endswith(".weight")
+            name: _entry(name, tensors)
+            for name in sorted(key.removesuffix(".weight") for key in tensors)
+            if name.endswith(POPULATIONS)
         },
         "steps_of_a_token": steps,
     }
+
+
+def _entry(name: str, tensors: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    weight, units = tensors[f"{name}.weight"], _units(name, tensors)
+    entry = {"file": f"{name}.nir", "neurons": len(weight), "inputs": weight.shape[1]}
+    if units is None:
+        return entry
+    # Times these, weights and biases are the integers of the policy file.
+    return entry | {"units": units.tolist()}
 
 
 def _norm(config: ModelConfig, before: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spikeserve.check import check
+from spikeserve.check import check, unmasked
 from spikeserve.spaces import ActionSpace, action_space_from_wire
 from spikeserve.wire import Message, message_class
 
@@ -320,7 +320,7 @@ def action_to_wire(action: ActionLike | None) -> Message | None:
     """
     if action is None:
         return None
-    array = np.asarray(action)
+    array = np.asarray(unmasked(action, "executed_action"))
     make = message_class("Action")
     if array.ndim == 0 and np.issubdtype(array.dtype, np.integer):
         return make(discrete=int(array))
@@ -335,6 +335,6 @@ def observation_array(observation: ArrayLike) -> NDArray[np.float32]:
     flat = not isinstance(observation, dict | tuple) or all(np.ndim(x) == 0 for x in observation)
     kind = type(observation).__name__
     check(flat and kind != "dict", "observation", f"one array ({FLATTEN_HINT})", f"a {kind}")
-    array = np.asarray(observation, np.float32)
+    array = np.asarray(unmasked(observation, "observation"), np.float32)
     check(array.ndim == 1, "observation", "one dimension", f"shape {array.shape}")
     return array

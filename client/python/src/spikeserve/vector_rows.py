@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from spikeserve.batches import act_all
 from spikeserve.calls import Call
-from spikeserve.check import check
+from spikeserve.check import check, unmasked
 from spikeserve.cursor import SessionCursor
 from spikeserve.errors import SessionLostError
 from spikeserve.replicas import Route, draw_id
@@ -41,8 +41,9 @@ from spikeserve.values import Decision, EpisodeSummary, SessionOptions
 _NEXT_STEP = "NextStep"  # the values of gymnasium.vector.AutoresetMode
 _SAME_STEP = "SameStep"
 
-# The actions of all rows: indices [rows], or values in environment units [rows, action size].
-Actions = NDArray[np.int64] | NDArray[np.float32]
+# The actions of all rows, in the type of the environments: indices [rows], or values in environment
+# units [rows, action size].
+Actions = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,8 @@ class VectorRows(Generic[AnySession]):
         self._num_envs = int(envs.num_envs)
         self._acts_on_ended_rows = _autoreset_mode(envs) == _SAME_STEP
         self._observation_space = envs.single_observation_space
-        self._action_space: ActionSpace = as_action_space(envs.single_action_space)
+        self._native_space = envs.single_action_space
+        self._action_space: ActionSpace = as_action_space(self._native_space)
         self._sessions: list[AnySession] = []
         self._route = Route(draw_id())  # of all rows, so that one call reaches them
         self.decisions: list[Decision | None] = [None] * self._num_envs
@@ -142,17 +144,29 @@ class VectorRows(Generic[AnySession]):
     ) -> NDArray[np.float32] | None:
         if not self._acts_on_ended_rows:
             return np.asarray(observed[row], np.float32)
-        final = None if infos is None else infos["final_obs"][row]
-        return None if final is None else np.asarray(final, np.float32)
+        # Simulators on a GPU do not keep them by default: then the last observation is unknown.
+        finals = None if infos is None else infos.get("final_obs")
+        present = True if infos is None else infos.get("_final_obs", np.ones(self._num_envs))[row]
+        final = None if finals is None or not present else finals[row]
+        return None if final is None else np.asarray(unmasked(final, "final_obs"), np.float32)
 
     def _finish(self, step: VectorStep, decisions: list[Decision]) -> Actions:
         by_row = dict(zip(step.rows.tolist(), decisions, strict=True))
         self.decisions = [by_row.get(row) for row in range(self._num_envs)]
         self.ended, self._newly_ended = self._newly_ended, {}
-        return stack_actions(
+        actions = stack_actions(
             [None if decision is None else decision.action for decision in self.decisions],
             self._action_space,
         )
+        return self._native_actions(actions)
+
+    def _native_actions(self, actions: Actions) -> Actions:
+        """Returns actions that the space of the environments contains."""
+        if isinstance(self._action_space, Discrete) or self._native_space.dtype == np.float32:
+            return actions
+        from spikeserve.flat_spaces import to_native_box  # needs Gymnasium, as environments do
+
+        return np.stack([to_native_box(action, self._native_space) for action in actions])
 
     def _lost_rows(self, error: SessionLostError) -> list[AnySession]:
         """Returns the sessions that `error` is about. Raises it if they do not reopen."""
@@ -179,7 +193,7 @@ class VectorRows(Generic[AnySession]):
     def _executed(self, actions: ArrayLike | None) -> NDArray[Any] | None:
         if actions is None:
             return None
-        executed = np.asarray(actions)
+        executed = np.asarray(unmasked(actions, "executed_actions"))
         size = () if isinstance(self._action_space, Discrete) else (len(self._action_space.low),)
         expected = (self._num_envs, *size)
         check(executed.shape == expected, "executed_actions", f"shape {expected}", executed.shape)
@@ -187,7 +201,7 @@ class VectorRows(Generic[AnySession]):
 
     def _rows(self, field: str, values: ArrayLike, dtype: Any) -> NDArray[Any]:
         """Returns `values` as an array with one row for each environment."""
-        array = np.asarray(values, dtype)
+        array = np.asarray(unmasked(values, field), dtype)
         dimensions = 2 if field == "observations" else 1
         fits = array.ndim == dimensions and len(array) == self._num_envs
         expected = f"shape ({self._num_envs},{' n' if dimensions == 2 else ''})"

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 from spikeserve.check import check
 from spikeserve.conversion import lerobot_layout, mcap_layout, minari_files, recordings
+from spikeserve.conversion.child import read_in_child
 from spikeserve.conversion.data import RobotData, Selection
 from spikeserve.conversion.lerobot_reader import read_lerobot
 from spikeserve.conversion.lerobot_writer import write_lerobot
@@ -47,7 +48,8 @@ def read(
 ) -> RobotData:
     """Reads a file or folder. `form` is one of FORMATS; None: as its names tell.
 
-    ValueError, which names the file, the column or topic, the expected and the received.
+    ValueError, which names the file, the column or topic, the expected and the received. A child
+    process with limits reads, because files of strangers may crash or bloat it.
     """
     path, selection = pathlib.Path(source), selection or Selection()
     check(path.exists(), "source", "a file or folder", f"{source}, which does not exist")
@@ -65,7 +67,9 @@ def read(
             ("--action-high", selection.action_high),
         ):
             check(not value, flag, declared, value)
-    data = _READERS[form](path, selection)
+    files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
+    reader = _READERS[form]
+    data = read_in_child(lambda: reader(path, selection), sum(f.stat().st_size for f in files))
     for episode in data.episodes:
         episode.task = selection.task or episode.task
     return data

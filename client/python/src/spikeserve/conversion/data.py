@@ -6,6 +6,7 @@ Plain values. Thread-safe on distinct data.
 from __future__ import annotations
 
 import re
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,6 +19,9 @@ from spikeserve.spaces import ActionSpace, Box, Discrete
 
 LARGEST_OBSERVATION = 1 << 20  # numbers; as in `spiketrain train --data`
 LARGEST_DISCRETE = 4096  # actions; as in `spiketrain train --data`
+LARGEST_NUMBER = 1e18  # of an observation, a reward or a weight; as in `spiketrain train --data`
+# Numbers outside of their bounds by this part of the range are rounded, as in `spiketrain`.
+ROUNDING = 1e-6
 
 
 @dataclass
@@ -91,14 +95,22 @@ class Selection:
 
 
 def check_episode(data: RobotData, episode: Episode, where: str) -> None:
-    """ValueError, which names `where`, the array and the step, for an episode that is not valid."""
+    """ValueError, which names `where`, the array and the step, for an episode that is not valid.
+
+    Rounds actions and labels to the bounds where only rounding has left them outside.
+    """
     steps = episode.steps
     check(steps >= 1, f"{where}: actions", "at least one", "none")
-    expected = (steps + 1, data.observation_size)
+    size = (steps + 1, data.observation_size)
     shape = episode.observations.shape
-    check(shape == expected, f"{where}: observations", f"shape {expected}", shape)
+    check(shape == size, f"{where}: observations", f"shape {size}", shape)
     check(len(episode.rewards) == steps, f"{where}: rewards", f"{steps}", len(episode.rewards))
-    _check_finite(episode.observations[:-1], f"{where}: observations")
+    known = episode.observations if episode.has_last_observation else episode.observations[:-1]
+    _check_finite(known, f"{where}: observations")
+    last = episode.observations[-1]
+    complete = episode.has_last_observation or bool(np.isnan(last).all())
+    expected = "finite numbers, or NaN for all of them"
+    check(complete, f"{where}: observations: step {steps}", expected, last.tolist())
     _check_finite(episode.rewards, f"{where}: rewards")
     for name, actions in (("actions", episode.actions), ("labels", episode.labels)):
         if actions is not None:
@@ -107,13 +119,23 @@ def check_episode(data: RobotData, episode: Episode, where: str) -> None:
         received = episode.weights.shape
         check(received == (steps,), f"{where}: weights", f"shape {(steps,)}", received)
         _check_finite(episode.weights, f"{where}: weights")
+        for step in np.flatnonzero(episode.weights < 0)[:1]:
+            expected = "a number of at least 0"
+            check(False, f"{where}: weights: step {step}", expected, episode.weights[step])
+    asked = episode.asked_return
+    valid = asked is None or abs(asked) <= LARGEST_NUMBER
+    check(valid, f"{where}: asked_return", "a finite number", asked)
+    check(0 <= episode.seed < 1 << 64, f"{where}: seed", "0 to 2^64 - 1", episode.seed)
 
 
 def _check_finite(values: NDArray[Any], where: str) -> None:
-    bad = np.argwhere(~np.isfinite(values))
+    with np.errstate(invalid="ignore"):
+        bad = np.argwhere(~(np.abs(values) <= LARGEST_NUMBER))
     if len(bad):
         at = ", element ".join(str(index) for index in bad[0])
-        check(False, f"{where}: step {at}", "a finite number", values[tuple(bad[0])])
+        value = values[tuple(bad[0])]
+        huge = f" of at most {LARGEST_NUMBER:g}" if np.isfinite(value) else ""
+        check(False, f"{where}: step {at}", f"a finite number{huge}", value)
 
 
 def _check_actions(space: ActionSpace, actions: NDArray[Any], steps: int, where: str) -> None:
@@ -127,15 +149,15 @@ def _check_actions(space: ActionSpace, actions: NDArray[Any], steps: int, where:
     expected_shape = (steps, len(space.low))
     check(actions.shape == expected_shape, where, f"shape {expected_shape}", actions.shape)
     _check_finite(actions, where)
-    outside = np.argwhere(
-        (actions < np.asarray(space.low, np.float32))
-        | (actions > np.asarray(space.high, np.float32))
-    )
+    low, high = (np.asarray(bound, np.float32) for bound in (space.low, space.high))
+    slack = ROUNDING * (high.astype(np.float64) - low)
+    outside = np.argwhere((actions < low - slack) | (actions > high + slack))
     if len(outside):
         step, element = outside[0]
         bounds = f"a number in [{space.low[element]:g}, {space.high[element]:g}]"
         where = f"{where}: step {step}, element {element}"
         check(False, where, bounds, actions[step, element])
+    np.clip(actions, low, high, out=actions)
 
 
 def action_space_of(
@@ -186,6 +208,12 @@ def _bounds(bounds: tuple[float, ...], size: int, flag: str) -> NDArray[np.float
     return np.broadcast_to(np.asarray(bounds, np.float32), (size,)).copy()
 
 
+def fingerprint(episode: Episode) -> int:
+    """Returns a number by which an episode is recognised: of its observations and actions."""
+    rows = np.ascontiguousarray(episode.observations[:-1], np.float32)
+    return zlib.crc32(np.asarray(episode.actions, np.float64).tobytes(), zlib.crc32(rows.tobytes()))
+
+
 def environment_name(selection: Selection, default: str) -> str:
     """Returns the name of an environment, with the characters that Gymnasium allows in an id."""
     if selection.environment:
@@ -193,6 +221,20 @@ def environment_name(selection: Selection, default: str) -> str:
         check(allowed, "--env", "an id of Gymnasium, such as Name-v0", selection.environment)
         return selection.environment
     return re.sub(r"[^\w.-]+", "-", default).strip("-.") or "robot"
+
+
+def names_to_json(data: RobotData) -> dict[str, list[str]]:
+    """Returns the names that are known, as `recipe` of the files of spiketrain has them."""
+    names = {"observation_names": data.observation_names, "action_names": data.action_names}
+    return {key: list(value) for key, value in names.items() if value}
+
+
+def names_from_json(recipe: Any, key: str, size: int) -> tuple[str, ...]:
+    """Reads what names_to_json() returns; () for anything else."""
+    names = recipe.get(key) if isinstance(recipe, dict) else None
+    if not isinstance(names, list) or len(names) != size:
+        return ()
+    return tuple(map(str, names))
 
 
 def space_to_json(space: ActionSpace) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from spikeserve.conversion.data import (
     action_space_of,
     check_episode,
     environment_name,
+    fingerprint,
     space_from_json,
 )
 from spikeserve.conversion.packages import package
@@ -133,7 +134,8 @@ class _Reader:
         complete = isinstance(episodes, list) and len(episodes) == count
         received = len(episodes) if isinstance(episodes, list) else episodes
         check(complete, f"{path}: episodes", f"{count}, as in {layout.INFO}", received)
-        return dict(value)
+        assert isinstance(episodes, list)
+        return dict(value) | {"episodes": _by_index(episodes, f"{path}: episodes")}
 
     def _observation_columns(self) -> list[str]:
         if self._selection.observation:
@@ -174,12 +176,14 @@ class _Reader:
         """Returns the names of the elements of `columns`, or () unless all of them have names."""
         names: list[str] = []
         for column in columns:
-            stored = self._features[column].get("names")
-            if isinstance(stored, dict):  # {"axes": [...]} or {"motors": [...]}
-                stored = next(iter(stored.values()), None)
-            if not isinstance(stored, list) or len(stored) != self._size_of(column):
+            of_column = _names_of(self._features[column].get("names"), self._size_of(column))
+            if of_column is None:
                 return ()
-            names += [str(name) for name in stored]
+            names += of_column
+        if len(set(names)) < len(names):  # such as the joints of two columns
+            sizes = [(column, self._size_of(column)) for column in columns]
+            owners = [column for column, size in sizes for _ in range(size)]
+            names = [f"{owner}.{name}" for owner, name in zip(owners, names, strict=True)]
         return tuple(names)
 
     def _read_tables(self) -> dict[str, NDArray[Any]]:
@@ -205,6 +209,8 @@ class _Reader:
                     check(column in stored, f"{path}: {column}", "a column", "none")
                 table = file.read(columns=wanted)
                 table.validate(full=True)
+        except MemoryError:
+            raise
         except (OSError, arrow.ArrowException) as error:
             raise ValueError(
                 f"{path}: expected a Parquet file, received damaged data: {error}"
@@ -242,6 +248,8 @@ class _Reader:
         parquet, arrow = package("pyarrow.parquet"), package("pyarrow")
         try:
             rows = parquet.read_table(path).to_pydict()
+        except MemoryError:
+            raise
         except (OSError, arrow.ArrowException) as error:
             raise ValueError(
                 f"{path}: expected a Parquet file, received damaged data: {error}"
@@ -260,7 +268,8 @@ class _Reader:
         observations = np.concatenate(parts, axis=1)
         unknown = np.full((1, observations.shape[1]), np.nan, np.float32)
         reward = tables[self._reward][rows, 0] if self._reward else np.zeros(steps)
-        ends = {column: bool(tables[column][rows][-1, 0]) for column in self._ends}
+        where = f"{self._folder}: episode {index}"
+        ends = {c: _ended(tables[c][rows, 0], f"{where}: {c}") for c in self._ends}
         truncated = ends.get(layout.TRUNCATED, not ends.get(layout.DONE, False))
         episode = Episode(
             observations=np.concatenate([observations, unknown]),
@@ -279,7 +288,12 @@ class _Reader:
         where = f"{self._folder / layout.EXTENSION}: episodes[{index}]"
         assert self._extension is not None
         value = self._extension["episodes"][index]
-        check(isinstance(value, dict), where, "an object", value)
+        steps = value.get("steps", episode.steps)  # absent in older exports
+        check(steps == episode.steps, f"{where}.steps", f"{episode.steps}, as in the data", steps)
+        stored, received = fingerprint(episode), value.get("fingerprint")
+        check(
+            received in (None, stored), f"{where}.fingerprint", f"{stored}, of the data", received
+        )
         last = value.get("last_observation")
         if last is not None:
             size = episode.observations.shape[1]
@@ -290,6 +304,40 @@ class _Reader:
         for key, kind in (("seed", int), ("actor", str), ("terminated", bool), ("truncated", bool)):
             check(type(value.get(key)) is kind, f"{where}.{key}", kind.__name__, value.get(key))
             setattr(episode, key, value[key])
+
+
+def _names_of(stored: Any, size: int) -> list[str] | None:
+    """Returns names such as ["x", "y"], {"motors": ["x", "y"]} or {"x": 0, "y": 1}."""
+    if isinstance(stored, dict) and sorted(map(str, stored.values())) == sorted(
+        map(str, range(size))
+    ):
+        return [str(name) for name in sorted(stored, key=lambda name: int(stored[name]))]
+    if isinstance(stored, dict):  # {"axes": [...]} or {"motors": [...]}
+        stored = next(iter(stored.values()), None)
+    if not isinstance(stored, list) or len(stored) != size:
+        return None
+    return [str(name) for name in stored]
+
+
+def _by_index(episodes: list[Any], where: str) -> list[dict[str, Any]]:
+    """Returns the entries of episodes 0, 1, 2 ... Older exports have them in this order."""
+    ordered: dict[int, dict[str, Any]] = {}
+    for place, value in enumerate(episodes):
+        check(isinstance(value, dict), f"{where}[{place}]", "an object", value)
+        index = value.get("episode_index", place)
+        valid = type(index) is int and 0 <= index < len(episodes) and index not in ordered
+        expected = f"each of 0 to {len(episodes) - 1} once"
+        check(valid, f"{where}[{place}].episode_index", expected, index)
+        ordered[index] = value
+    return [ordered[index] for index in range(len(episodes))]
+
+
+def _ended(flags: NDArray[Any], where: str) -> bool:
+    """Returns whether the last frame has the flag. ValueError if an earlier one has it."""
+    early = np.flatnonzero(flags[:-1])
+    if len(early):
+        check(False, f"{where}: step {early[0]}", "true only at the last step", "true")
+    return bool(flags[-1])
 
 
 def _split(episode_index: NDArray[Any]) -> list[slice]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikeserve.conversion import lerobot_layout as layout
-from spikeserve.conversion.data import Episode, RobotData, space_to_json
+from spikeserve.conversion.data import Episode, RobotData, fingerprint, space_to_json
 from spikeserve.conversion.packages import package
 from spikeserve.spaces import Discrete
 
@@ -208,6 +208,9 @@ class _Writer:
             "action_space": space_to_json(self._data.action_space),
             "episodes": [
                 {
+                    "episode_index": index,
+                    "steps": episode.steps,
+                    "fingerprint": fingerprint(episode),
                     "seed": episode.seed,
                     "actor": episode.actor,
                     "terminated": episode.terminated,
@@ -216,7 +219,7 @@ class _Writer:
                     if episode.has_last_observation
                     else None,
                 }
-                for episode in self._data.episodes
+                for index, episode in enumerate(self._data.episodes)
             ],
         }
 

@@ -1,4 +1,4 @@
-"""Reads MCAP logs: each file is an episode, and each message of the action's topic is a step."""
+"""Reads MCAP logs: each log is an episode, and each message of the action's topic is a step."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import math
 import pathlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from spikeserve.check import check
 from spikeserve.conversion import mcap_layout as layout
+from spikeserve.conversion.bags import logs_of
 from spikeserve.conversion.data import (
     Episode,
     RobotData,
@@ -24,46 +25,28 @@ from spikeserve.conversion.data import (
     environment_name,
     space_from_json,
 )
+from spikeserve.conversion.mcap_series import Series, Table
 from spikeserve.conversion.messages import numbers_of
 from spikeserve.conversion.packages import package
 
 _ENCODINGS = "json, cdr with a ros2msg schema, or protobuf"
 
 
-@dataclass
-class _Series:
-    """The messages of one topic: times in nanoseconds, and the numbers of a field."""
-
-    times: list[int] = field(default_factory=list)
-    rows: list[NDArray[np.float64]] = field(default_factory=list)
-    integers: bool = True  # so far
-
-    def add(self, time: int, row: NDArray[Any], where: str) -> None:
-        if self.rows:
-            size = len(self.rows[0])
-            expected = f"{size} numbers, as in the first message"
-            check(len(row) == size, where, expected, len(row))
-        self.integers = self.integers and np.issubdtype(row.dtype, np.integer)
-        self.times.append(time)
-        self.rows.append(row.astype(np.float64))
-
-
-def files_of(source: pathlib.Path) -> list[pathlib.Path]:
-    """Returns the logs of a folder, or the log itself."""
-    return [source] if source.is_file() else sorted(source.rglob(f"*{layout.SUFFIX}"))
-
-
 def read_mcap(source: pathlib.Path, selection: Selection) -> RobotData:
-    """Reads the logs below `source`, an episode each.
+    """Reads the logs below `source`, an episode each; the parts of a split recording are one log.
 
     A step is a message of the action's topic. Its observation is the last message of each
     observation topic at or before it, and its reward the sum of the rewards after it, up to the
-    next action. The last observation is the one after the last action, or NaN.
+    next action. The last observation is the one after the last action, or NaN. Numbers that have
+    names in their messages are matched by name, and have the order of the first log.
     """
-    logs = [_read_log(path, selection) for path in files_of(source)]
-    check(bool(logs), str(source), f"files *{layout.SUFFIX}", "none")
+    found, notes = logs_of(source)
+    check(bool(found), str(source), f"files *{layout.SUFFIX}", "none")
+    logs: list[_Log] = []
+    for files in found:
+        logs.append(_read_log(files, selection, logs[0] if logs else None))
     first = logs[0]
-    notes = [note for log in logs for note in log.notes]
+    notes += [note for log in logs for note in log.notes]
     name = f"{source}: topic {selection.action or layout.ACTION}"
     # What a log says about itself holds for the topics that it was written with.
     ours = not (selection.action or selection.actions or selection.action_low)
@@ -88,8 +71,8 @@ def read_mcap(source: pathlib.Path, selection: Selection) -> RobotData:
         space,
         [],
         selection.fps or first.fps,
-        first.names("observation_names", first.observations.shape[1]),
-        first.names("action_names", first.actions.shape[1]),
+        first.observation_names(),
+        first.tables[first.action].names,
         list(dict.fromkeys(notes)),
     )
     for log, action in zip(logs, actions, strict=True):
@@ -107,12 +90,23 @@ class _Log:
     rewards: NDArray[np.float64]  # [T]
     fps: float | None
     metadata: dict[str, str]
+    tables: dict[str, Table]  # by selected topic
+    observed: list[str]  # the topics of the observation
+    action: str  # the topic of the action
     notes: list[str]
 
-    def names(self, key: str, size: int) -> tuple[str, ...]:
-        stored = _parse(self.metadata.get(key, "[]"), f"{self.path}: metadata: {key}")
-        usable = isinstance(stored, list) and len(stored) == size
-        return tuple(str(name) for name in stored) if usable else ()
+    def observation_names(self) -> tuple[str, ...]:
+        """Returns the names of all elements, or () if no topic has names."""
+        tables = {topic: self.tables[topic] for topic in self.observed}
+        if not any(table.names for table in tables.values()):
+            return ()
+        if len(tables) == 1:
+            return tables[self.observed[0]].names
+        return tuple(
+            f"{topic}.{name}"
+            for topic, table in tables.items()
+            for name in table.names or map(str, range(table.rows.shape[1]))
+        )
 
     def episode(self, actions: NDArray[Any], selection: Selection) -> Episode:
         def value(key: str, kind: type, default: Any) -> Any:
@@ -142,26 +136,61 @@ def _parse(text: str, where: str) -> Any:
         raise ValueError(f"{where}: expected JSON, received {text!r}") from error
 
 
-def _read_log(path: pathlib.Path, selection: Selection) -> _Log:
-    observation = selection.observation or (layout.OBSERVATION,)
-    wanted = [*observation, selection.action or layout.ACTION]
+def _read_log(files: list[pathlib.Path], selection: Selection, first: _Log | None) -> _Log:
+    """Reads the files of one log. Names are in the order of the log `first`, if there is one."""
+    wanted = [
+        *(selection.observation or (layout.OBSERVATION,)),
+        selection.action or layout.ACTION,
+    ]
     reward = selection.reward or layout.REWARD
-    make_reader, decoders = package("mcap.reader").make_reader, _decoders()
-    with path.open("rb") as file:
-        with _reading(path):
-            reader = make_reader(file, validate_crcs=True, decoder_factories=decoders)
-            summary = reader.get_summary()
-        check(summary is not None, str(path), "a log with a summary", "none")
-        topics = {channel.topic for channel in summary.channels.values()}
-        if selection.reward or reward in topics:
+    metadata: dict[str, str] = {}
+    with contextlib.ExitStack() as opened:
+        readers = {path: _open(opened.enter_context(path.open("rb")), path) for path in files}
+        topics = {path: _topics(reader, path) for path, reader in readers.items()}
+        all_topics = set().union(*topics.values())
+        has_reward = bool(selection.reward) or reward in all_topics
+        if has_reward:
             wanted.append(reward)
-        else:
-            reward = ""
-        series = _read_series(path, reader, topics, wanted)
-        with _reading(path):
-            metadata = _read_metadata(reader)
+        series = {name: Series() for name in wanted}
+        by_topic: dict[str, list[tuple[str, str]]] = {}
+        for name in wanted:
+            topic, member = _topic_of(name, all_topics, str(files[0]))
+            by_topic.setdefault(topic, []).append((name, member))
+        for path, reader in readers.items():
+            _read_series(path, reader, by_topic, series)
+            with _reading(path):
+                metadata = _read_metadata(reader) or metadata
+    for name, messages_of_it in series.items():
+        check(bool(messages_of_it.messages), f"{files[0]}: {name}", "messages", "none")
     ours = metadata if metadata.get("format") == layout.FORMAT else {}
-    return _align(path, series, wanted, reward, ours)
+    tables = {}
+    for name, of_topic in series.items():
+        tables[name] = of_topic.table(_own_names(files[0], ours, name))
+        if first is not None and name in first.tables and name != reward:
+            where = f"{files[0]}: {name}"
+            tables[name].in_order_of(first.tables[name].names, where, str(first.path))
+    observed = wanted[: len(wanted) - (2 if has_reward else 1)]
+    return _align(files[0], tables, observed, wanted[len(observed)], reward, ours)
+
+
+def _open(file: Any, path: pathlib.Path) -> Any:
+    with _reading(path):
+        make_reader = package("mcap.reader").make_reader
+        return make_reader(file, validate_crcs=True, decoder_factories=_decoders())
+
+
+def _topics(reader: Any, path: pathlib.Path) -> set[str]:
+    with _reading(path):
+        summary = reader.get_summary()
+    check(summary is not None, str(path), "a log with a summary", "none")
+    return {channel.topic for channel in summary.channels.values()}
+
+
+def _own_names(path: pathlib.Path, metadata: dict[str, str], topic: str) -> tuple[str, ...]:
+    """Returns the names that a log of this package has for the elements of its topics."""
+    key = {layout.OBSERVATION: "observation_names", layout.ACTION: "action_names"}.get(topic, "")
+    stored = _parse(metadata.get(key, "[]"), f"{path}: metadata: {key}")
+    return tuple(map(str, stored)) if isinstance(stored, list) else ()
 
 
 @contextlib.contextmanager
@@ -169,6 +198,8 @@ def _reading(path: pathlib.Path) -> Iterator[None]:
     """Turns an error of the library into a ValueError. Damaged logs raise errors of many types."""
     try:
         yield
+    except MemoryError:
+        raise
     except package("mcap.exceptions").DecoderNotFoundError as error:
         raise ValueError(
             f"{path}: expected messages in {_ENCODINGS}, whose decoders are mcap-ros2-support and "
@@ -211,26 +242,21 @@ def _topic_of(name: str, topics: set[str], where: str) -> tuple[str, str]:
 
 
 def _read_series(
-    path: pathlib.Path, reader: Any, topics: set[str], wanted: list[str]
-) -> dict[str, _Series]:
-    by_topic: dict[str, list[tuple[str, str]]] = {}
-    for name in wanted:
-        topic, member = _topic_of(name, topics, str(path))
-        by_topic.setdefault(topic, []).append((name, member))
-    series = {name: _Series() for name in wanted}
+    path: pathlib.Path,
+    reader: Any,
+    by_topic: dict[str, list[tuple[str, str]]],
+    series: dict[str, Series],
+) -> None:
     messages = reader.iter_decoded_messages(topics=list(by_topic), log_time_order=True)
     while True:
         with _reading(path):
             read = next(messages, None)
         if read is None:
-            break
+            return
         for name, member in by_topic[read.channel.topic]:
-            where = f"{path}: {name}: message {len(series[name].rows)}"
-            row = numbers_of(read.decoded_message, member, where)
-            series[name].add(read.message.log_time, row, where)
-    for name, messages_of_it in series.items():
-        check(bool(messages_of_it.rows), f"{path}: {name}", "messages", "none")
-    return series
+            where = f"{path}: {name}: message {len(series[name].messages)}"
+            numbers = numbers_of(read.decoded_message, member, where)
+            series[name].add(read.message.log_time, numbers, where)
 
 
 def _read_metadata(reader: Any) -> dict[str, str]:
@@ -242,39 +268,40 @@ def _read_metadata(reader: Any) -> dict[str, str]:
 
 def _align(
     path: pathlib.Path,
-    series: dict[str, _Series],
-    wanted: list[str],
+    tables: dict[str, Table],
+    observed_topics: list[str],
+    action_topic: str,
     reward: str,
     metadata: dict[str, str],
 ) -> _Log:
-    observed = [series[name] for name in wanted[: len(wanted) - (2 if reward else 1)]]
-    action = series[wanted[len(observed)]]
+    observed = [tables[name] for name in observed_topics]
+    action = tables[action_topic]
     times = np.asarray(action.times, np.int64)
     # Actions before the first observation of every topic belong to no step.
     start = max(s.times[0] for s in observed)
     first = int(np.searchsorted(times, start, side="left"))
     expected = "an action after the first message of every observation topic"
     check(first < len(times), str(path), expected, "none")
-    notes = [f"{path}: left out {first} actions before the first observation"] if first else []
+    left_out = first + action.left_out
+    note = f"{path}: left out {left_out} actions before the first observation"
+    notes = [note] if left_out else []
+
     times = times[first:]
-    rows = [
-        np.stack([s.rows[i] for i in np.searchsorted(s.times, times, side="right") - 1])
-        for s in observed
-    ]
+    rows = [s.rows[np.searchsorted(s.times, times, side="right") - 1] for s in observed]
     later = all(s.times[-1] > times[-1] for s in observed)
     last = [s.rows[-1] if later else np.full_like(s.rows[-1], np.nan) for s in observed]
     observations = np.concatenate(
         [np.concatenate(rows, axis=1), np.concatenate(last)[np.newaxis]]
     ).astype(np.float32)
     rewards = np.zeros(len(times))
-    if reward:
-        numbers = np.stack(series[reward].rows)
+    if reward in tables:
+        numbers = tables[reward].rows
         check(numbers.shape[1] == 1, f"{path}: {reward}", "one number", numbers.shape[1])
-        step = np.searchsorted(times, series[reward].times, side="left") - 1
+        step = np.searchsorted(times, tables[reward].times, side="left") - 1
         np.add.at(rewards, step[step >= 0], numbers[step >= 0, 0])
     else:
         notes.append("rewards: 0, because there is no topic " + layout.REWARD)
-    actions = np.stack(action.rows[first:])
+    actions = action.rows[first:]
     interval = float(np.median(np.diff(times))) if len(times) > 1 else math.inf
     fps = layout.NANOSECONDS / interval if 0 < interval < math.inf else None
     if "fps" in metadata:
@@ -286,5 +313,8 @@ def _align(
         rewards=rewards,
         fps=fps,
         metadata=metadata,
+        tables=tables,
+        observed=observed_topics,
+        action=action_topic,
         notes=notes,
     )

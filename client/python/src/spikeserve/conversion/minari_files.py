@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikeserve.check import check
-from spikeserve.conversion.data import Episode, RobotData, Selection, check_episode
+from spikeserve.conversion.data import (
+    Episode,
+    RobotData,
+    Selection,
+    check_episode,
+    names_from_json,
+    names_to_json,
+)
 from spikeserve.conversion.packages import package
 from spikeserve.spaces import ActionSpace, Box, Discrete, as_action_space
 
@@ -30,7 +37,7 @@ def _check_packages() -> None:
 def read_minari(folder: pathlib.Path, selection: Selection) -> RobotData:
     """Reads a dataset of Minari and maps its spaces to those of a policy."""
     _check_packages()
-    from spikeserve.flat_spaces import ActionMap
+    from spikeserve.flat_spaces import ActionMap, element_names
     from spikeserve.imitation.datasets import open_dataset, read_dataset
 
     try:
@@ -50,6 +57,11 @@ def read_minari(folder: pathlib.Path, selection: Selection) -> RobotData:
         for episode, attributes in zip(played, stored, strict=True)
     ]
     data = RobotData(selection.environment or name, space, episodes, selection.fps)
+    recipe, size = metadata.get(_EXTENSION, {}).get("recipe"), data.observation_size
+    stored_names = names_from_json(recipe, "observation_names", size)
+    data.observation_names = stored_names or element_names(dataset.observation_space)
+    actions = 1 if isinstance(space, Discrete) else len(space.low)
+    data.action_names = names_from_json(recipe, "action_names", actions)
     for index, episode in enumerate(episodes):
         check_episode(data, episode, f"{folder / DATA}: episode {index}")
     return data
@@ -105,7 +117,8 @@ def write_minari(data: RobotData, folder: pathlib.Path, dataset_id: str) -> None
     )
     attributes = [_attributes(episode) for episode in data.episodes]
     storage.update_episode_metadata(attributes, range(len(attributes)))
-    storage.update_metadata({_EXTENSION: {"environment": data.environment, "recipe": {}}})
+    extension = {"environment": data.environment, "recipe": names_to_json(data)}
+    storage.update_metadata({_EXTENSION: extension})
 
 
 def _bounds(space: Box) -> tuple[tuple[float, ...], tuple[float, ...]]:

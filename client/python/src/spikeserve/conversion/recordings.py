@@ -14,6 +14,8 @@ from spikeserve.conversion.data import (
     RobotData,
     Selection,
     check_episode,
+    names_from_json,
+    names_to_json,
     space_from_json,
     space_to_json,
 )
@@ -47,6 +49,11 @@ def read_recordings(source: pathlib.Path, selection: Selection) -> RobotData:
         expected = (data.environment, data.observation_size, data.action_space)
         what = f"environment, observation size and action space {expected} as in {first}"
         check(same == expected, str(path), f"{what}; --env selects an environment", same)
+        for names, of_first in (
+            (read.observation_names, data.observation_names),
+            (read.action_names, data.action_names),
+        ):
+            check(names == of_first, str(path), f"the names {of_first} as in {first}", names)
         data.episodes += read.episodes
     of_environment = f" of {selection.environment}" if selection.environment else ""
     check(data is not None, str(source), f"recorded episodes{of_environment}", "none")
@@ -76,6 +83,9 @@ def _read_file(path: pathlib.Path) -> RobotData:
         for index, item in enumerate(stored)
     ]
     data = RobotData(_member(value, "environment", str, field), space, episodes)
+    recipe, actions = value.get("recipe"), 1 if isinstance(space, Discrete) else len(space.low)
+    data.observation_names = names_from_json(recipe, "observation_names", size)
+    data.action_names = names_from_json(recipe, "action_names", actions)
     for index, episode in enumerate(episodes):
         check_episode(data, episode, f"{field}: episode {index}")
     return data
@@ -134,7 +144,7 @@ def write_cbor(data: RobotData, path: pathlib.Path) -> None:
         "format": _FORMAT,
         "environment": data.environment,
         "observation_size": data.observation_size,
-        "recipe": {"converted": True},
+        "recipe": {"converted": True} | names_to_json(data),
         "action_space": space_to_json(data.action_space),
         "episodes": [_episode_to_cbor(episode) for episode in data.episodes],
     }

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikeserve.check import check
+from spikeserve.gateway.numpy_msgpack import Undecoded
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class Part:
             array = np.asarray(value)
         except ValueError:  # lists of several lengths
             array = np.asarray(None)
+        _check_decoded(value, self.key)
         check(array.dtype.kind in "biuf", self.key, "numbers", _kind(value))
         flat = array.ravel().astype(np.float64) * self.scale
         if self.size is not None:
@@ -106,6 +108,11 @@ def _find(observation: Mapping[Any, Any], key: str) -> Any:
     raise ValueError(f"{key}: expected an entry, received a dictionary of {known}")
 
 
+def _check_decoded(value: Any, key: str) -> None:
+    if isinstance(value, Undecoded):
+        raise ValueError(f"{key}: {value.reason}")
+
+
 def _kind(value: Any) -> str:
     return f"an array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
 
@@ -115,6 +122,7 @@ def _number(observation: Mapping[Any, Any], key: str) -> float:
     value = observation.get(key)
     if value is None:
         return 0.0
+    _check_decoded(value, key)
     array = np.asarray(value) if not isinstance(value, list | dict) else np.asarray(None)
     check(array.dtype.kind in "biuf" and array.size == 1, key, "a number", _kind(value))
     number = float(array.reshape(()))

@@ -6,10 +6,12 @@ true, data, dtype}, with keys of bytes. Thread-safe.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import msgpack
 import numpy as np
+from numpy.typing import NDArray
 
 from spikeserve.check import check
 
@@ -23,10 +25,17 @@ def pack(value: Any) -> bytes:
     return packed
 
 
+@dataclass(frozen=True)
+class Undecoded:
+    """An array of no numbers, such as texts. Only a mapping that names its entry refuses it."""
+
+    reason: str
+
+
 def unpack(data: bytes) -> Any:
     """Decodes what openpi-client sends. ValueError for anything else."""
     try:
-        return msgpack.unpackb(data, object_hook=_unpack_array)
+        return msgpack.unpackb(data, object_hook=_unpack_array, strict_map_key=False)
     except msgpack.exceptions.ExtraData as error:
         raise ValueError("message: expected one value, received bytes after it") from error
     except (msgpack.exceptions.UnpackException, TypeError, RecursionError) as error:
@@ -61,21 +70,30 @@ def _dtype(value: dict[Any, Any]) -> np.dtype[Any]:
 
 
 def _unpack_array(value: dict[Any, Any]) -> Any:
-    if b"__ndarray__" in value:
-        dtype, data, shape = _dtype(value), value.get(b"data"), value.get(b"shape")
-        sizes = isinstance(shape, list) and all(type(n) is int and n >= 0 for n in shape)
-        check(sizes and len(shape or ()) <= _MOST_DIMENSIONS, "array: shape", "sizes", shape)
-        assert isinstance(shape, list)
-        expected = int(np.prod(shape, dtype=object)) * dtype.itemsize
-        received = len(data) if isinstance(data, bytes) else type(data).__name__
-        check(received == expected, "array: data", f"{expected} bytes", received)
-        assert isinstance(data, bytes)
-        return np.frombuffer(data, dtype).reshape(shape)
-    if b"__npgeneric__" in value:
-        dtype, data = _dtype(value), value.get(b"data")
-        check(isinstance(data, bool | int | float), "number: data", "a number", data)
-        try:
-            return dtype.type(data)
-        except OverflowError as error:
-            raise ValueError(f"number: data: expected {dtype}, received {data}") from error
-    return value
+    try:
+        if b"__ndarray__" in value:
+            return _array_of(value)
+        return _number_of(value) if b"__npgeneric__" in value else value
+    except ValueError as error:
+        return Undecoded(str(error))
+
+
+def _array_of(value: dict[Any, Any]) -> NDArray[Any]:
+    dtype, data, shape = _dtype(value), value.get(b"data"), value.get(b"shape")
+    sizes = isinstance(shape, list) and all(type(n) is int and n >= 0 for n in shape)
+    check(sizes and len(shape or ()) <= _MOST_DIMENSIONS, "array: shape", "sizes", shape)
+    assert isinstance(shape, list)
+    expected = int(np.prod(shape, dtype=object)) * dtype.itemsize
+    received = len(data) if isinstance(data, bytes) else type(data).__name__
+    check(received == expected, "array: data", f"{expected} bytes", received)
+    assert isinstance(data, bytes)
+    return np.frombuffer(data, dtype).reshape(shape)
+
+
+def _number_of(value: dict[Any, Any]) -> Any:
+    dtype, data = _dtype(value), value.get(b"data")
+    check(isinstance(data, bool | int | float), "number: data", "a number", data)
+    try:
+        return dtype.type(data)
+    except OverflowError as error:
+        raise ValueError(f"number: data: expected {dtype}, received {data}") from error

@@ -139,11 +139,7 @@ class OpenpiGateway:
         self._connections += 1
         try:
             async with self._client(self._token_of(connection.request)) as client:
-                session = await client.open_session(self._settings.policy, self._settings.session)
-                try:
-                    await self._converse(connection, session)
-                finally:
-                    await session.close()
+                await self._converse(connection, client)
         except websockets.ConnectionClosed:
             pass
         except SpikeserveError as error:
@@ -151,37 +147,27 @@ class OpenpiGateway:
         finally:
             self._connections -= 1
 
-    async def _converse(self, connection: ServerConnection, session: AsyncSession) -> None:
-        await connection.send(pack(self._metadata(session)))
-        previous = None
-        async for frame in connection:
-            began = time.monotonic()
-            try:
-                reply = await self._answer(session, frame)
-            except SessionLostError:
-                raise
-            except (ValueError, SpikeserveError) as error:
-                # The session is as it was, so the client may continue.
-                await connection.send(str(error))
-                continue
-            reply["server_timing"] = {"infer_ms": (time.monotonic() - began) * 1000}
-            if previous is not None:
-                reply["server_timing"]["prev_total_ms"] = previous * 1000
-            await connection.send(pack(reply))
-            previous = time.monotonic() - began
-
-    async def _answer(self, session: AsyncSession, frame: str | bytes) -> dict[str, Any]:
-        check(isinstance(frame, bytes), "message", "a binary frame", "a text frame")
-        assert isinstance(frame, bytes)
-        assert session.opening is not None
-        step = self._settings.mapping.read(unpack(frame), session.opening.observation_size)
-        if step.terminated or step.truncated:
-            check(session.step > 0, "episode", "an action before its end", "none")
-            return _ended(await _end(session, step))
-        if step.reset and session.step > 0:
-            cut_off = Step(step.observation, step.reward, truncated=True)
-            await _end(session, cut_off, with_observation=False)
-        return _acted(await session.act(step.observation, step.reward))
+    async def _converse(self, connection: ServerConnection, client: AsyncClient) -> None:
+        """Answers the frames of a connection. Its session is replaced by `_Robot` if it is lost."""
+        robot = _Robot(client, self._settings)
+        async with robot:
+            await connection.send(pack(self._metadata(robot.session)))
+            previous = None
+            async for frame in connection:
+                began = time.monotonic()
+                try:
+                    reply = await robot.answer(frame)
+                except SessionLostError:
+                    raise
+                except (ValueError, SpikeserveError) as error:
+                    # The session is as it was, so the client may continue.
+                    await connection.send(str(error))
+                    continue
+                reply["server_timing"] = {"infer_ms": (time.monotonic() - began) * 1000}
+                if previous is not None:
+                    reply["server_timing"]["prev_total_ms"] = previous * 1000
+                await connection.send(pack(reply))
+                previous = time.monotonic() - began
 
     def _metadata(self, session: AsyncSession) -> dict[str, Any]:
         opening = session.opening
@@ -211,6 +197,58 @@ class OpenpiGateway:
             "target_return": opening.target_return,
             "recording": opening.recording,
         }
+
+
+class _Robot:
+    """The session of a connection. Use it as a context."""
+
+    def __init__(self, client: AsyncClient, settings: GatewaySettings) -> None:
+        self._client = client
+        self._settings = settings
+        self.session: AsyncSession
+
+    async def __aenter__(self) -> None:
+        await self._open()
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.session.close()
+
+    async def _open(self) -> None:
+        settings = self._settings
+        self.session = await self._client.open_session(settings.policy, settings.session)
+
+    async def answer(self, frame: str | bytes) -> dict[str, Any]:
+        """Answers a message. SessionLostError if the server has lost the session of its episode.
+
+        If a message begins an episode, it gets a new session: a robot may pause for longer than
+        the server keeps one.
+        """
+        check(isinstance(frame, bytes), "message", "a binary frame", "a text frame")
+        assert isinstance(frame, bytes)
+        message = unpack(frame)
+        step = self._read(message)
+        begins = step.reset or self.session.step == 0
+        try:
+            return await self._perform(step)
+        except SessionLostError:
+            if not begins or step.terminated or step.truncated:
+                raise
+        await self._open()
+        return await self._perform(self._read(message))
+
+    def _read(self, message: Any) -> Step:
+        assert self.session.opening is not None
+        return self._settings.mapping.read(message, self.session.opening.observation_size)
+
+    async def _perform(self, step: Step) -> dict[str, Any]:
+        session = self.session
+        if step.terminated or step.truncated:
+            check(session.step > 0, "episode", "an action before its end", "none")
+            return _ended(await _end(session, step))
+        if step.reset and session.step > 0:
+            cut_off = Step(step.observation, step.reward, truncated=True)
+            await _end(session, cut_off, with_observation=False)
+        return _acted(await session.act(step.observation, step.reward))
 
 
 async def _end(session: AsyncSession, step: Step, with_observation: bool = True) -> EpisodeSummary:
@@ -252,7 +290,8 @@ async def _fail(connection: ServerConnection, error: SpikeserveError) -> None:
     print(f"spikeserve gateway: {error}", file=sys.stderr, flush=True)
     with contextlib.suppress(websockets.ConnectionClosed):
         await connection.send(str(error))
-    await connection.close(CloseCode.INTERNAL_ERROR, str(error)[:_LONGEST_REASON])
+    reason = str(error).encode()[:_LONGEST_REASON].decode(errors="ignore")
+    await connection.close(CloseCode.INTERNAL_ERROR, reason)
 
 
 async def run(gateway: OpenpiGateway, host: str, port: int, stop: asyncio.Event) -> None:

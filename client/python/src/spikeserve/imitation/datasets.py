@@ -97,21 +97,53 @@ def open_dataset(source: str | pathlib.Path) -> minari.MinariDataset:
     """Opens a dataset, an id or a folder."""
     folder = pathlib.Path(source)
     if (folder / "data/metadata.json").is_file():
+        _check_storage(folder / "data/main_data.hdf5")
         return minari.MinariDataset(folder / "data")
     return minari.load_dataset(str(source))
 
 
-def read_dataset(source: str | pathlib.Path) -> Iterator[Episode]:
+def _check_storage(path: pathlib.Path) -> None:
+    """ValueError if an HDF5 file shows the contents of other files as its own."""
+    import h5py
+
+    # The library calls these, so they return what is wrong instead of raising it.
+    def of_link(name: str, link: Any) -> tuple[str, str] | None:
+        inner = isinstance(link, h5py.HardLink | h5py.SoftLink)
+        return None if inner else (name, type(link).__name__)
+
+    def of_dataset(name: str, item: Any) -> tuple[str, str] | None:
+        if not isinstance(item, h5py.Dataset):
+            return None
+        outer = "external storage" if item.external else "a virtual dataset"
+        return (name, outer) if item.external or item.is_virtual else None
+
+    if path.is_file():
+        with h5py.File(path) as file:
+            wrong = file.visititems_links(of_link) or file.visititems(of_dataset)
+        if wrong is not None:
+            check(False, f"{path}: {wrong[0]}", "numbers in this file", wrong[1])
+
+
+def read_dataset(
+    source: str | pathlib.Path, environment: FlatEnvironment | None = None
+) -> Iterator[Episode]:
     """Reads the episodes of a dataset, an id or a folder, and maps them to the spaces of a policy.
 
-    ValueError if its spaces cannot be mapped.
+    With `environment` the entries of a Dict have its order. ValueError if the spaces cannot be
+    mapped or differ from those of `environment`, or if an episode ends before its last step.
     """
     dataset = open_dataset(source)
-    observations = ObservationMap(dataset.observation_space)
+    space = dataset.observation_space
+    if environment is not None:
+        space = check_spaces(dataset, environment, str(source))
+    observations = ObservationMap(space)
     actions = ActionMap(dataset.action_space)
-    for stored in dataset.iterate_episodes():
+    for index, stored in enumerate(dataset.iterate_episodes()):
         steps = len(stored.rewards)
         infos = stored.infos or {}
+        for name in ("terminations", "truncations"):
+            where = f"{source}: episode {index}: {name}"
+            _check_ends(np.asarray(getattr(stored, name)), steps, where)
         yield Episode(
             seed=int(stored.id),
             observations=[
@@ -125,6 +157,68 @@ def read_dataset(source: str | pathlib.Path) -> Iterator[Episode]:
             terminated=bool(stored.terminations[-1]),
             truncated=bool(stored.truncations[-1]),
         )
+
+
+def _check_ends(flags: NDArray[Any], steps: int, where: str) -> None:
+    check(flags.shape == (steps,), where, f"shape {(steps,)}", flags.shape)
+    for step in np.flatnonzero(flags[:-1])[:1]:
+        check(False, f"{where}: step {step}", "true only at the last step", "true")
+
+
+def check_spaces(
+    dataset: minari.MinariDataset, environment: FlatEnvironment, source: str
+) -> spaces.Space[Any]:
+    """ValueError, which names the part, if a dataset has other spaces than an environment.
+
+    Returns the observation space in whose order the dataset is read. Datasets in the spaces of a
+    policy, as `write_dataset` writes them, fit every environment of their size.
+    """
+    actions, expected = ActionMap(dataset.action_space).space, environment.action_space
+    if isinstance(actions, spaces.Box) and isinstance(expected, spaces.Box):
+        same = actions.shape == expected.shape and all(
+            np.allclose(one, other, 1e-6, 1e-6)
+            for one, other in ((actions.low, expected.low), (actions.high, expected.high))
+        )
+    else:
+        same = actions == expected
+    as_the_environment = f"{environment.env.action_space}, as the environment has"
+    check(same, f"{source}: action_space", as_the_environment, dataset.action_space)
+    stored, native = dataset.observation_space, environment.native_space
+    if isinstance(stored, spaces.Box) and stored.shape == (environment.observations.size,):
+        return stored
+    if isinstance(stored, spaces.Dict) and not isinstance(native, spaces.Dict):
+        native = _flattened(environment) or native
+    _check_same(stored, native, f"{source}: observation_space")
+    return native
+
+
+def _flattened(environment: FlatEnvironment) -> spaces.Space[Any] | None:
+    """Returns the Dict that a wrapper such as FlattenObservation has flattened, if there is one."""
+    inner = environment.env
+    while hasattr(inner, "env"):
+        inner = inner.env
+        space, size = inner.observation_space, environment.observations.size
+        if isinstance(space, spaces.Dict) and spaces.flatdim(space) == size:
+            return space
+    return None
+
+
+def _check_same(stored: spaces.Space[Any], native: spaces.Space[Any], where: str) -> None:
+    as_the_environment = f"{native}, as the environment has"
+    check(type(stored) is type(native), where, as_the_environment, stored)
+    if isinstance(native, spaces.Dict) and isinstance(stored, spaces.Dict):
+        names, expected = sorted(map(str, stored)), sorted(map(str, native))
+        check(names == expected, where, f"the entries {', '.join(expected)}", ", ".join(names))
+        for key, part in native.items():
+            _check_same(stored[key], part, f"{where}[{key!r}]")
+        return
+    if isinstance(native, spaces.Tuple) and isinstance(stored, spaces.Tuple):
+        check(len(stored) == len(native), where, as_the_environment, stored)
+        for index, part in enumerate(native):
+            _check_same(stored[index], part, f"{where}[{index}]")
+        return
+    same = stored.shape == native.shape and spaces.flatdim(stored) == spaces.flatdim(native)
+    check(same, where, as_the_environment, stored)
 
 
 def _at(observations: Any, step: int) -> Any:

@@ -18,7 +18,13 @@ from spikeserve.imitation.baselines import (
     Comparison,
     return_warnings,
 )
-from spikeserve.imitation.datasets import check_packages, read_dataset, write_dataset
+from spikeserve.imitation.datasets import (
+    check_packages,
+    check_spaces,
+    open_dataset,
+    read_dataset,
+    write_dataset,
+)
 from spikeserve.imitation.delays import label_all_after
 from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Actor, Budget, Episode, play
@@ -86,6 +92,8 @@ def imitate(
     image_flags(environment.native_space, options.patch_size)  # refuses patches that do not fit
     environment.close()
     source = str(expert) if is_dataset(expert) else load_expert(expert)
+    if isinstance(source, str):
+        check_spaces(open_dataset(source), environment, source)
     settings = {"environment": factory.name, "expert": _name_of(expert), **asdict(options)}
     journal = Journal(folder, settings, overwrite)
     return _Run(factory, source, options, trainer, journal).run()
@@ -174,7 +182,10 @@ class _Run:
         if self._expert is None:
             assert self._dataset is not None
             source = self._dataset
-            self._write_data("expert", lambda: self._label_after(read_dataset(source)))
+            environment = self._factory.make()
+            environment.close()
+            played = read_dataset(source, environment)
+            self._write_data("expert", lambda: self._label_after(played))
             return
         actor = ExpertActor(self._expert, self._bursts(self._options.disturbed))
         steps = self._recording.steps

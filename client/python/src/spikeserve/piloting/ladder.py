@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spikeserve.check import unmasked
 from spikeserve.piloting.pilot_options import PilotOptions
 from spikeserve.spaces import ActionSpace, Box
 from spikeserve.values import Action, ActionLike
@@ -134,7 +135,7 @@ class Ladder:
         if not isinstance(self._space, Box):
             return int(np.asarray(action))
         low, high = np.asarray(self._space.low), np.asarray(self._space.high)
-        values = np.asarray(action, np.float32)
+        values = np.asarray(unmasked(action, "action"), np.float32)
         if values.shape != low.shape or not np.isfinite(values).all():
             raise ValueError(f"action: expected {low.size} finite values, received {action!r}")
         return np.asarray(np.clip(values, low, high), np.float32)

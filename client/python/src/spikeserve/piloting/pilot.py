@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spikeserve.check import unmasked
 from spikeserve.connection import Connection
 from spikeserve.piloting.beat_log import Beat, Ending
 from spikeserve.piloting.ladder import Chosen, Ladder
@@ -222,7 +223,7 @@ class Pilot:
     def _valid(self, given: ArrayLike) -> NDArray[np.float32]:
         """Returns the observation, or the last valid one if it has a wrong size or NaN."""
         try:
-            array = np.array(given, np.float32)
+            array = np.array(unmasked(given, "observation"), np.float32)
         except (TypeError, ValueError) as error:
             self._replaced("observation", str(error))
             return self._observation
