@@ -183,11 +183,11 @@ def test_actions_are_within_a_space_of_doubles(tmp_path, bound):
     envs.action_space = gymnasium.vector.utils.batch_space(space, ROWS)
     with make("Pendulum-v1") as pendulum:
         pendulum.action_space = space
-        export_random(tmp_path, "bounded", pendulum)
-    tensors, metadata = read_policy(tmp_path / "bounded/1/policy.safetensors")
+        export_random(tmp_path / "made", "bounded", pendulum)
+    tensors, metadata = read_policy(tmp_path / "made/bounded/1/policy.safetensors")
     tensors["head.bias"] = np.full_like(tensors["head.bias"], 100.0)  # its greatest action
-    write_policy(tmp_path / "bounded/1/policy.safetensors", tensors, metadata)
-    with running_server(tmp_path) as server, spikeserve.Client(server.grpc) as client:
+    write_policy(tmp_path / "served/bounded/1/policy.safetensors", tensors, metadata)
+    with running_server(tmp_path / "served") as server, spikeserve.Client(server.grpc) as client:
         with spikeserve.VectorSession(client, "bounded", envs) as agents:
             observations, _ = envs.reset(seed=SEED)
             outcome, chosen = (), []
