@@ -67,7 +67,8 @@ function(spikeserve_library name)
   add_library(${name} STATIC ${units} ${ARG_SEPARATE})
   target_link_libraries(${name}
     PUBLIC $<BUILD_INTERFACE:spikeserve_options> ${ARG_DEPENDS} PRIVATE ${ARG_PRIVATE_DEPENDS})
-  spikeserve_note_layer(${name} "${ARG_SOURCES};${ARG_SEPARATE}" "${ARG_DEPENDS}" "${ARG_PRIVATE_DEPENDS}")
+  set(all ${ARG_SOURCES} ${ARG_SEPARATE})
+  spikeserve_note_layer(${name} "${all}" "${ARG_DEPENDS}" "${ARG_PRIVATE_DEPENDS}")
   set_property(GLOBAL APPEND PROPERTY SPIKESERVE_LIBRARIES ${name})
 endfunction()
 
