@@ -5,11 +5,17 @@ set(SPIKESERVE_PYTHON_CLIENT ${CMAKE_BINARY_DIR}/tests/python_client-${PROJECT_V
 
 # spikeserve_python_tests([CLIENT | ENGINE] [LABEL label] [TIMEOUT seconds] [ENVIRONMENT VARIABLE=VALUE...] TESTS name...)
 # Runs each name.py of the current folder with pytest. CLIENT: imports the installed client. ENGINE: imports the Python
-# engine, too. Every test gets the paths of all programs, as NAME_PROGRAM. Trainings use one thread, because on a busy
+# engine, too. Every test gets the paths of all programs, as NAME_PROGRAM, and of the folders that setup fills. Trainings use one thread, because on a busy
 # machine the threads of a training wait for each other.
 function(spikeserve_python_tests)
   cmake_parse_arguments(ARG "CLIENT;ENGINE" "LABEL;TIMEOUT" "ENVIRONMENT;TESTS" ${ARGN})
   set(environment "PYTHONDONTWRITEBYTECODE=1;OMP_NUM_THREADS=1;TEST_TIME=${SPIKESERVE_TEST_TIME}")
+  list(APPEND environment SPIKESERVE_BUILD_DIR=${CMAKE_BINARY_DIR} SPIKESERVE_SHARE=${CMAKE_BINARY_DIR}/share
+    SPIKESERVE_VERSION=${PROJECT_VERSION} SPIKESERVE_INTEROP=${PROJECT_SOURCE_DIR}/build/interop
+    OWN_ENVIRONMENTS=${PROJECT_SOURCE_DIR}/build/environments CHIPS_PYTHON=${PROJECT_SOURCE_DIR}/build/chips/venv/bin/python)
+  if(TARGET spiketrain)
+    list(APPEND environment SPIKETRAIN=$<TARGET_FILE:spiketrain>)  # what spikeserve.imitation starts
+  endif()
   foreach(program spikeserve spikectl spikeload client_player client_pilot environment_stepper integer_decisions alert_replay
       spiketrain spikereport)
     if(TARGET ${program})

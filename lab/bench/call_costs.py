@@ -2,7 +2,7 @@
 """Measures the processor time of each method on the event loop and on the workers, with a thousand versions.
 
 Prints a Markdown table of microseconds a call, from the kernel's account of the threads, so that waiting and the
-client do not count. The methods and their requests are those of tests/python/test_call_costs.py. The time on the loop
+client do not count. The methods and their requests are those of tests/python/server/test_call_costs.py. The time on the loop
 includes reading the request and writing the answer.
 
     build/venv/bin/python lab/bench/call_costs.py --server=build/release/bin/spikeserve
@@ -17,7 +17,7 @@ import sys
 import tempfile
 
 ROOT = pathlib.Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "python")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests/python"), str(ROOT / "tests/python/server")]
 
 from gymnasium import make  # noqa: E402
 from random_policy import export_random  # noqa: E402

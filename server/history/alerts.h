@@ -1,5 +1,5 @@
 // Evaluates the alerts of deploy/prometheus/alerts.yml in the server, so that the status page shows
-// the same alerts as Prometheus without one. tests/python/test_alerts.py feeds both with the same
+// the same alerts as Prometheus without one. tests/python/web/test_alerts.py feeds both with the same
 // figures and compares them.
 //
 //   Alerts alerts;

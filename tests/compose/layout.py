@@ -16,7 +16,7 @@ import yaml
 
 COMPOSE = pathlib.Path(__file__).parents[2] / "deploy/compose"
 NETWORK = "10.89.0"
-# What the images have as their environment; tests/python/test_image.py runs the real image.
+# What the images have as their environment; tests/python/deploy/test_image.py runs the real image.
 IMAGE_ENVIRONMENT = {
     "SPIKESERVE_POLICIES": "/usr/share/spikeserve/policies",
     "SPIKESERVE_LISTEN": "0.0.0.0:50051",

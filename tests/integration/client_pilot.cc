@@ -1,5 +1,5 @@
 // Flies a pilot of the C++ client, as the lines of its standard input say. Used by
-// tests/python/test_cpp_pilot.py.
+// tests/python/pilot/test_cpp_pilot.py.
 //
 // Each line is a JSON object, and is answered by one: {"error": ...} or the result. The first one
 // makes the pilot:

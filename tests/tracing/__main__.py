@@ -14,7 +14,7 @@ import sys
 import tempfile
 
 ROOT = pathlib.Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "python")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests/python"), str(ROOT / "tests/python/client")]
 
 import grpc  # noqa: E402
 import spikeserve  # noqa: E402

@@ -11,7 +11,7 @@
 namespace spikeserve {
 namespace {
 
-// The Python client computes the same numbers: tests/python/test_replicas.py.
+// The Python client computes the same numbers: tests/python/client/test_replicas.py.
 TEST(ReplicasTest, AllClientsRankTheServersEqually) {
   const std::string key = "0123456789abcdef0123456789abcdef";
   EXPECT_EQ(Rank(key, "10.0.0.1:50051"), 15574301511887128372u);

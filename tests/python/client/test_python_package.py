@@ -1,0 +1,48 @@
+"""The Python package has the version of the CMake project, also when built from its sdist."""
+
+import os
+import pathlib
+import shutil
+import subprocess
+import sys
+
+import spikeserve
+
+PACKAGE = pathlib.Path(__file__).parents[3] / "client/python"
+
+
+def run(*arguments, **options):
+    command = [sys.executable, *map(str, arguments)]
+    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, **options).stdout
+
+
+def test_the_version_is_the_projects():
+    assert spikeserve.__version__ == os.environ["SPIKESERVE_VERSION"]
+
+
+def test_a_source_distribution_is_enough_to_install(tmp_path):
+    run("-m", "hatchling", "build", "--target=sdist", f"--directory={tmp_path}", cwd=PACKAGE)
+    (archive,) = tmp_path.glob("spikeserve-*.tar.gz")
+    target = tmp_path / "installed"
+    pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-build-isolation"]
+    run(*pip, "--no-deps", f"--target={target}", archive)
+    script = "import spikeserve; print(spikeserve.__version__, spikeserve.__file__)"
+    version, file = run("-c", script, env=os.environ | {"PYTHONPATH": str(target)}).split()
+    assert version == os.environ["SPIKESERVE_VERSION"]
+    assert pathlib.Path(file).is_relative_to(target)
+
+
+def test_the_contract_compiles_where_no_protos_of_protobuf_are_installed(tmp_path):
+    """protoc searches ../include of the running program, so this Python runs from another folder."""
+    python = tmp_path / "bin/python"
+    python.parent.mkdir()
+    shutil.copy(pathlib.Path(sys.executable).resolve(), python)
+    modules = os.pathsep.join([str(PACKAGE), *filter(None, sys.path)])
+    script = "import hatch_build, sys; hatch_build.compile_proto(*sys.argv[1:])"
+    compiled = tmp_path / "contract.binpb"
+    subprocess.run(
+        [python, "-c", script, PACKAGE.parents[1] / "proto", compiled],
+        env={"PYTHONHOME": sys.base_prefix, "PYTHONPATH": modules},
+        check=True,
+    )
+    assert b"google/protobuf/descriptor.proto" in compiled.read_bytes()

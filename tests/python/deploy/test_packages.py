@@ -1,0 +1,159 @@
+"""Installs the Debian packages of the server and the tools, starts the server as its unit does, plays,
+upgrades and removes it.
+
+The test works in an overlay of this machine's files in its own mount namespace, so it does not change the machine. It
+needs root.
+"""
+
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+BUILD = pathlib.Path(os.environ["SPIKESERVE_BUILD_DIR"])
+VERSION = os.environ["SPIKESERVE_VERSION"]
+DEADLINE_SECONDS = 500
+
+pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="installing packages needs root")
+
+# Runs in the overlay. Prints lines that the test checks, and stops at the first command that fails.
+INSIDE = textwrap.dedent(
+    r"""
+    set -euo pipefail
+    dpkg --install /packages/spikeserve_*.deb /packages/spikeserve-tools_*.deb >/tmp/dpkg.log || cat /tmp/dpkg.log
+    echo "user $(getent passwd spikeserve | cut -d: -f1,6)"
+    unit=/usr/lib/systemd/system/spikeserve.service
+    systemd-analyze verify "$unit" && echo "unit verified"
+    # Does what systemd would do: creates the StateDirectory and runs the command line of the unit as its user.
+    install -d -o spikeserve -g spikeserve -m 700 /var/lib/spikeserve
+    program=$(sed -n 's/^ExecStart=//p' "$unit")
+    start() {
+      rm -f /tmp/announcements
+      mkfifo /tmp/announcements
+      environment=$(sed -n 's/^Environment=//p' "$unit")
+      runuser -u spikeserve -- env ${environment//%S//var/lib} SPIKESERVE_LISTEN=127.0.0.1:0 \
+        SPIKESERVE_HTTP_LISTEN=127.0.0.1:0 SPIKESERVE_REFLECTION_V1ALPHA=true "$program" >/tmp/announcements &
+      server=$!
+      exec {announcements}</tmp/announcements
+      read -r line <&"$announcements"
+      address=${line##* }
+    }
+    stop() {
+      kill -TERM "$(pgrep -u spikeserve -x spikeserve)"
+      wait "$server"
+    }
+    trap 'stop || true' EXIT
+    start
+    spikectl policies --server="$address" | grep -c cartpole
+    "$1" -c "$2" "$address" play
+    # An upgrade installs the files of the new version over those of the old one, and starts the server again.
+    stop
+    dpkg --install /packages/spikeserve_*.deb >/tmp/dpkg.log || cat /tmp/dpkg.log
+    start
+    "$1" -c "$2" "$address" look
+    zsh -fc 'autoload -U compinit && compinit -D && echo "zsh completes by $_comps[spikectl]"'
+    fish -c 'complete --do-complete "spikectl explai"' | cut -f1
+    stop && echo "stopped cleanly"
+    trap - EXIT
+    dpkg --purge spikeserve spikeserve-tools >/dev/null
+    for left in /usr/bin/spikeserve /usr/bin/spikectl /usr/share/spikeserve "$unit" /var/lib/spikeserve; do
+      [[ ! -e $left ]] || echo "left behind: $left"
+    done
+    getent passwd spikeserve || echo "user gone"
+    """
+)
+
+# Plays in a session, or shows how many decisions it has: python -c ROBOT ADDRESS play|look.
+ROBOT = textwrap.dedent(
+    """
+    import sys
+    import grpc
+    from serving import Service
+
+    with grpc.insecure_channel(sys.argv[1]) as channel:
+        service = Service(channel, "spikeserve.v1.PolicyService")
+        session = "0123456789abcdef" * 2
+        if sys.argv[2] == "play":
+            service.OpenSession(session_id=session, policy="cartpole")
+            for step in range(3):
+                service.Act(session_id=session, step=step, observation=[0.0] * 4, reward=1.0)
+        print("decisions", service.GetSession(session_id=session).decisions)
+    """
+)
+
+OUTSIDE = textwrap.dedent(
+    r"""
+    set -euo pipefail
+    mkdir "$1"/{upper,work,root}
+    mount -t overlay overlay -o "lowerdir=/,upperdir=$1/upper,workdir=$1/work" "$1/root"
+    mount --rbind /dev "$1/root/dev"
+    mount --rbind /proc "$1/root/proc"
+    mkdir "$1/root/packages"
+    mount --bind "$2" "$1/root/packages"
+    exec env PYTHONPATH="$6" chroot "$1/root" /bin/bash -c "$3" bash "$4" "$5"
+    """
+)
+
+
+@pytest.fixture(scope="module")
+def packages():
+    """Returns the folder with the packages that cpack makes from the build."""
+    shutil.rmtree(BUILD / "packages", ignore_errors=True)
+    finished = subprocess.run(
+        ["cpack", "-G", "DEB"], cwd=BUILD, capture_output=True, text=True, timeout=DEADLINE_SECONDS
+    )
+    assert finished.returncode == 0, finished.stdout + finished.stderr
+    return BUILD / "packages"
+
+
+def test_every_component_is_a_package_of_the_one_version(packages):
+    names = {path.name.split("_")[0] for path in packages.glob(f"*_{VERSION}_*.deb")}
+    assert {"spikeserve", "libspikeserve-dev", "spikeserve-tools"} <= names
+
+
+def paths_in(packages, name):
+    """Returns the paths in a package, without the leading slash."""
+    [package] = packages.glob(f"{name}_*.deb")
+    listed = subprocess.run(["dpkg-deb", "-c", package], capture_output=True, text=True, check=True)
+    return re.findall(r" \./(\S*)", listed.stdout)
+
+
+@pytest.mark.parametrize(("package", "program"), [("spikeserve", "spikeserve"), ("spikeserve-tools", "spikectl")])
+def test_a_program_has_its_manual_page_and_completions(packages, package, program):
+    assert {
+        f"usr/share/man/man1/{program}.1.gz",
+        f"usr/share/bash-completion/completions/{program}",
+        f"usr/share/zsh/vendor-completions/_{program}",
+        f"usr/share/fish/vendor_completions.d/{program}.fish",
+    } <= set(paths_in(packages, package))
+
+
+def test_the_package_holds_no_path_of_the_machine_that_built_it(packages):
+    paths = paths_in(packages, "spikeserve")
+    assert all(path.startswith("usr/") or path in ("", "usr/") for path in paths), paths
+
+
+def test_the_server_installs_starts_answers_and_goes(packages, tmp_path):
+    finished = subprocess.run(
+        [
+            *("unshare", "--mount", "bash", "-c", OUTSIDE, "bash", tmp_path, packages, INSIDE),
+            *(sys.executable, ROBOT, pathlib.Path(__file__).parents[1]),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_SECONDS,
+    )
+    assert finished.returncode == 0, finished.stdout + finished.stderr
+    lines = finished.stdout.splitlines()
+    assert lines[0] == "user spikeserve:/var/lib/spikeserve"
+    assert "unit verified" in lines
+    assert int(lines[2]) >= 1, "a policy named cartpole is served"
+    assert lines[3:5] == ["decisions 3"] * 2, "the session of before the upgrade goes on"
+    assert lines[5:] == ["zsh completes by _spikectl", "explain", "stopped cleanly", "user gone"], (
+        finished.stdout + finished.stderr
+    )

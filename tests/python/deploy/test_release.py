@@ -1,0 +1,128 @@
+"""`make dist` makes what a release publishes. Each file is checked by the tool of its kind, and the wheels play."""
+
+import hashlib
+import json
+import os
+import pathlib
+import re
+import subprocess
+import sys
+import sysconfig
+import tarfile
+
+import pytest
+from serving import SHIPPED_POLICIES
+
+ROOT = pathlib.Path(__file__).parents[3]
+BUILD = pathlib.Path(os.environ["SPIKESERVE_BUILD_DIR"])
+VERSION = os.environ["SPIKESERVE_VERSION"]
+TOOLS = ROOT / "build/release-tools/venv/bin"
+OWN_VERSION = "{}.{}".format(*sys.version_info)
+# Makes pip use the packages of the tests instead of an index.
+OFFLINE = {
+    "PIP_NO_BUILD_ISOLATION": "0",  # 0 turns isolation off
+    "PIP_NO_DEPS": "1",
+    "PIP_NO_INDEX": "1",
+    "PYTHONPATH": sysconfig.get_path("purelib"),
+}
+
+
+def run(*command, **options):
+    finished = subprocess.run([*map(str, command)], capture_output=True, text=True, **options)
+    assert finished.returncode == 0, f"{command}: {finished.stdout}{finished.stderr}"
+    return finished.stdout
+
+
+@pytest.fixture(scope="module")
+def dist(tmp_path_factory):
+    """Returns the folder that deploy/release/make.sh fills, with a wheel of the engine for this interpreter alone."""
+    folder = tmp_path_factory.mktemp("dist") / "dist"
+    binaries = str(pathlib.Path(sys.executable).parent)
+    environment = os.environ | OFFLINE | {"PYTHONS": OWN_VERSION, "PATH": f"{binaries}:{os.environ['PATH']}"}
+    print(run(ROOT / "deploy/release/make.sh", folder, BUILD, env=environment))
+    return folder
+
+
+def names(folder, pattern):
+    return sorted(path.name for path in folder.glob(pattern))
+
+
+def test_a_release_has_everything(dist):
+    packages = [name.split("_")[0] for name in names(dist, "*.deb")]
+    assert {"spikeserve", "spikeserve-tools", "libspikeserve-dev"} <= set(packages)
+    tag = f"cp{OWN_VERSION.replace('.', '')}"
+    [engine, client] = names(dist, "*.whl")
+    assert re.match(rf"spikeserve-{VERSION}-py3-none-any\.whl", engine) or engine.startswith("spikeserve-")
+    assert re.match(rf"spikeserve_engine-{VERSION}-{tag}-{tag}-manylinux", client)
+    assert names(dist, "*.tar.gz") == [
+        f"spikeserve-{VERSION}.src.tar.gz",
+        f"spikeserve-{VERSION}.tar.gz",
+        f"spikeserve_engine-{VERSION}.tar.gz",
+    ]
+
+
+def test_the_checksums_are_those_of_the_files(dist):
+    listed = dict(reversed(line.split("  ")) for line in (dist / "SHA256SUMS").read_text().splitlines())
+    assert set(listed) == {path.name for path in dist.iterdir()} - {"SHA256SUMS"}
+    for name, digest in listed.items():
+        assert hashlib.sha256((dist / name).read_bytes()).hexdigest() == digest
+
+
+def test_the_sbom_is_valid_and_names_every_file(dist):
+    sbom = dist / f"spikeserve-{VERSION}.spdx.json"
+    run(TOOLS / "pyspdxtools", "--infile", sbom)
+    packages = {package["name"]: package for package in json.loads(sbom.read_text())["packages"]}
+    published = {path.name for path in dist.iterdir()} - {"SHA256SUMS", sbom.name}
+    assert published <= set(packages)
+    assert {"libprotobuf32", "libgrpc++-dev", "liblmdb0", "uPlot", "grpcio"} <= set(packages)
+
+
+def test_twine_is_content(dist):
+    run(TOOLS / "twine", "check", "--strict", *dist.glob("*.whl"), *dist.glob("spikeserve*[0-9].tar.gz"), env=os.environ | {"PYTHONPATH": ""})
+
+
+def test_lintian_is_content(dist):
+    finished = subprocess.run(
+        ["lintian", "--fail-on", "error", *dist.glob("*.deb")], capture_output=True, text=True
+    )
+    assert finished.returncode == 0, finished.stdout
+
+
+def test_the_notes_are_those_of_the_changelog(dist):
+    notes = (dist / "RELEASE_NOTES.md").read_text()
+    assert notes.startswith("# spikeserve ")
+    assert notes.split("\n", 2)[2].strip() in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_the_source_archive_is_the_commit(dist):
+    with tarfile.open(dist / f"spikeserve-{VERSION}.src.tar.gz") as archive:
+        held = {name.removeprefix(f"spikeserve-{VERSION}/") for name in archive.getnames()}
+    assert set(run("git", "-C", ROOT, "ls-tree", "-r", "--name-only", "HEAD").splitlines()) <= held
+
+
+@pytest.mark.parametrize("kind", ["*.whl", "spikeserve*[0-9].tar.gz"], ids=["wheels", "sdists"])
+def test_the_python_packages_install_in_an_empty_environment(dist, kind, tmp_path):
+    run(sys.executable, "-m", "venv", tmp_path / "venv")
+    python = tmp_path / "venv/bin/python"
+    environment = os.environ | OFFLINE | {"CXX": "g++", "CMAKE_CXX_COMPILER_LAUNCHER": "ccache"}
+    run(python, "-m", "pip", "--quiet", "install", *dist.glob(kind), env=environment)
+    policy = SHIPPED_POLICIES / "cartpole-sparse/2/policy.safetensors"
+    script = (
+        "import spikeserve, spikeserve.engine, spikeserve_engine\n"
+        f"session = spikeserve.engine.Engine({str(policy)!r}).session()\n"
+        "print(session.act([0.01, 0.0, 0.02, 0.0]).action, spikeserve_engine.__file__)"
+    )
+    action, file = run(python, "-c", script, env=environment).split()
+    assert action in "01"
+    assert pathlib.Path(file).is_relative_to(tmp_path)
+
+
+def test_no_hint_names_a_package_that_nobody_published():
+    """Anybody may register the name of an unpublished package, so no text may tell people to install it by its name."""
+    by_name = re.compile(r"pip install [^\n]*(?<![\w/.-])spikeserve(-engine)?(\[[\w,]*\])?(?![\w/.-])")
+    for path in run("git", "-C", ROOT, "ls-files").splitlines():
+        file = ROOT / path
+        if file.suffix in {".md", ".py", ".sh", ".toml", ".txt", ".cc"} and file.is_file() and file.name != "test_release.py":
+            assert not by_name.search(file.read_text()), path
+    requirements = (ROOT / "client/python/pyproject.toml").read_text()
+    assert '"spikeserve-engine' not in requirements

@@ -1,0 +1,91 @@
+"""Runs the commands of documentation pages, in order, in an empty directory."""
+
+import json
+import os
+import pathlib
+import subprocess
+
+import pytest
+from documentation import Shell
+
+ROOT = pathlib.Path(__file__).parents[3]
+
+
+@pytest.fixture
+def shell(tmp_path):
+    with Shell(tmp_path) as started:
+        yield started
+
+
+def check_policies(shell, directory):
+    *_, rollout, history, drained = shell.run("policies.md")
+    assert "cartpole/2: cancelled at 1 % (steps 1,10,50,100)" in rollout
+    assert "AbortRollout by " in history
+    assert drained == "draining, open sessions: 0\nserving, open sessions: 0\n"
+    assert sorted(path.name for path in (directory / "my-policies/cartpole").iterdir()) == ["1", "2"]
+    assert [path.name for path in (directory / "my-policies/cartpole/1").iterdir()] == ["policy.safetensors"]
+
+
+def test_serve_your_own_policy(shell, tmp_path):
+    check_policies(shell, tmp_path)
+
+
+def check_security(shell):
+    _, over_tls, _, with_tokens = shell.run("security.md")
+    assert "cartpole-sparse" in over_tls
+    assert over_tls.endswith("SERVING\n")
+    assert "mean return" in with_tokens
+    status = json.loads(with_tokens[with_tokens.index("{") :])
+    assert status["serving"] is True
+
+
+def test_secure_it(shell, tmp_path):
+    before = set(tmp_path.iterdir())
+    check_security(shell)
+    # A newcomer runs the page in a checkout, and nobody wants to commit a key.
+    made = {path.name for path in set(tmp_path.iterdir()) - before}
+    assert {"ca.key", "operator.token", "tokens.json"} <= made
+    ignored = subprocess.run(["git", "check-ignore", *made], cwd=ROOT, capture_output=True, text=True).stdout.split()
+    assert set(ignored) == made
+
+
+def test_web_pages(shell):
+    (answer,) = shell.run("grpc-web.md")
+    assert answer == "grpc-status: 0\n"
+
+
+def check_recording(shell, directory):
+    recordings = directory / "recordings"
+    # The server writes an episode after it has answered, so replay waits for the third file.
+    wait = f"until ls {recordings}/*/000002.cbor >{directory}/listed 2>&1; do :; done"
+    edits = [
+        ("spikectl replay", f"{wait}\nspikectl replay"),
+        ("/tmp/recordings", str(recordings)),
+        ("--iterations=300", "--iterations=1"),
+    ]
+    _, played, replayed, trained = shell.run("recording.md", edits)
+    assert "mean return 500.0" in played
+    assert "1500 decisions of 3 episodes, all equal bit for bit" in replayed
+    assert "policy: retrained/policy.safetensors" in trained
+    assert "target return: 500, the default for CartPole-v1" in trained
+    served = directory / "retrained-policies/cartpole"
+    assert sorted(str(path.relative_to(served)) for path in served.rglob("*.safetensors")) == [
+        "1/policy.safetensors",
+        "2/policy.safetensors",
+    ]
+
+
+@pytest.mark.skipif("SPIKETRAIN_PROGRAM" not in os.environ, reason="without libtorch")
+def test_record_and_retrain(shell, tmp_path):
+    check_recording(shell, tmp_path)
+
+
+@pytest.mark.skipif("SPIKETRAIN_PROGRAM" not in os.environ, reason="without libtorch")
+def test_pages_do_not_disturb_each_other(shell, tmp_path):
+    """Walks the pages one after the other in one directory, each of them twice."""
+    for _ in range(2):
+        check_policies(shell, tmp_path)
+        served = (tmp_path / "my-policies/cartpole/2/policy.safetensors").read_bytes()
+        check_recording(shell, tmp_path)
+        assert (tmp_path / "my-policies/cartpole/2/policy.safetensors").read_bytes() == served
+        check_security(shell)

@@ -1,0 +1,88 @@
+"""`make site` makes a site of docs/ whose links lead somewhere."""
+
+import html.parser
+import os
+import pathlib
+import subprocess
+import urllib.parse
+
+import pytest
+
+ROOT = pathlib.Path(__file__).parents[3]
+MKDOCS = ROOT / "build/release-tools/venv/bin/mkdocs"
+
+pytestmark = pytest.mark.skipif(not MKDOCS.exists(), reason="without mkdocs")
+
+
+def build(folder, configuration=ROOT / "mkdocs.yml"):
+    return subprocess.run(
+        [MKDOCS, "build", "--strict", "--config-file", configuration, "--site-dir", folder],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+    )
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    finished = build(folder)
+    assert finished.returncode == 0, finished.stderr
+    return folder
+
+
+class Links(html.parser.HTMLParser):
+    """Collects what a page loads and links to, and its anchors."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.targets, self.loaded, self.anchors = [], [], set()
+        self.feed(page.read_text())
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        self.anchors.add(values.get("id"))
+        if tag == "a" and values.get("href"):
+            self.targets.append(values["href"])
+        if tag in ("img", "script") and values.get("src"):
+            self.loaded.append(values["src"])
+        if tag == "link" and values.get("rel") == "stylesheet":
+            self.loaded.append(values["href"])
+
+
+def test_every_link_leads_to_a_file_and_a_heading(site):
+    pages = {page: Links(page) for page in site.rglob("*.html") if page.name != "404.html"}
+    assert len(pages) > 20
+    for page, links in pages.items():
+        for target in links.targets + links.loaded:
+            address = urllib.parse.urlsplit(target)
+            if address.scheme or address.netloc:
+                continue
+            path = page if not address.path else (page.parent / urllib.parse.unquote(address.path)).resolve()
+            path = path / "index.html" if path.is_dir() else path
+            assert path.is_file(), f"{page}: {target}"
+            if address.fragment and path in pages:
+                assert urllib.parse.unquote(address.fragment) in pages[path].anchors, f"{page}: {target}"
+
+
+def test_the_site_loads_nothing_from_other_hosts(site):
+    for page in site.rglob("*.html"):
+        assert not [address for address in Links(page).loaded if "//" in address]
+
+
+def test_the_laboratory_is_named_and_not_in_the_site(site):
+    assert "<code>lab/" in (site / "evidence/paper/index.html").read_text()
+    assert not list(site.glob("source/lab*"))
+
+
+def test_a_broken_link_fails_the_build(tmp_path):
+    """A page that links to nothing, in a copy of the documentation."""
+    for name in ("mkdocs.yml", "README.md"):
+        (tmp_path / name).write_text((ROOT / name).read_text())
+    for name in ("docs", "deploy"):
+        subprocess.run(["cp", "-r", ROOT / name, tmp_path / name], check=True)
+    page = tmp_path / "docs/guides/site.md"
+    page.write_text(page.read_text() + "\n[nothing](nothing.md)\n")
+    finished = build(tmp_path / "site", tmp_path / "mkdocs.yml")
+    assert finished.returncode != 0
+    assert "nothing.md" in finished.stderr
