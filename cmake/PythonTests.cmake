@@ -6,7 +6,7 @@ set(SPIKESERVE_PYTHON_CLIENT ${CMAKE_BINARY_DIR}/tests/python_client-${PROJECT_V
 # spikeserve_python_tests([CLIENT | ENGINE] [LABEL label] [TIMEOUT seconds] [ENVIRONMENT VARIABLE=VALUE...] TESTS name...)
 # Runs each name.py of the current folder with pytest. CLIENT: imports the installed client. ENGINE: imports the Python
 # engine, too. Every test gets the paths of all programs, as NAME_PROGRAM, and of the folders that setup fills. Trainings use one thread, because on a busy
-# machine the threads of a training wait for each other.
+# machine the threads of a training wait for each other. Those of SPIKESERVE_FULL_TESTS get the label full.
 function(spikeserve_python_tests)
   cmake_parse_arguments(ARG "CLIENT;ENGINE" "LABEL;TIMEOUT" "ENVIRONMENT;TESTS" ${ARGN})
   set(environment "PYTHONDONTWRITEBYTECODE=1;OMP_NUM_THREADS=1;TEST_TIME=${SPIKESERVE_TEST_TIME}")
@@ -16,7 +16,7 @@ function(spikeserve_python_tests)
   if(TARGET spiketrain)
     list(APPEND environment SPIKETRAIN=$<TARGET_FILE:spiketrain>)  # what spikeserve.imitation starts
   endif()
-  foreach(program spikeserve spikectl spikeload client_player client_pilot environment_stepper integer_decisions alert_replay
+  foreach(program spikeserve spikectl spikeload client_player client_pilot example_call readme_call environment_stepper integer_decisions alert_replay
       spiketrain spikereport)
     if(TARGET ${program})
       string(TOUPPER ${program} name)
@@ -38,6 +38,9 @@ function(spikeserve_python_tests)
     endif()
     if(ARG_LABEL)
       set_tests_properties(${name} PROPERTIES LABELS ${ARG_LABEL})
+    endif()
+    if(name IN_LIST SPIKESERVE_FULL_TESTS)
+      set_property(TEST ${name} APPEND PROPERTY LABELS full)
     endif()
     if(ARG_TIMEOUT)
       set_tests_properties(${name} PROPERTIES TIMEOUT ${ARG_TIMEOUT})

@@ -7,7 +7,8 @@
 # | server  | compiler and libraries of spikeserve, spikectl and spikeload                                        |
 # | build   | libraries of the tests and the training, and the Python environment of the tests, BUILD_DIR/venv    |
 # | clang   | clang and its tools, for the presets clang and fuzz, and for `make format`                          |
-# | tests   | programs that tests run: Redis, Prometheus, proxies, a browser, shells, Node.js, Go, PyTorch        |
+# | tests   | programs that tests run: Redis, Prometheus, shells                                                |
+# | full    | programs that only `make test-all` runs: a browser, proxies, Go, a virtual machine                  |
 # | chips   | snnTorch, NeuroBench and NIR, in BUILD_DIR/chips                                                    |
 # | interop | clients of gRPC in other languages, in BUILD_DIR/interop                                            |
 # | arm64   | cross compiler, emulator, and what makes the arm64 libraries of deploy/arm64_root.sh                |
@@ -20,7 +21,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 build_dir=${1:-build}
 shift || true
-usual_parts=(server build clang tests chips interop arm64 release)
+usual_parts=(server build clang tests full chips interop arm64 release)
 all_parts=("${usual_parts[@]}" chart collector ros playground)
 
 packages_server=(
@@ -36,10 +37,8 @@ packages_build=(
   dpkg-dev file  # packages
 )
 packages_clang=(clang libclang-rt-dev clang-format clang-tidy)
-packages_tests=(
-  prometheus redis-server haproxy nghttp2-client nginx chromium chromium-driver golang-go
-  mandoc zsh fish lmdb-utils user-mode-linux e2fsprogs iproute2 spin
-)
+packages_tests=(prometheus redis-server mandoc zsh fish lmdb-utils iproute2)
+packages_full=(haproxy nghttp2-client nginx chromium chromium-driver golang-go user-mode-linux e2fsprogs spin)
 packages_chips=(python3-torch)  # Debian's PyTorch, which has no CUDA
 packages_interop=(golang-go)
 packages_arm64=(g++-aarch64-linux-gnu qemu-user-static mmdebstrap)

@@ -30,7 +30,7 @@ lab-train: lab
 # Runs all contestants, which takes about eighteen minutes on an idle machine. BENCH_FLAGS="--rounds=20" makes the runs
 # longer, "--sections engine" selects a part.
 lab-bench: lab
-	$(SETUP) tests chips interop
+	$(SETUP) tests full chips interop
 	lab/bench/setup.sh $(LAB)/bench_venv
 	$(LAB)/bench_venv/bin/python lab/bench/bench.py --bin=$(LAB)/bin --python=$(LAB)/bench_venv/bin/python \
 	  --json=$(LAB)/bench.json --markdown=lab/evidence/performance.md $(BENCH_FLAGS)

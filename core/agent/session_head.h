@@ -1,4 +1,4 @@
-// Chooses the actions of one session with its action head, and learns from what becomes of them.
+// Selects a session's actions and updates its action head from their rewards.
 //
 // The head is the policy's, or a private one, which is rebuilt from its delta, or the current head
 // of the fleet. A session of a fleet stores only what its running episode will contribute to that

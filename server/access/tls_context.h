@@ -49,9 +49,9 @@ class TlsContext {
   // (RFC 9113, appendix A), the protocol above only, no renegotiation, no resumption.
   std::shared_ptr<ssl_ctx_st> Get() const;
 
-  // Reads the files again, and uses them if they have changed; returns true if so. Returns why they
-  // cannot be used, as long as that is so: a file is missing or has another content than expected,
-  // or the certificate is not valid now although the one in use is. That one then stays in use.
+  // Reads the files again, and uses them if they have changed; returns true if so. Returns an error
+  // while the files are unusable: one is missing or has another content than expected, or the
+  // certificate is not valid now although the one in use is. The current one then stays in use.
   absl::StatusOr<bool> Reload();
 
   // Returns the validity of the certificates in use.

@@ -30,10 +30,10 @@ using Commits = absl::InlinedVector<Commit, 1>;
 // if its durability is SYNC. Call it under the session's lock, so that it is what the answer tells.
 void AddCommit(const SessionEntry& entry, Commits* commits);
 
-// As AddCommit, for an answer that is right only if this server still owns the session, and that
-// nothing in the request proves: whatever the durability is, it waits until the store has confirmed
-// that, with the last decision or with a question of its own. Does nothing more than AddCommit if
-// no other server uses the store.
+// As AddCommit, for requests that do not name their decision: whatever the durability is, also
+// waits until the store confirms that this server still owns the session, with the last decision or
+// with a query of its own.
+// Does nothing more than AddCommit if no other server uses the store.
 void AddConfirmation(const SessionEntry& entry, bool has_decided, Commits* commits);
 
 }  // namespace spikeserve

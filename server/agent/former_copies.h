@@ -47,8 +47,8 @@ class FormerCopies {
   // or null.
   std::shared_ptr<SessionEntry> Take(const Key& key) ABSL_LOCKS_EXCLUDED(mutex_);
 
-  // The store could not say. Owners that it was away for, too, need time to write their sessions
-  // again.
+  // Restarts the wait after a store error: other owners also need time to rewrite their
+  // sessions.
   void WaitAgain(const Key& key) ABSL_LOCKS_EXCLUDED(mutex_);
 
   // The store has lost the session. Returns the copy, which is kept no more, if the callers have

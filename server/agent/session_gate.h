@@ -1,6 +1,6 @@
 // Leads the requests of sessions through one gate. On the way in, a handler finds the session. On
-// the way out, an answer is sent when the store has what it tells; if it tells that a session is
-// not here, the session is taken over from the store first, and the request is handled again, once.
+// the way out, holds an answer until the store has persisted what it acknowledges. If the session
+// is unknown here, claims it from the store and retries the request once.
 //
 //   gate.Enter(&request.call_context());
 //   gate.Leave(request, handler.EndEpisode(request.call_context(), ...));  // calls Answer()

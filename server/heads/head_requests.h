@@ -16,7 +16,7 @@
 
 namespace spikeserve {
 
-// What a thread waits for that asks for an entry, or for the log to be read.
+// Completion of a blocking append or read of the log.
 struct HeadOperation {
   SteadyNotification done;
   absl::StatusOr<MergeOutcome> outcome;  // set before `done`

@@ -80,7 +80,7 @@ class ActQueue {
   void DecideForeign(const std::shared_ptr<Foreign>& foreign);
   // Lets a request wait for its turn, behind the others of its session.
   void Wait(ActQueue* from, std::shared_ptr<QueuedAct> act);
-  // Lets those of `acts` wait whose session has a request that waits. Returns the others.
+  // Queues every request whose session already has a pending one. Returns the rest.
   Acts HoldBack(ActQueue* from, Acts acts);
   // Handles a part of the first request of one session that waits.
   void DecideWaiting();

@@ -1,5 +1,5 @@
-// The services as one event loop sees them: finds the handlers of its calls, and does what the turn
-// has gathered.
+// Routes the calls of one event loop to handlers, and runs the queued decisions at the end of each
+// turn.
 #ifndef SERVER_SERVICES_LOOP_SERVICES_H_
 #define SERVER_SERVICES_LOOP_SERVICES_H_
 

@@ -44,7 +44,7 @@ PAGES = (
 WITHOUT_COMMANDS = {
     *("architecture.md", "chips.md", "compose.md", "energy.md", "image.md", "learning.md", "limits.md"),
     *("README.md", "cost.md", "distance.md", "durability.md", "tracing.md", "beats.md", "how-far.md", "integer.md"),
-    *("kubernetes.md", "openpi.md", "flags.md", "metrics.md", "errors.md", "files.md"),
+    *("kubernetes.md", "openpi.md", "flags.md", "metrics.md", "errors.md", "files.md", "glossary.md"),
     *("packages.md", "paper.md", "performance.md", "playground.md", "robots.md", "robots-data.md", "ros.md", "site.md"),
     *("threat-model.md", "upgrades.md"),
 }

@@ -1,4 +1,4 @@
-// What the thread of a robot and the background thread of its pilot know together.
+// State shared by the robot's thread and the pilot's background thread.
 #ifndef CLIENT_SRC_PILOT_FACTS_H_
 #define CLIENT_SRC_PILOT_FACTS_H_
 
