@@ -12,7 +12,7 @@ lab:
 
 # A miniature of the study, of the report and of the recipes, and the checks of their pages: a few minutes.
 lab-test: lab
-	cmake --build $(LAB) --target lab_test_programs
+	cmake --build $(LAB) --target lab_report_test
 	ctest --preset lab
 
 # Trains what lab/evidence/study.md compares, for hours, and writes its tables. Continues a study that was interrupted.
