@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -64,3 +65,38 @@ def test_there_is_a_recipe_with_as_many_stages(name):
     recorded = len([*first.get("lineage", []), first])
     # A stage whose policy was replaced by a later one is in the recipe and not in the lineage.
     assert len(re.findall(r"^stage ", recipe, re.MULTILINE)) >= recorded
+
+
+def wrapper(path, program, small):
+    """Writes a program that calls another with further flags by subcommand, of which the last ones count."""
+    cases = "".join(f"*' {command} '*) set -- \"$@\" {flags} ;;\n" for command, flags in small.items())
+    path.write_text(f'#!/bin/bash\ncase " $* " in\n{cases}esac\nexec {program} "$@"\n')
+    path.chmod(0o755)
+    return path
+
+
+def test_a_recipe_trains_in_miniature_and_continues(tmp_path):
+    small = {"dataset": "--steps=200", "train": "--iterations=2 --batch=2 --episodes=1", "eval": "--episodes=2"}
+    small["quantize"] = "--episodes=2"
+    spiketrain = wrapper(tmp_path / "spiketrain", os.environ["SPIKETRAIN"], small)
+    command = [ROOT / "lab/recipes/cartpole-sparse.sh", spiketrain, tmp_path / "out"]
+    subprocess.run(command, check=True, capture_output=True)
+    policy = tmp_path / "out/3-quieter/policy.safetensors"
+    assert [len(training(policy)["lineage"]), training(policy)["seed"]] == [2, 3]
+    assert (tmp_path / "out/integer/policy.safetensors").is_file()
+    policy.unlink()  # interrupted before the last stage
+    kept = [path for path in (tmp_path / "out").glob("*/policy.safetensors") if path.parent.name != "integer"]
+    before = [path.stat().st_mtime_ns for path in kept]
+    (tmp_path / "out/integer/policy.safetensors").unlink()
+    subprocess.run(command, check=True, capture_output=True)
+    assert policy.is_file()
+    assert [path.stat().st_mtime_ns for path in kept] == before
+
+
+def test_a_recipe_imitates_in_miniature(tmp_path):
+    small = "--steps=600 --iterations=3 --batch=2 --clip-steps=4 --silence= --selection-episodes=2 --episodes=2 --environments=2"
+    python = wrapper(tmp_path / "python", sys.executable, {"imitate": small})
+    environment = {**os.environ, "PYTHON": str(python)}
+    command = [ROOT / "lab/recipes/repeat-first.sh", os.environ["SPIKETRAIN"], tmp_path / "out"]
+    subprocess.run(command, check=True, capture_output=True, env=environment)
+    assert list((tmp_path / "out/policies").glob("*/*/policy.safetensors"))
