@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <iostream>
 #include <memory>
 #include <optional>
@@ -125,7 +126,8 @@ absl::Status RunAdaptation(const AdaptFlags& flags, const ServerFlags& server) {
   const bool as_text = !server.json;
   bool in_line = false;
   const auto result = Adapt(*client, options, [&](int e, double episode_return) {
-    if (as_text) std::cerr << absl::StrFormat("\repisode %d: %.1f   ", e, episode_return);
+    // Not through std::cerr, which escapes a carriage return.
+    if (as_text) std::fprintf(stderr, "\repisode %d: %.1f   ", e, episode_return);
     in_line = as_text;
   });
   if (in_line) std::cerr << "\n";

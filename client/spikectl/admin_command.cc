@@ -209,6 +209,9 @@ ordered_json ToJson(const v1::SessionInfo& session) {
           {"durable_decision", session.durable_decision()}};
 }
 
+constexpr int kPageSize = 1000;  // sessions
+constexpr int kMostPages = 1000;
+
 absl::Status Sessions(const AdminFlags& flags) {
   auto request = VersionRequest<v1::ListSessionsRequest>(flags);
   std::string text = absl::StrFormat("%-32s %-20s %7s %-12s %8s %8s %10s %8s %-7s %8s", "SESSION",
@@ -216,6 +219,8 @@ absl::Status Sessions(const AdminFlags& flags) {
                                      "IDLE_S", "STORED", "EPOCH");
   ordered_json sessions = ordered_json::array();
   std::string replica;
+  int pages = 0;
+  request.set_page_size(kPageSize);
   do {
     ASSIGN_OR_RETURN(const auto page, CallAdmin(flags, &AdminStub::ListSessions, request));
     for (const v1::SessionInfo& session : page.sessions()) {
@@ -227,6 +232,12 @@ absl::Status Sessions(const AdminFlags& flags) {
                             v1::Durability_Name(session.durability()), session.epoch());
     }
     replica = page.replica();
+    const bool goes_on = !page.next_page_token().empty();
+    if (goes_on && (page.sessions().empty() || ++pages == kMostPages)) {
+      return absl::DataLossError(absl::StrCat(
+          "sessions: expected at most ", kMostPages, " pages, each with sessions, received ",
+          page.sessions_size(), " sessions and another page after ", pages));
+    }
     request.set_page_token(page.next_page_token());
   } while (!request.page_token().empty());
   Print(flags, text, {{"sessions", sessions}, {"replica", replica}});

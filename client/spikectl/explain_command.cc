@@ -45,7 +45,8 @@ absl::Status Explain(const ExplainFlags& flags, const ServerFlags& server) {
                                              ? PlayAndExplain(flags, *environment, *client)
                                              : client->Explain(flags.session));
   if (!server.json) {
-    std::cout << ExplainToText(explained);
+    ASSIGN_OR_RETURN(const std::string text, ExplainToText(explained));
+    std::cout << text;
     return absl::OkStatus();
   }
   ASSIGN_OR_RETURN(const auto json, MessageToJson(explained));

@@ -1,6 +1,7 @@
 #include "client/spikectl/explain_report.h"
 
 #include <algorithm>
+#include <cstdint>
 #include <map>
 #include <utility>
 #include <vector>
@@ -8,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -15,9 +17,70 @@ namespace {
 constexpr size_t kLineWidth = 100;
 constexpr size_t kKeysShown = 5;
 
+constexpr int kMostTicks = 256;
+constexpr int kMostHeads = 64;
+constexpr int kLargestPopulation = 1 << 16;
+const char* const kTokenKinds[] = {"G", "s", "a"};
+
+// Returns INVALID_ARGUMENT unless `holds`.
+absl::Status Require(bool holds, absl::string_view field, absl::string_view expected) {
+  if (holds) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("explanation: ", field, ": expected ", expected, ", received another answer"));
+}
+
+absl::Status CheckToken(const v1::Token& token) {
+  return Require(token.kind() >= 0 && token.kind() < 3, "token.kind", "one of three kinds");
+}
+
+absl::Status CheckRaster(const v1::SpikeRaster& raster, int ticks) {
+  RETURN_IF_ERROR(CheckToken(raster.token()));
+  RETURN_IF_ERROR(Require(raster.population() >= 0 && raster.population() <= kLargestPopulation,
+                          "rasters.population", "at most 65536 neurons"));
+  RETURN_IF_ERROR(Require(raster.ticks_size() == raster.neurons_size(), "rasters",
+                          "a tick and a neuron of each spike"));
+  for (int i = 0; i < raster.ticks_size(); ++i) {
+    const int64_t tick = raster.ticks(i), neuron = raster.neurons(i);
+    const bool within = tick >= 0 && tick < ticks && neuron >= 0 && neuron < raster.population();
+    RETURN_IF_ERROR(Require(within, "rasters", "spikes of the ticks and of the population"));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckRouting(const v1::RoutingGates& routing, int ticks, int heads) {
+  const int64_t expected = int64_t{routing.tokens_size()} * ticks * heads;
+  RETURN_IF_ERROR(Require(routing.tokens_size() > 0 && routing.gates_size() == expected,
+                          "routing.gates", "one for each token, tick and head"));
+  return CheckToken(*routing.tokens().rbegin());
+}
+
+absl::Status CheckAttention(const v1::Attention& attention, int heads) {
+  for (const v1::Token& key : attention.keys()) RETURN_IF_ERROR(CheckToken(key));
+  const bool ticks = attention.ticks() >= 1 && attention.ticks() <= kMostTicks;
+  const int64_t expected = int64_t{attention.ticks()} * heads * attention.keys_size();
+  return Require(ticks && attention.weights_size() == expected, "attention.weights",
+                 "one for each tick, head and key");
+}
+
+// Checks every number of a server that is an index or a size below.
+absl::Status CheckExplanation(const v1::ExplainResponse& explained) {
+  const int64_t ticks = explained.ticks(), heads = explained.heads();
+  RETURN_IF_ERROR(Require(ticks >= 1 && ticks <= kMostTicks, "ticks", "1 to 256"));
+  RETURN_IF_ERROR(Require(heads >= 1 && heads <= kMostHeads, "heads", "1 to 64"));
+  for (const v1::SpikeRaster& raster : explained.rasters()) {
+    RETURN_IF_ERROR(CheckRaster(raster, static_cast<int>(ticks)));
+  }
+  for (const v1::RoutingGates& routing : explained.routing()) {
+    RETURN_IF_ERROR(CheckRouting(routing, static_cast<int>(ticks), static_cast<int>(heads)));
+  }
+  for (const v1::Attention& attention : explained.attention()) {
+    RETURN_IF_ERROR(CheckAttention(attention, static_cast<int>(heads)));
+  }
+  return absl::OkStatus();
+}
+
 std::string ToText(const v1::Token& token) {
-  static constexpr const char* kKinds[] = {"G", "s", "a"};
-  return absl::StrCat(kKinds[token.kind()], "_", token.timestep());
+  return absl::StrCat(kTokenKinds[token.kind()], "_", token.timestep());
 }
 
 std::string ToText(const google::protobuf::RepeatedField<float>& numbers) {
@@ -120,7 +183,8 @@ std::string AttentionToText(const v1::Attention& attention, int head, int heads)
 
 }  // namespace
 
-std::string ExplainToText(const v1::ExplainResponse& explained) {
+absl::StatusOr<std::string> ExplainToText(const v1::ExplainResponse& explained) {
+  RETURN_IF_ERROR(CheckExplanation(explained));
   std::string text = Head(explained);
   for (const v1::SpikeRaster& raster : explained.rasters()) {
     if (!raster.ticks().empty()) text += RasterToText(raster, explained.ticks());

@@ -2,10 +2,12 @@
 #include "client/spikectl/commands.h"
 #include "client/spikectl/server_flags.h"
 #include "client/tools/default_server.h"
+#include "core/cli/printable_output.h"
 #include "core/cli/program.h"
 
 int main(int argc, char** argv) {
   spikeserve::SilenceGrpc();
+  const spikeserve::PrintableOutput output;
   spikeserve::ServerFlags server;
   spikeserve::Program program("spikectl",
                               "Plays, watches and administers policies of a spikeserve server",

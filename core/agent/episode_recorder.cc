@@ -91,7 +91,7 @@ bool EpisodeRecorder::OnEpisodeEnd(const Session& session,
   return false;
 }
 
-void EpisodeRecorder::CutOff() {
+void EpisodeRecorder::CutOff(bool terminated) {
   if (!running_.has_value()) return;
   Episode& episode = running_->episodes[0];
   ServedEpisode& served = *episode.served;
@@ -101,7 +101,8 @@ void EpisodeRecorder::CutOff() {
   served.returns_to_go.pop_back();
   served.probabilities.resize(served.probabilities.size() / (steps + 1) * steps);
   served.spikes.pop_back();
-  episode.truncated = true;
+  episode.terminated = terminated;
+  episode.truncated = !terminated;
   PassToSink();
 }
 

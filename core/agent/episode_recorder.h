@@ -54,8 +54,9 @@ class EpisodeRecorder final : public SessionListener {
   bool OnEpisodeEnd(const Session& session,
                     const std::shared_ptr<FleetContribution>& contribution) override;
 
-  // Ends the running episode as truncated, without its last action, whose reward is not known.
-  void CutOff();
+  // Ends the running episode without its last action, whose reward is not known: as truncated, or
+  // as terminated by the observation of that action.
+  void CutOff(bool terminated = false);
 
   // Returns where the last episode that has ended is now.
   RecordingState last_state() const {

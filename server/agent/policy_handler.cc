@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
 #include "core/base/json.h"
+#include "core/base/printable.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
@@ -40,6 +41,11 @@ absl::Status CheckLabels(const google::protobuf::Map<std::string, std::string>& 
       return absl::InvalidArgumentError(absl::StrCat("labels: expected keys and values of at most ",
                                                      LabelLimits::kBytes,
                                                      " bytes, received one of ", longest));
+    }
+    if (!IsPrintable(key) || !IsPrintable(value)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("labels: expected printable characters in UTF-8, received ", Quoted(key),
+                       ": ", Quoted(value)));
     }
   }
   return absl::OkStatus();

@@ -331,11 +331,12 @@ absl::Status InferenceHandler::End(CallContext& context, const SequenceRequest& 
   // that decision.
   if (const auto entry = gate_->Find(context, sequence.session_id); entry.ok()) {
     absl::MutexLock lock(&(*entry)->mutex);
-    if ((*entry)->recorder != nullptr) (*entry)->recorder->CutOff();
+    if ((*entry)->recorder != nullptr) (*entry)->recorder->CutOff(sequence.terminated);
   }
   v1::EndEpisodeRequest end;
   end.set_session_id(sequence.session_id);
-  end.set_terminated(true);
+  end.set_terminated(!sequence.truncated || sequence.terminated);
+  end.set_truncated(sequence.truncated);
   v1::EndEpisodeResponse ended;
   RETURN_IF_ERROR(sessions_->EndEpisode(context, end, &ended));
   return Close(context, sequence);

@@ -3,6 +3,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
+#include "core/base/printable.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -45,6 +46,9 @@ absl::StatusOr<SequenceRequest> ReadSequence(const ModelInferRequest& request) {
     if (id->string_param().size() > kMaxIdBytes) {
       return BadParameter("sequence_id", absl::StrCat("at most ", kMaxIdBytes, " bytes"), *id);
     }
+    if (!IsPrintable(id->string_param())) {
+      return BadParameter("sequence_id", "printable characters in UTF-8", *id);
+    }
     sequence.id = absl::StrCat("\"", id->string_param(), "\"");
   } else if (id != nullptr && !id->has_int64_param() && !id->has_string_param()) {
     return BadParameter("sequence_id", "an int64_param or a string_param", *id);
@@ -57,7 +61,13 @@ absl::StatusOr<SequenceRequest> ReadSequence(const ModelInferRequest& request) {
   sequence.session_id = absl::StrCat("sequence:", request.model_name(), ":", sequence.id);
   absl::Status status = ReadFlag(request, "sequence_start", &sequence.start);
   status.Update(ReadFlag(request, "sequence_end", &sequence.end));
+  status.Update(ReadFlag(request, "terminated", &sequence.terminated));
+  status.Update(ReadFlag(request, "truncated", &sequence.truncated));
   if (!status.ok()) return status;
+  if ((sequence.terminated || sequence.truncated) && !sequence.end) {
+    return absl::InvalidArgumentError(
+        "parameters.sequence_end: expected true beside terminated or truncated, received false");
+  }
   if (const InferParameter* token = Find(request, kSequenceToken)) {
     if (!token->has_string_param()) {
       return BadParameter(kSequenceToken, "a string_param", *token);

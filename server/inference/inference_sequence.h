@@ -1,5 +1,6 @@
 // Reads the parameters of a ModelInfer request that describe its sequence: sequence_id (a string,
 // or an integer other than 0), sequence_start, sequence_end and sequence_token. A request that
+// ends a sequence may have terminated and truncated. One that
 // starts a sequence may also have target_return, seed and record; see OpenSessionRequest.
 //
 // Free functions without shared state; safe to call from many threads.
@@ -22,6 +23,8 @@ struct SequenceRequest {
   std::string session_id;
   bool start = false;
   bool end = false;
+  bool terminated = false;  // how the episode has ended; only beside `end`, both false: unknown
+  bool truncated = false;
   std::string token;  // that the answer to the start had; empty: none
 };
 

@@ -1,9 +1,9 @@
 #include "server/policies/policy_catalog.h"
 
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_join.h"
 #include "absl/strings/string_view.h"
 #include "core/base/json.h"
+#include "core/base/names.h"
 #include "core/base/status_macros.h"
 #include "core/math/counter_random.h"
 
@@ -11,9 +11,10 @@ namespace spikeserve {
 namespace {
 
 template <typename Map>
-std::string Keys(const Map& map) {
-  return absl::StrJoin(
-      map, ", ", [](std::string* out, const auto& item) { absl::StrAppend(out, item.first); });
+std::vector<std::string> Keys(const Map& map) {
+  std::vector<std::string> keys;
+  for (const auto& item : map) keys.push_back(absl::StrCat(item.first));
+  return keys;
 }
 
 // FNV-1a (Fowler, Noll & Vo). Gives a key the same hash on every replica and after a restart, which
@@ -75,8 +76,9 @@ absl::Status CatalogPolicy::CheckTraffic(const std::string& name,
 absl::StatusOr<const CatalogPolicy*> PolicyCatalog::FindPolicy(const std::string& name) const {
   const auto policy = policies_.find(name);
   if (policy != policies_.end()) return &policy->second;
-  return absl::NotFoundError(
-      absl::StrCat("policy: expected one of [", Keys(policies_), "], received ", Quoted(name)));
+  const std::vector<std::string> known = Keys(policies_);
+  return absl::NotFoundError(absl::StrCat("policy: expected one of [", NamesLike(name, known),
+                                          "], received ", Quoted(name), DidYouMean(name, known)));
 }
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyCatalog::Find(const std::string& name,
@@ -85,7 +87,8 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyCatalog::Find(const st
   const auto& versions = policy->versions;
   const auto found = versions.find(version == 0 ? policy->DefaultVersion() : version);
   if (found != versions.end()) return found->second;
-  return absl::NotFoundError(absl::StrCat("version: expected 0 or one of [", Keys(versions),
+  return absl::NotFoundError(absl::StrCat("version: expected 0 or one of [",
+                                          NamesLike(absl::StrCat(version), Keys(versions)),
                                           "] of policy ", name, ", received ", version));
 }
 
@@ -101,9 +104,10 @@ absl::StatusOr<Route> PolicyCatalog::Choose(const VersionChoice& choice) const {
     }
     const auto label = policy.settings.labels.find(choice.label);
     if (label == policy.settings.labels.end()) {
-      return absl::NotFoundError(absl::StrCat("version_label: expected one of [",
-                                              Keys(policy.settings.labels), "] of policy ",
-                                              choice.policy, ", received ", Quoted(choice.label)));
+      const std::vector<std::string> known = Keys(policy.settings.labels);
+      return absl::NotFoundError(absl::StrCat(
+          "version_label: expected one of [", NamesLike(choice.label, known), "] of policy ",
+          choice.policy, ", received ", Quoted(choice.label), DidYouMean(choice.label, known)));
     }
     version = label->second;
   } else if (is_free && !policy.settings.shares.empty()) {

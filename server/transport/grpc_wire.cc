@@ -39,6 +39,23 @@ absl::Duration TimeoutUnit(char unit) {
   }
 }
 
+// The longest message of a status. Clients refuse responses whose headers are larger than 8 KiB;
+// each byte may become three, and the details contain the message again.
+constexpr size_t kLongestMessage = 1200;
+constexpr char kCut[] = "... (cut)";
+
+// Returns a status with the beginning of the message, which ends with a whole character of UTF-8.
+absl::Status Shortened(const absl::Status& status) {
+  size_t length = kLongestMessage - sizeof(kCut);
+  const absl::string_view message = status.message();
+  while (length > 0 && (static_cast<uint8_t>(message[length]) & 0xC0) == 0x80) --length;
+  absl::Status shortened(status.code(), absl::StrCat(message.substr(0, length), kCut));
+  status.ForEachPayload([&](absl::string_view url, const absl::Cord& payload) {
+    shortened.SetPayload(url, payload);
+  });
+  return shortened;
+}
+
 }  // namespace
 
 MessagePrefix ParseMessagePrefix(absl::string_view bytes) {
@@ -77,6 +94,7 @@ void AppendMessage(const google::protobuf::MessageLite& message, std::string* ou
 }
 
 StatusHeaders StatusHeadersOf(const absl::Status& status) {
+  if (status.message().size() > kLongestMessage) return StatusHeadersOf(Shortened(status));
   StatusHeaders headers = {.code = absl::StrCat(static_cast<int>(status.code())),
                            .message = PercentEncode(status.message()),
                            .details = ""};

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 
+import cbor2
 import gymnasium
 import minari
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import spikeserve
 from serving import running_server
 from tritonclient import grpc as triton
+from tritonclient.utils import InferenceServerException
 
 SEED = 1_000_000
 EPISODES = 2
@@ -38,8 +40,9 @@ def played(tmp_path_factory):
     return folder, episodes
 
 
-def play_sequence(client, environment, sequence_id, seed):
-    """Plays an episode as a sequence. Returns the name of the recording, observations and actions."""
+def play_sequence(client, environment, sequence_id, seed, end=None):
+    """Plays an episode as a sequence, whose last request has the parameters `end`. Returns the recording, observations
+    and actions."""
     observation, _ = environment.reset(seed=seed)
     observations, actions, recording = [observation], [], None
     reward, start, over = 0.0, True, False
@@ -55,7 +58,7 @@ def play_sequence(client, environment, sequence_id, seed):
             sequence_id=sequence_id,
             sequence_start=start,
             sequence_end=over,
-            parameters={"record": True} if start else None,
+            parameters={"record": True} if start else end if over else None,
         )
         if start:
             recording = result.get_response().parameters["recording"].string_param
@@ -91,6 +94,25 @@ def test_sequences_of_tritons_client_are_recorded(tmp_path, monkeypatch):
     np.testing.assert_array_equal(read.actions, actions)
     np.testing.assert_array_equal(read.rewards, np.ones(len(actions)))
     assert bool(read.truncations[-1])
+
+
+@pytest.mark.parametrize("end", [{"terminated": True}, {"truncated": True}, None], ids=["terminated", "truncated", "unknown"])
+def test_a_sequence_ends_as_its_client_says(end, tmp_path):
+    with (
+        running_server(flags=[f"--record_dir={tmp_path}"]) as server,
+        gymnasium.make("CartPole-v1", max_episode_steps=5) as environment,
+    ):
+        client = triton.InferenceServerClient(server.grpc)
+        recording, observations, actions = play_sequence(client, environment, 7, SEED, end)
+        with pytest.raises(InferenceServerException, match="sequence_end: expected true beside terminated or truncated"):
+            tensor = triton.InferInput("observation", [4], "FP32").set_data_from_numpy(observations[0])
+            parameters = {"terminated": True}
+            client.infer("cartpole", [tensor], sequence_id=8, sequence_start=True, parameters=parameters)
+        client.close()
+    (episode,) = cbor2.loads((tmp_path / recording / "000000.cbor").read_bytes())["episodes"]
+    terminated = end == {"terminated": True}
+    assert (episode["terminated"], episode["truncated"]) == (terminated, not terminated)
+    assert len(episode["actions"]) == len(actions)
 
 
 def play(environment, session, seed):

@@ -98,7 +98,8 @@ TEST(PolicyCatalog, WhatDoesNotExistIsRefusedByName) {
   const PolicyCatalog catalog = Catalog({.labels = {{"stable", 2}}});
   const auto refused = [&](const VersionChoice& choice) { return catalog.Choose(choice).status(); };
   EXPECT_EQ(refused({.policy = "rabot"}),
-            absl::NotFoundError("policy: expected one of [robot], received \"rabot\""));
+            absl::NotFoundError("policy: expected one of [robot], received \"rabot\"; did "
+                                "you mean robot?"));
   EXPECT_EQ(
       refused({.policy = "robot", .version = 4}),
       absl::NotFoundError("version: expected 0 or one of [1, 2, 3] of policy robot, received 4"));

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include "absl/strings/cord.h"
+#include "absl/strings/match.h"
 #include "google/rpc/status.pb.h"
 
 namespace spikeserve {
@@ -28,6 +30,19 @@ TEST(GrpcWireTest, TheLengthHasTheMostSignificantByteFirst) {
   const MessagePrefix prefix = ParseMessagePrefix("\x01\xff\x02\x03\x04");
   EXPECT_TRUE(prefix.compressed);
   EXPECT_EQ(prefix.length, 0xff020304);
+}
+
+TEST(GrpcWireTest, HeadersOfAStatusAreShort) {
+  // Clients refuse more than 8 KiB.
+  std::string text = "policy: expected one of ";
+  while (text.size() < 100'000) text += "\u00fc";
+  absl::Status status = absl::NotFoundError(text);
+  status.SetPayload("type.googleapis.com/test", absl::Cord("x"));
+  const StatusHeaders headers = StatusHeadersOf(status);
+  EXPECT_LT(headers.message.size() + headers.details.size(), 6000u);
+  EXPECT_TRUE(absl::StartsWith(headers.message, "policy: expected one of %C3%BC"));
+  EXPECT_TRUE(absl::EndsWith(headers.message, "%C3%BC... (cut)"));
+  EXPECT_EQ(StatusHeadersOf(absl::NotFoundError("short")).message, "short");
 }
 
 TEST(GrpcWireTest, MessagesArePercentEncoded) {

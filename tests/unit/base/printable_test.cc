@@ -1,0 +1,37 @@
+#include "core/base/printable.h"
+
+#include <gtest/gtest.h>
+
+#include <string>
+
+namespace spikeserve {
+namespace {
+
+TEST(IsPrintable, AcceptsTextsOfAllLanguages) {
+  for (const char* text : {"", "arm 7", "Müller", "机器人", "\xf0\x9f\xa4\x96"}) {
+    EXPECT_TRUE(IsPrintable(text)) << text;
+  }
+}
+
+TEST(IsPrintable, RefusesWhatTerminalsObey) {
+  for (const char* text : {"\x1b[2J", "a\rb", "a\nb", "\t", "\x7f",
+                           "\xc2\x9b"
+                           "2J",
+                           "\xe2\x80\xae"
+                           "abc",
+                           "\x9b"
+                           "2J",
+                           "\xff", "\xc3", "\xc0\x80", "\xed\xa0\x80", "\xf5\x80\x80\x80"}) {
+    EXPECT_FALSE(IsPrintable(text)) << text;
+  }
+  EXPECT_FALSE(IsPrintable(std::string(1, '\0')));
+}
+
+TEST(AppendEscaped, WritesTheEscapesOfJson) {
+  std::string text = "a";
+  AppendEscaped("\x1b\xff", &text);
+  EXPECT_EQ(text, "a\\u001b\\u00ff");
+}
+
+}  // namespace
+}  // namespace spikeserve
