@@ -5,8 +5,9 @@ set(SPIKESERVE_PYTHON_CLIENT ${CMAKE_BINARY_DIR}/tests/python_client-${PROJECT_V
 
 # spikeserve_python_tests([CLIENT | ENGINE] [LABEL label] [TIMEOUT seconds] [ENVIRONMENT VARIABLE=VALUE...] TESTS name...)
 # Runs each name.py of the current folder with pytest. CLIENT: imports the installed client. ENGINE: imports the Python
-# engine, too. Every test gets the paths of all programs, as NAME_PROGRAM, and of the folders that setup fills. Trainings use one thread, because on a busy
-# machine the threads of a training wait for each other. Those of SPIKESERVE_FULL_TESTS get the label full.
+# engine, too. Every test gets the paths of all programs, as NAME_PROGRAM, and of the folders that setup fills. Trainings use
+# one thread, because on a busy machine the threads of a training wait for each other. Those of SPIKESERVE_FULL_TESTS get the
+# label full.
 function(spikeserve_python_tests)
   cmake_parse_arguments(ARG "CLIENT;ENGINE" "LABEL;TIMEOUT" "ENVIRONMENT;TESTS" ${ARGN})
   set(environment "PYTHONDONTWRITEBYTECODE=1;OMP_NUM_THREADS=1;TEST_TIME=${SPIKESERVE_TEST_TIME}")
