@@ -1,6 +1,6 @@
 # Targets of the laboratory, which the Makefile includes if the folder is there. They build in build/lab.
 LAB := build/lab
-LAB_PYTHON = PYTHONPATH=$$(ls -td $(LAB)/tests/python_client-* | head -1):$(LAB)/python:lab/recipes:lab/report build/venv/bin/python
+LAB_PYTHON = PYTHONPATH=$$(ls -td $(LAB)/tests/python_client-* | head -1):$(LAB)/python:lab/recipes build/venv/bin/python
 LAB_CLIENT = ctest --test-dir $(LAB) --output-on-failure --tests-regex '^python_client_install$$'
 
 .PHONY: lab lab-test lab-study lab-train lab-bench lab-beats lab-parts

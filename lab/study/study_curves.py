@@ -7,13 +7,16 @@ Needs matplotlib.
 
 import argparse
 import pathlib
+import sys
 
 import matplotlib
 import study_plan
 import study_tasks
-from plot import COLOURS, DOTS_PER_INCH, LINE_STYLES, STYLE, panels
 from study_settings import losses_of
 from study_tables import read_runs
+
+sys.path.append(str(pathlib.Path(__file__).parents[1] / "report"))
+from plot import COLOURS, DOTS_PER_INCH, LINE_STYLES, STYLE, panels  # noqa: E402
 
 
 def draw(runs):
