@@ -13,25 +13,25 @@ import subprocess
 
 POLICIES = pathlib.Path(__file__).parents[1] / "deploy/policies"
 POLICY = "cartpole"
-ARITHMETICS = {"float32": "1", "integer": "3"}  # versions of the policy
+VERSIONS = {"baseline": "1", "full": "2"}  # by mode
 LOADS = (("unary", 1), ("unary", 64), ("stream", 64), ("batch", 64))
 
 
-def engine_row(programs, arithmetic, version, seconds):
+def engine_row(programs, mode, version, seconds):
     command = [programs / "engine_bench", f"--policy={POLICIES / POLICY / version / 'policy.safetensors'}"]
     finished = subprocess.run(command, input=f"{seconds}\n", capture_output=True, check=True, text=True)
     measured = json.loads(finished.stdout.splitlines()[1])  # after "ready"
     rate = measured["decisions"] / measured["seconds"]
     spikes = measured["spikes"] / measured["decisions"]
-    return f"engine, {arithmetic}", rate, f"{1e6 / rate:.1f} µs a decision, {spikes:.0f} spikes"
+    return f"engine, {mode}", rate, f"{1e6 / rate:.1f} µs a decision, {spikes:.0f} spikes"
 
 
 def session_row(programs, sessions=1000):
-    policy = POLICIES / POLICY / ARITHMETICS["integer"] / "policy.safetensors"
+    policy = POLICIES / POLICY / VERSIONS["full"] / "policy.safetensors"
     command = [programs / "session_bench", f"--policy={policy}", f"--sessions={sessions}"]
     measured = json.loads(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
     active, idle, engine = (measured[f"{name}_bytes"] for name in ("active", "idle", "policy"))
-    return "memory, integer", None, f"session {active / 1024:.1f} KiB, idle {idle / 1024:.1f} KiB, engine {engine / 1e6:.2f} MB"
+    return "memory, full", None, f"session {active / 1024:.1f} KiB, idle {idle / 1024:.1f} KiB, engine {engine / 1e6:.2f} MB"
 
 
 def server_rows(programs, seconds):
@@ -56,7 +56,7 @@ def main():
     arguments = parser.parse_args()
     programs = arguments.bin.resolve()
     print(f"{'policy ' + POLICY:32} {'decisions/s':>12}")
-    rows = [engine_row(programs, *item, arguments.seconds) for item in ARITHMETICS.items()]
+    rows = [engine_row(programs, *item, arguments.seconds) for item in VERSIONS.items()]
     for name, rate, text in [*rows, session_row(programs), *server_rows(programs, arguments.seconds)]:
         print(f"{name:32} {f'{rate:,.0f}' if rate else '':>12}  {text}")
 

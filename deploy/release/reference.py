@@ -1,12 +1,14 @@
-"""Writes the generated pages of docs/reference: flags, files, metrics and errors.
+"""Writes the generated pages of docs/reference: flags, files, metrics, errors and policies.
 
 usage: reference.py BIN_DIR OUT_DIR
 
 Flags and files come from the manuals of the programs in BIN_DIR, metrics from the sources of the server, errors from the
-exceptions of the Python client, which have the names of the wire contract.
+exceptions of the Python client, which have the names of the wire contract, policies from the records of the shipped files.
 """
 
 import ast
+import hashlib
+import json
 import pathlib
 import re
 import subprocess
@@ -99,6 +101,43 @@ def errors_page():
     return page
 
 
+def read_policy(path):
+    """Returns the configuration, the record and the environment of a policy file, and its SHA-256."""
+    data = path.read_bytes()
+    metadata = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]
+    record, config = json.loads(metadata["training"]), json.loads(metadata["config"])
+    return config, record, metadata["environment"], hashlib.sha256(data).hexdigest()
+
+
+def policy_rows(path):
+    """Returns what a policy is and how it was made, and what it does, as rows of two tables."""
+    config, record, environment, digest = read_policy(path)
+    name, evaluation = f"`{path.parts[-3]}/{path.parts[-2]}`", record["evaluation"]
+    sizes = f"{config['hidden_size']}, {config['heads']}, {config['layers']}, {config['ticks']}, {config['context']}, {config['ffn_size']}"
+    trainings = [stage for stage in [*record["lineage"], record] if stage["command"].split()[1] == "train"]
+    last = "trained through the integers" if record["command"].split()[1] == "train" else "rounded by `quantize`"
+    made = f"{len(trainings)} training{'s' * (len(trainings) > 1)}, {last}"
+    energy = [1e9 * evaluation["estimated_energy_joules_per_decision"][model] for model in ("int_sram_45nm", "int_45nm")]
+    digits = 1 if abs(evaluation["mean_return"]) > 10 else 3
+    returned = [f"{evaluation[key]:.{digits}f}" for key in ("mean_return", "std_return")]
+    what = (name, environment.partition("-OneHot")[0], config["mode"], sizes, f"{path.stat().st_size / 1000:.0f}", made, f"`{digest[:12]}`")
+    does = (name, " ± ".join(returned), evaluation["episodes"], f"{evaluation['spikes_per_decision']:.1f}", *(f"{nj:,.1f}" for nj in energy))
+    return [f"| {' | '.join(map(str, row))} |\n" for row in (what, does)]
+
+
+def policies_page():
+    rows = [policy_rows(path) for path in sorted((ROOT / "deploy/policies").glob("*/*/policy.safetensors"))]
+    what, does = ("".join(column) for column in zip(*rows))
+    page = "# Policies\n\n" + NOTE.format("the records of the files in deploy/policies")
+    page += "All are in integers ([design/integer.md](../design/integer.md)), and the highest version of a name is the default. `full` has the\n"
+    page += "paper's phase spikes and routing, `baseline` neither. The file `lab/past_policies.md` lists all policies that were shipped before.\n"
+    page += "\n| policy | task | mode | d, H, L, T, N, F | KB | made by | SHA-256 |\n| --- | --- | --- | --- | ---: | --- | --- |\n" + what
+    page += "\nReturns are means and deviations over starts that no training saw, from seed 2,000,000 on; spikes and energy are those of a\n"
+    page += "decision on the same starts, [estimated](energy.md) with memory (`int_sram_45nm`) and without (`int_45nm`).\n"
+    page += "\n| policy | return | starts | spikes | `int_sram_45nm`, nJ | `int_45nm`, nJ |\n| --- | ---: | ---: | ---: | ---: | ---: |\n" + does
+    return page
+
+
 def main(programs, out):
     found = {name: pathlib.Path(programs) / name for name in PROGRAMS}
     manuals = {name: manual_of(path) for name, path in found.items()}
@@ -107,6 +146,7 @@ def main(programs, out):
         "files.md": files_page(manuals),
         "metrics.md": metrics_page(),
         "errors.md": errors_page(),
+        "policies.md": policies_page(),
     }
     for name, text in pages.items():
         (pathlib.Path(out) / name).write_text(text)

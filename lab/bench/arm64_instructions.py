@@ -12,13 +12,16 @@ import subprocess
 import sys
 import tempfile
 
+sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
+from past_policies import past_policy  # noqa: E402
+
 ROOT = pathlib.Path(__file__).parents[2]
 RESULT = pathlib.Path(__file__).with_suffix(".json")
 BENCH = ROOT / "build/arm64/bin/engine_bench"
 PROCESSORS = {"cortex-a72": "Raspberry Pi 4", "cortex-a76": "Raspberry Pi 5"}
 POLICIES = {
-    "cartpole/1, float32": ["--policy=deploy/policies/cartpole/1/policy.safetensors"],
-    "cartpole/2, 8-bit weights": ["--policy=deploy/policies/cartpole/2/policy.safetensors"],
+    "cartpole/1, float32": [f"--policy={past_policy('cartpole', 1)}"],
+    "cartpole/2, 8-bit weights": [f"--policy={past_policy('cartpole', 2)}"],
     "random weights, 8-bit": ["--arithmetic=int8"],
 }
 SECONDS = (0.5, 1.5)  # of processor time, emulated

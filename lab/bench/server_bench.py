@@ -12,16 +12,20 @@ import pathlib
 import shutil
 import statistics
 import subprocess
+import sys
 import tempfile
 
 import programs
 
+sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
+from past_policies import past_policy  # noqa: E402
+
 ROOT = pathlib.Path(__file__).parents[2]
 BENCH = pathlib.Path(__file__).parent
-POLICIES = ROOT / "deploy/policies"
-SHIPPED = POLICIES / "cartpole/1/policy.safetensors"  # in float32
-SHIPPED_INT8 = POLICIES / "cartpole/2/policy.safetensors"  # the same policy in int8
-SHIPPED_INTEGER = POLICIES / "cartpole/3/policy.safetensors"  # and in integers
+SHIPPED = past_policy("cartpole", 1)  # in float32
+SHIPPED_INT8 = past_policy("cartpole", 2)  # the same policy in int8
+SHIPPED_INTEGER = past_policy("cartpole", 3)  # and in integers
+POLICIES = SHIPPED.parents[2]
 VERSIONS = {"float32": "1", "int8": "2", "integer": "3"}
 
 SESSIONS = [1, 8, 64, 512]

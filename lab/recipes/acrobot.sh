@@ -34,4 +34,4 @@ stage 8-whole base,round5,round6,round7 --seed=8 --iterations=500 --target_rate=
   --batch=16 --learning_rate=1.5e-3
 
 unseen
-integer --mode=baseline
+integer

@@ -20,4 +20,4 @@ stage 4-silent expert --seed=4 --iterations=300 --learning_rate=2e-3 --target_ra
 stage 5-settled expert --seed=5 --iterations=300 --learning_rate=1.5e-3 --target_rate=0.2 --readout_rate=2.5
 
 unseen
-integer --mode=baseline
+integer

@@ -10,13 +10,12 @@ here=$(dirname "$0")
 source "$here/imitation.sh"
 source "$here/recipe.sh" # its function `integer` is that of spiketrain's own tasks
 all=$out
-policies=$here/../../deploy/policies
 python=${PYTHON:-python3}
 
 # twin NAME ENVIRONMENT: begins the twin of a shipped policy in OUT_DIR/NAME, and sets `shape` to the flags for its sizes.
 twin() {
   name=$1 environment=$2 out=$all/$1 policy=
-  shipped=$policies/$name/3/policy.safetensors
+  shipped=$("$python" "$here/../past_policies.py" "$name" 3)
   mkdir -p "$out"
   read -ra shape < <("$python" - "$shipped" <<'EOF'
 import json, sys

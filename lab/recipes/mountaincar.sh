@@ -19,4 +19,4 @@ stage 4-whole disturbed --seed=4 --iterations=200 --target_rate=0.4 --readout_ra
 stage 5-silent disturbed --seed=5 --iterations=300 --target_rate=0.2 --readout_rate=2 "${whole[@]}"
 
 unseen
-integer --mode=baseline
+integer

@@ -30,4 +30,4 @@ data student2 --seed=2 --steps=80000 --expert_fraction=0 --expert=cautious --stu
 stage 7-own cautious,student2 --seed=7 --iterations=900 --learning_rate=2e-3 --target_rate=1 --readout_rate=8 "${short[@]}"
 
 unseen
-integer --mode=baseline
+integer

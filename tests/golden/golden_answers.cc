@@ -2,7 +2,6 @@
 
 #include <openssl/sha.h>
 
-#include <algorithm>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -16,21 +15,22 @@ namespace spikeserve::golden {
 
 namespace fs = std::filesystem;
 
-std::vector<std::string> ListVersions(const std::string& policies) {
-  std::vector<std::string> versions;
+std::vector<Subject> AllSubjects(const std::string& policies) {
+  std::vector<Subject> subjects = RandomSubjects();
   for (const auto& policy : fs::directory_iterator(policies)) {
     if (!policy.is_directory()) continue;
     for (const auto& version : fs::directory_iterator(policy)) {
-      if (!fs::exists(version.path() / "policy.safetensors")) continue;
-      versions.push_back(fs::relative(version.path(), policies).string());
+      const fs::path file = version.path() / "policy.safetensors";
+      if (!fs::exists(file)) continue;
+      subjects.push_back(
+          {fs::relative(version.path(), policies).string(), ReadPolicy(file.string())});
     }
   }
-  std::sort(versions.begin(), versions.end());
-  return versions;
+  return subjects;
 }
 
-std::string HashAnswers(const std::string& path, Kind kind) {
-  const std::string answers = PlayGolden(path, kind);
+std::string HashAnswers(const Policy& policy, Kind kind) {
+  const std::string answers = PlayGolden(policy, kind);
   unsigned char digest[SHA256_DIGEST_LENGTH];
   SHA256(reinterpret_cast<const unsigned char*>(answers.data()), answers.size(), digest);
   return absl::BytesToHexString(
@@ -39,10 +39,9 @@ std::string HashAnswers(const std::string& path, Kind kind) {
 
 Answers HashAll(const std::string& policies) {
   Answers answers;
-  for (const std::string& version : ListVersions(policies)) {
+  for (const Subject& subject : AllSubjects(policies)) {
     for (const auto& [kind, name] : kKinds) {
-      const std::string path = absl::StrCat(policies, "/", version, "/policy.safetensors");
-      answers[absl::StrCat(version, " ", name)] = HashAnswers(path, kind);
+      answers[absl::StrCat(subject.name, " ", name)] = HashAnswers(subject.policy, kind);
     }
   }
   return answers;

@@ -11,20 +11,20 @@
 
 namespace spikeserve::golden {
 
-// Hashes by "POLICY/VERSION KIND".
+// Hashes by "NAME KIND". The name of a policy file is POLICY/VERSION.
 using Answers = std::map<std::string, std::string>;
 
-// Returns the folders "POLICY/VERSION" below `policies`, sorted.
-std::vector<std::string> ListVersions(const std::string& policies);
+// Returns the random subjects, and the policies of the folders "POLICY/VERSION" below `policies`.
+// Ends the program if a file cannot be read, as WriteAnswers does if it cannot be written.
+std::vector<Subject> AllSubjects(const std::string& policies);
 
-// Returns the SHA-256 of PlayGolden(path, kind), in hexadecimal. Ends the program if the file
-// cannot be read, as do the functions below if theirs cannot be written.
-std::string HashAnswers(const std::string& path, Kind kind);
+// Returns the SHA-256 of PlayGolden(policy, kind), in hexadecimal.
+std::string HashAnswers(const Policy& policy, Kind kind);
 
-// Returns the hashes of every version below `policies`.
+// Returns the hashes of AllSubjects(policies).
 Answers HashAll(const std::string& policies);
 
-// Reads and writes the file of hashes: one line "POLICY/VERSION KIND HASH" each.
+// Reads and writes the file of hashes: one line "NAME KIND HASH" each.
 Answers ReadAnswers(const std::string& path);
 void WriteAnswers(const std::string& path, const Answers& answers);
 

@@ -82,10 +82,7 @@ class Transcript {
 // A session on one policy, whose requests and answers go into a transcript.
 class Play {
  public:
-  Play(const std::string& path, Kind kind) {
-    absl::StatusOr<Policy> policy = ReadPolicyFile(path);
-    Require(policy.status());
-    policy_ = std::make_shared<const Policy>(*std::move(policy));
+  Play(const Policy& policy, Kind kind) : policy_(std::make_shared<const Policy>(policy)) {
     auto served = std::make_shared<ServedPolicy>();
     served->name = "golden";
     served->version = 1;
@@ -177,8 +174,32 @@ class Play {
 
 }  // namespace
 
-std::string PlayGolden(const std::string& path, Kind kind) {
-  Play play(path, kind);
+std::vector<Subject> RandomSubjects() {
+  ModelConfig config = {
+      .hidden_size = 32, .heads = 4, .layers = 2, .ticks = 5, .context = 6, .ffn_size = 64};
+  std::vector<Subject> subjects;
+  const auto add = [&](const std::string& name) {
+    subjects.push_back({name, RandomPolicy(config, 4, ActionSpace::Discrete(3), /*seed=*/1)});
+  };
+  for (const auto& [mode, name] : EnumNames(Mode())) {
+    config.mode = mode;
+    add("random-" + std::string(name));
+  }
+  config.mode = Mode::kFull;
+  config.merge = Merge::kConcat;
+  config.observation_changes = true;
+  add("random-concat");
+  return subjects;
+}
+
+Policy ReadPolicy(const std::string& path) {
+  absl::StatusOr<Policy> policy = ReadPolicyFile(path);
+  Require(policy.status());
+  return *std::move(policy);
+}
+
+std::string PlayGolden(const Policy& policy, Kind kind) {
+  Play play(policy, kind);
   if (kind == Kind::kLearning) {
     // Long enough for the guard to compare two windows of episodes.
     for (size_t i = 0; i < 2 * ReturnGuard::kWindow + 1; ++i) play.Episode(2, /*extreme=*/false);

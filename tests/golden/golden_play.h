@@ -8,6 +8,9 @@
 
 #include <string>
 #include <utility>
+#include <vector>
+
+#include "core/model/policy.h"
 
 namespace spikeserve::golden {
 
@@ -17,10 +20,22 @@ enum class Kind { kGreedy, kSampled, kLearning };
 inline constexpr std::pair<Kind, const char*> kKinds[] = {
     {Kind::kGreedy, "greedy"}, {Kind::kSampled, "sampled"}, {Kind::kLearning, "learning"}};
 
-// Returns all answers of a session with the policy file at `path`, as bytes: actions, logits,
-// probabilities, returns-to-go, spikes by stage, all other counts, which requests were refused, and
-// what the session has learned. Ends the program if the file cannot be read.
-std::string PlayGolden(const std::string& path, Kind kind);
+// A policy and the name of its answers.
+struct Subject {
+  std::string name;
+  Policy policy;
+};
+
+// Returns small random policies in float32, one for each mode and one with other parts.
+std::vector<Subject> RandomSubjects();
+
+// Reads a policy file. Ends the program if it cannot be read.
+Policy ReadPolicy(const std::string& path);
+
+// Returns all answers of a session with the policy, as bytes: actions, logits, probabilities,
+// returns-to-go, spikes by stage, all other counts, which requests were refused, and what the
+// session has learned.
+std::string PlayGolden(const Policy& policy, Kind kind);
 
 }  // namespace spikeserve::golden
 

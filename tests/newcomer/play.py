@@ -30,7 +30,7 @@ PAGES = (
     "cpp.md",
     "triton.md",
     "grpc-web.md",
-    "policies.md",
+    "guides/policies.md",
     "recording.md",
     "explain.md",
     "status-page.md",

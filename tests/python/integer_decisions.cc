@@ -1,10 +1,10 @@
 // Converts a policy to integer arithmetic and decides by JSON lines, for tests in other languages.
 //
-// Usage: integer_decisions FLOAT_POLICY INTEGER_POLICY MODE ATTENTION. Writes INTEGER_POLICY, then
-// decides one episode with the engine of the server. Each line of standard input has
-// `return_to_go`, `observation` and, except the first one, `last_action` (encoded), and is answered
-// by one line with `spikes` by stage, `readout`, and `joules` by energy model. An error ends the
-// program with status 1.
+// Usage: integer_decisions FLOAT_POLICY INTEGER_POLICY MODE ATTENTION, or INTEGER_POLICY alone.
+// Writes INTEGER_POLICY, then decides one episode with the engine of the server. Each line of
+// standard input has `return_to_go`, `observation` and, except the first one, `last_action`
+// (encoded), and is answered by one line with `spikes` by stage, `readout`, and `joules` by energy
+// model. An error ends the program with status 1.
 #include <exception>
 #include <iostream>
 #include <memory>
@@ -42,7 +42,8 @@ Json Answer(const Engine::Output& output, const ModelConfig& config) {
   return {{"spikes", spikes}, {"readout", output.readout}, {"joules", joules}};
 }
 
-void Run(char** arguments) {
+// Converts the policy of the arguments.
+void Convert(char** arguments) {
   const Policy policy = ValueOf(ReadPolicyFile(arguments[1]));
   const IntegerOptions options = {
       .mode = ValueOf(ParseEnum<Mode>("MODE", arguments[3])),
@@ -50,7 +51,10 @@ void Run(char** arguments) {
   const Policy integer = ValueOf(QuantizeToInteger(policy, options));
   const absl::Status written = WritePolicyFile(integer, arguments[2]);
   if (!written.ok()) throw std::invalid_argument(written.ToString());
-  const auto engine = MakeCompactEngine(ValueOf(ReadPolicyFile(arguments[2])));
+}
+
+void Decide(const char* path) {
+  const auto engine = MakeCompactEngine(ValueOf(ReadPolicyFile(path)));
   const auto context = engine->NewContext(0);
   Engine::Output output;
   for (std::string line; std::getline(std::cin, line);) {
@@ -69,9 +73,12 @@ void Run(char** arguments) {
 
 int main(int argc, char** argv) {
   try {
-    if (argc != 5)
-      throw std::invalid_argument("expected FLOAT_POLICY INTEGER_POLICY MODE ATTENTION");
-    spikeserve::Run(argv);
+    if (argc != 2 && argc != 5) {
+      throw std::invalid_argument(
+          "expected FLOAT_POLICY INTEGER_POLICY MODE ATTENTION, or a policy");
+    }
+    if (argc == 5) spikeserve::Convert(argv);
+    spikeserve::Decide(argv[argc == 5 ? 2 : 1]);
   } catch (const std::exception& error) {
     std::cerr << error.what() << "\n";
     return 1;

@@ -1,4 +1,4 @@
-"""Reads and writes policy files with NumPy only: tensors by name, and metadata strings."""
+"""Reads and writes policy files with NumPy only: tensors by name, and metadata strings. Floats are written as float32."""
 
 import json
 
@@ -24,9 +24,10 @@ def read_policy(path):
 def write_policy(path, tensors, metadata):
     header, chunks, offset = {"__metadata__": metadata}, [], 0
     for name, tensor in sorted(tensors.items()):
-        chunk = np.ascontiguousarray(tensor, "<f4").tobytes()
+        dtype = next((key for key, kind in DTYPES.items() if tensor.dtype == kind), "F32")
+        chunk = np.ascontiguousarray(tensor, DTYPES[dtype]).tobytes()
         header[name] = {
-            "dtype": "F32",
+            "dtype": dtype,
             "shape": list(tensor.shape),
             "data_offsets": [offset, offset + len(chunk)],
         }

@@ -277,7 +277,7 @@ def test_an_evaluation_keeps_what_it_had(server):
     error = stopped.value
     assert isinstance(error.__cause__, spikeserve.UnavailableError)
     assert list(error.evaluation.returns) == [20.0, 20.0]
-    assert "stopped after 2 of 5 episodes: cartpole/3 plays CartPole-v1: return 20.0" in str(error)
+    assert "stopped after 2 of 5 episodes: cartpole/2 plays CartPole-v1: return 20.0" in str(error)
 
 
 def test_an_evaluation_plays_an_episode_again_whose_session_was_lost(server):

@@ -210,10 +210,10 @@ def test_a_robot_that_paused_begins_an_episode_in_a_new_session(server):
 
     def session_ids():
         with spikeserve.AdminClient(server) as admin:
-            labelled = [session for session in admin.list_sessions().sessions if session.policy == "cartpole-dial"]
+            labelled = [session for session in admin.list_sessions().sessions if session.policy == "cartpole-small"]
             return {session.session_id for session in labelled}
 
-    with running_gateway(server, "--policy=cartpole-dial") as address, WebsocketClientPolicy(address) as policy:
+    with running_gateway(server, "--policy=cartpole-small") as address, WebsocketClientPolicy(address) as policy:
         first = policy.metadata["session_id"]
         observation = {"observation": np.zeros(4)}
         lose(first)  # before its first message

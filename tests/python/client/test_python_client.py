@@ -19,7 +19,7 @@ def session(client):
 
 def test_the_shipped_policy_is_listed(client):
     versions = [p for p in client.list_policies() if p.name == "cartpole"]
-    assert [(p.version, p.is_default) for p in versions] == [(1, False), (2, False), (3, True)]
+    assert [(p.version, p.is_default) for p in versions] == [(1, False), (2, True)]
     policy = versions[-1]
     assert policy.environment == "CartPole-v1"
     assert policy.observation_size == 4
@@ -152,7 +152,7 @@ def test_evaluate_plays_unseen_seeds(address):
     assert evaluation.mean_return >= 495, evaluation.returns
     assert evaluation.decisions == evaluation.returns.sum()
     assert 0 < evaluation.spikes_per_decision < 1000
-    assert str(evaluation).startswith("cartpole/3 plays CartPole-v1: return ")
+    assert str(evaluation).startswith("cartpole/2 plays CartPole-v1: return ")
 
 
 def test_evaluate_refuses_what_does_not_fit(address):

@@ -13,12 +13,12 @@ import safetensors
 import safetensors.numpy
 import spikeserve
 from random_policy import SMALL, export_random, random_tensors
-from serving import SHIPPED_POLICIES, running_server
+from serving import RELEASED_POLICIES, running_server
 from spikeserve.export import ModelConfig, export_policy, tensor_shapes
 from spikeserve.integer_weights import quantize
 
-SHIPPED = {
-    version: SHIPPED_POLICIES / "cartpole" / version / "policy.safetensors" for version in "12"
+SMALL_POLICIES = {
+    version: RELEASED_POLICIES / "cartpole-sparse" / version / "policy.safetensors" for version in "12"
 }
 SHAPES = [
     *({"mode": mode} for mode in ModelConfig.CHOICES["mode"]),
@@ -67,9 +67,9 @@ def play(client, policy):
     return [(d.action, d.action_probabilities.tolist(), d.stats.spikes) for d in decisions]
 
 
-@pytest.mark.parametrize("version", SHIPPED, ids=["float32", "int8"])
+@pytest.mark.parametrize("version", SMALL_POLICIES, ids=["float32", "int8"])
 def test_the_server_plays_an_exported_policy_as_the_original(tmp_path, version):
-    metadata, tensors = read(SHIPPED[version])
+    metadata, tensors = read(SMALL_POLICIES[version])
     numbers = ["return_offset", "return_scale", "target_return", "modulator_mean", "modulator_std"]
     path = tmp_path / "copy" / "1" / "policy.safetensors"
     export_policy(
@@ -84,7 +84,7 @@ def test_the_server_plays_an_exported_policy_as_the_original(tmp_path, version):
     assert os.listdir(path.parent) == ["policy.safetensors"]
     assert stat.S_IMODE(path.stat().st_mode) == 0o644
     (tmp_path / "original" / "1").mkdir(parents=True)
-    shutil.copy(SHIPPED[version], tmp_path / "original" / "1")
+    shutil.copy(SMALL_POLICIES[version], tmp_path / "original" / "1")
     with running_server(tmp_path) as server, spikeserve.Client(server.grpc) as client:
         copy, original = client.list_policies()
         assert vars(copy) | {"name": "original"} == vars(original)
@@ -122,9 +122,9 @@ def test_a_box_policy_acts_within_its_bounds(tmp_path):
     assert decision.action_probabilities is None
 
 
-@pytest.mark.parametrize("version", SHIPPED, ids=["float32", "int8"])
+@pytest.mark.parametrize("version", SMALL_POLICIES, ids=["float32", "int8"])
 def test_tensor_names_and_shapes_are_those_of_the_shipped_policy(version):
-    metadata, tensors = read(SHIPPED[version])
+    metadata, tensors = read(SMALL_POLICIES[version])
     shapes = tensor_shapes(ModelConfig(**json.loads(metadata["config"])), 4, 2)
     assert {name: tensor.shape for name, tensor in tensors.items()} == shapes
 

@@ -17,7 +17,7 @@ class Player:
 
     def __init__(self, channel, record=True):
         self._policy = Service(channel, "spikeserve.v1.PolicyService")
-        opened = self._policy.OpenSession(policy="cartpole-sparse", record=record)
+        opened = self._policy.OpenSession(policy="cartpole-small", record=record)
         self._session = opened.session_id
         self.recording = opened.recording
         states = message_class(channel, "spikeserve.v1.EndEpisodeResponse").DESCRIPTOR

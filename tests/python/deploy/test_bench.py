@@ -14,7 +14,7 @@ def test_every_row_has_figures():
     command = [sys.executable, BENCH, f"--bin={programs}", "--seconds=0.2"]
     lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
     assert [line[:32].strip() for line in lines] == [
-        *("policy cartpole", "engine, float32", "engine, integer", "memory, integer"),
+        *("policy cartpole", "engine, baseline", "engine, full", "memory, full"),
         *(f"server, {mode}, {count} sessions" for mode, count in (("unary", 1), ("unary", 64), ("stream", 64), ("batch", 64))),
     ]
     for line in [*lines[1:3], *lines[4:]]:

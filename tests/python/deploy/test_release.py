@@ -106,7 +106,7 @@ def test_the_python_packages_install_in_an_empty_environment(dist, kind, tmp_pat
     python = tmp_path / "venv/bin/python"
     environment = os.environ | OFFLINE | {"CXX": "g++", "CMAKE_CXX_COMPILER_LAUNCHER": "ccache"}
     run(python, "-m", "pip", "--quiet", "install", *dist.glob(kind), env=environment)
-    policy = SHIPPED_POLICIES / "cartpole-sparse/2/policy.safetensors"
+    policy = SHIPPED_POLICIES / "cartpole-small/1/policy.safetensors"
     script = (
         "import spikeserve, spikeserve.engine, spikeserve_engine\n"
         f"session = spikeserve.engine.Engine({str(policy)!r}).session()\n"

@@ -18,7 +18,7 @@ def shell(tmp_path):
 
 
 def check_policies(shell, directory):
-    *_, rollout, history, drained = shell.run("policies.md")
+    *_, rollout, history, drained = shell.run("guides/policies.md")
     assert "cartpole/2: cancelled at 1 % (steps 1,10,50,100)" in rollout
     assert "AbortRollout by " in history
     assert drained == "draining, open sessions: 0\nserving, open sessions: 0\n"
@@ -32,7 +32,7 @@ def test_serve_your_own_policy(shell, tmp_path):
 
 def check_security(shell):
     _, over_tls, _, with_tokens = shell.run("security.md")
-    assert "cartpole-sparse" in over_tls
+    assert "cartpole-small" in over_tls
     assert over_tls.endswith("SERVING\n")
     assert "mean return" in with_tokens
     status = json.loads(with_tokens[with_tokens.index("{") :])

@@ -23,7 +23,7 @@ def test_the_examples_run(address, tmp_path, monkeypatch, capsys):
     run_examples("python.md", address)
     printed = capsys.readouterr().out
     outputs = outputs_of("python.md")
-    assert [output.split()[0] for output in outputs] == ["cartpole/3", "EpisodeSummary(episode_return=500.0,", "Act:"]
+    assert [output.split()[0] for output in outputs] == ["cartpole/2", "EpisodeSummary(episode_return=500.0,", "Act:"]
     for output in outputs:
         assert one_line(output) in one_line(printed)
     assert "[100.0, 100.0, 100.0, 100.0]" in printed

@@ -4,11 +4,14 @@ import json
 
 import numpy as np
 from policy_file import read_policy
-from serving import SHIPPED_POLICIES
+from serving import RELEASED_POLICIES, SHIPPED_POLICIES
 from spikeserve.export import to_nir
 
-# Policies in float32, with 8-bit weights and in integers; with a leak, without one, and of one tick.
-POLICIES = ("cartpole/1", "cartpole/2", "cartpole/3", "cartpole-tick/2", "cartpole-tick/3", "pendulum/3", "repeat-first/1")
+# Policies in float32, with 8-bit weights and in integers.
+POLICIES = (
+    *(RELEASED_POLICIES / "cartpole-sparse" / version for version in "12"),
+    *(SHIPPED_POLICIES / name for name in ("cartpole/1", "cartpole/2", "cartpole-small/1", "pendulum/1")),
+)
 TOKENS = 20
 RATE = 0.3  # of random input spikes; a population without any at a tick fires at none
 
@@ -17,9 +20,9 @@ def exported_policies(folder):
     """Exports POLICIES with random input spikes. Returns their folders."""
     random = np.random.default_rng(0)
     folders = {}
-    for name in POLICIES:
-        exported = to_nir(SHIPPED_POLICIES / name / "policy.safetensors")
-        path = folder / name.replace("/", "-")
+    for policy in POLICIES:
+        exported = to_nir(policy / "policy.safetensors")
+        path = folder / f"{policy.parent.name}-{policy.name}"
         exported.write(path)
         ticks = exported.manifest["ticks"]
         inputs = {
@@ -27,7 +30,7 @@ def exported_policies(folder):
             for population, entry in exported.manifest["populations"].items()
         }
         np.savez(path / "spikes.npz", **inputs)
-        folders[str(path)] = name
+        folders[str(path)] = policy
     return folders
 
 
@@ -51,12 +54,12 @@ def fire(tensors, config, population, inputs):
 
 def check_imported(folders, importer):
     """Asserts that the spikes of an importer are those of the equations, but for sums next to the threshold."""
-    for path, name in folders.items():
-        tensors, metadata = read_policy(SHIPPED_POLICIES / name / "policy.safetensors")
+    for path, policy in folders.items():
+        tensors, metadata = read_policy(policy / "policy.safetensors")
         imported, inputs = np.load(f"{path}/{importer}.npz"), np.load(f"{path}/spikes.npz")
         total = 0
         for population in imported.files:
             expected = fire(tensors, json.loads(metadata["config"]), population, inputs[population])
             total += int(expected.sum())
-            assert (imported[population] != expected).mean() <= 1e-4, (name, population)
-        assert total > 0, name
+            assert (imported[population] != expected).mean() <= 1e-4, (policy, population)
+        assert total > 0, policy

@@ -14,7 +14,7 @@ import pytest
 import spikeserve
 from documentation import page_of
 from exported_populations import check_imported, exported_policies
-from integer_policy import IntegerPolicy
+from integer_engine import IntegerEngine
 from policy_file import read_policy
 from serving import SHIPPED_POLICIES, running_server
 from spikeserve.export import to_nir
@@ -26,15 +26,15 @@ IMPORTERS = SIMULATE.with_name("importers.py")
 NEXT_TO_THRESHOLD = 2e-5  # of all neurons and ticks
 
 
-class Recorder(IntegerPolicy):
+class Recorder(IntegerEngine):
     """Keeps the input and output spikes of every population, token by token."""
 
     def __init__(self, tensors, metadata):
         super().__init__(tensors, metadata)
         self.recorded = {}
 
-    def _fire(self, name, inputs):
-        spikes = super()._fire(name, inputs)
+    def _fire(self, name, inputs, stage):
+        spikes = super()._fire(name, inputs, stage)
         self.recorded.setdefault(name, []).append((inputs, spikes))
         return spikes
 
@@ -46,7 +46,7 @@ class Recorder(IntegerPolicy):
 
 
 def shipped(name):
-    return SHIPPED_POLICIES / name / "2/policy.safetensors"
+    return SHIPPED_POLICIES / name / "1/policy.safetensors"
 
 
 def encode(space, action):
@@ -68,7 +68,7 @@ def played(tmp_path_factory):
             random = np.random.default_rng(1)
             mean, std = tensors["observation.mean"], tensors["observation.std"]
             last = None
-            with client.open_session(name, spikeserve.SessionOptions(record=True)) as session:
+            with client.open_session(name, spikeserve.SessionOptions(record=True, version=1)) as session:
                 for _ in range(STEPS):
                     observation = (mean + 1.5 * std * random.normal(size=len(mean))).astype(np.float32)
                     decision = session.act(observation, 1.0)
@@ -102,23 +102,24 @@ def simulated(played, tmp_path_factory):
 
 
 def fire_unrounded(model, name):
-    """Returns the spikes of the integer neurons if their membranes are not rounded at every tick.
+    """Returns the spikes of the integer neurons if membranes are not rounded, and fire without an input spike, too.
 
     They fire half a unit below the threshold, which a rounded membrane reaches from there.
     """
     weight, bias, threshold = (model.tensors[f"{name}.{part}"].astype(float) for part in ("weight", "bias", "threshold"))
     inputs = model.inputs(name)
+    decay = model.config["membrane_decay"]
     membrane = np.zeros((len(inputs), len(bias)))
     spikes = np.zeros((*inputs.shape[:2], len(bias)), bool)
     for tick in range(inputs.shape[1]):
-        membrane = membrane * model.integer_decay / 32768 + inputs[:, tick] @ weight.T + bias
+        membrane = membrane * decay + inputs[:, tick] @ weight.T + bias
         spikes[:, tick] = membrane > threshold - 0.5
         membrane[spikes[:, tick]] = 0
     return spikes
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_snntorch_fires_the_same_spikes_except_where_membranes_are_rounded(played, simulated, name):
+def test_snntorch_fires_the_same_spikes_except_where_integers_differ(played, simulated, name):
     model, (fired, _, imported) = played[0][name], simulated[name]
     differing = total = 0
     for population, spikes in fired.items():
@@ -128,9 +129,9 @@ def test_snntorch_fires_the_same_spikes_except_where_membranes_are_rounded(playe
         unrounded = fire_unrounded(model, population)
         # A sum that is next to the threshold may fall on either side of it in float32.
         for ours in (spikes, imported[population]):
-            assert (ours != unrounded).mean() <= NEXT_TO_THRESHOLD, f"{population}: rounding is not the only cause"
-    print(f"{name}: {differing} of {total} spikes differ, all because membranes are rounded to integers")
-    assert differing <= 0.05 * total
+            assert (ours != unrounded).mean() <= NEXT_TO_THRESHOLD, f"{population}: these are not the only causes"
+    print(f"{name}: {differing} of {total} spikes differ, all because membranes are rounded, or lack an input")
+    assert differing <= 0.3 * total
 
 
 def test_snntorch_imports_every_version(tmp_path):
@@ -184,7 +185,7 @@ def test_the_examples_of_the_page_print_its_table(monkeypatch, capsys, tmp_path)
     for example in re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL):
         exec(example.replace("/tmp/cartpole-nir", str(tmp_path / "nir")), names)
     exported, *table = capsys.readouterr().out.splitlines()
-    assert exported == "8 populations, 1792 neurons"
+    assert exported == "8 populations, 1060 neurons"
     assert sorted(path.suffix for path in (tmp_path / "nir").iterdir()) == [".json"] + [".nir"] * 8
     for row in table:
         assert row in page

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from operation_count import CountedInt8Policy, CountedIntegerEngine
 from policy_file import read_policy, without_norms, write_policy
-from serving import SHIPPED_POLICIES, Service, running_server
+from serving import RELEASED_POLICIES, Service, running_server
 
 PROGRAM = os.environ["INTEGER_DECISIONS_PROGRAM"]
 STEPS = 30  # longer than the context
-CARTPOLE = SHIPPED_POLICIES / "cartpole"
+CARTPOLE = RELEASED_POLICIES / "cartpole-sparse"
 ENGINES = {"int8": CountedInt8Policy, "integer": CountedIntegerEngine, "no-norms": CountedIntegerEngine}
 
 

@@ -141,7 +141,7 @@ def test_a_batch_decides_as_its_sessions_alone(settings):
 @pytest.mark.parametrize("name", ["cartpole", "pendulum"])
 def test_the_rows_of_a_batch_are_decisions(name):
     """Of a Discrete and a Box space, for all fields of a decision."""
-    engine = spikeserve_engine.Engine(SHIPPED_POLICIES / name / "2/policy.safetensors")
+    engine = spikeserve_engine.Engine(SHIPPED_POLICIES / name / "1/policy.safetensors")
     observations = np.random.default_rng(0).normal(0, 0.1, (3, engine.observation_size))
     batch = engine.act_batch([engine.session() for _ in range(3)], observations)
     decisions = [engine.session().act(observation) for observation in observations]
@@ -285,7 +285,7 @@ def test_files_are_refused(tmp_path):
 def test_an_engine_describes_its_policy():
     engine = spikeserve_engine.Engine(str(CARTPOLE))
     assert (engine.observation_size, engine.action_space.n, engine.environment) == (4, 2, "CartPole-v1")
-    assert (engine.mode, engine.arithmetic, engine.target_return) == ("full", "int8", 500.0)
+    assert (engine.mode, engine.arithmetic, engine.target_return) == ("full", "integer", 500.0)
     assert engine.training_return == 500.0
     pendulum = spikeserve_engine.Engine(SHIPPED_POLICIES / "pendulum/1/policy.safetensors")
     assert spikeserve.spaces.as_action_space(pendulum.action_space) == spikeserve.Box((-2.0,), (2.0,))

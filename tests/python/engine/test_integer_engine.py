@@ -10,42 +10,36 @@ import numpy as np
 import pytest
 from dense_engine import DenseEngine
 from integer_engine import IntegerEngine
-from policy_file import read_policy, without_norms, write_policy
+from policy_file import read_policy
 from random_policy import export_random
 from serving import SHIPPED_POLICIES, Service, running_server
 
 PROGRAM = os.environ["INTEGER_DECISIONS_PROGRAM"]
 STEPS = 24  # longer than the context
-CASES = [  # policy, changes of its config, mode of the integer policy, attention
-    ("cartpole", {}, "full", "shiftmax"),
-    ("pendulum", {}, "baseline", "shiftmax"),
-    ("acrobot", {}, "full", "linear"),
-    ("double-pendulum", {}, "full", "shiftmax"),
-    ("mountaincar-dial", {"gate": "sigmoid"}, "route", "shiftmax"),
-    ("pendulum-angle", {}, "pos", "shiftmax"),
-    ("cartpole-positions", {"phase_clock": "window"}, "pos", "shiftmax"),
-    ("cartpole-positions-frugal", {"membrane_decay": 1.0}, "baseline", "linear"),
-    ("repeat-previous-medium", {}, "pos", "shiftmax"),
-    ("minigrid-memory", {}, "baseline", "shiftmax"),
-    ("pendulum", {"relative_bias": True}, "baseline", "shiftmax"),
-    ("cartpole", {"relative_bias": True}, "full", "shiftmax"),
-    ("cartpole", {"norm": "none"}, "full", "shiftmax"),  # residuals reach their limits
-    ("cartpole", {"norm": "none", "relative_bias": True}, "baseline", "shiftmax"),
+CASES = [  # environment, config, mode of the integer policy, attention
+    ("CartPole-v1", {"mode": "full"}, "full", "shiftmax"),
+    ("Pendulum-v1", {"mode": "full", "ticks": 10}, "baseline", "shiftmax"),
+    ("Acrobot-v1", {"mode": "full", "ticks": 10, "layers": 3}, "full", "linear"),
+    ("CartPole-v1", {"mode": "full", "gate": "sigmoid"}, "route", "shiftmax"),
+    ("Pendulum-v1", {"mode": "pos", "ticks": 1, "merge": "concat"}, "pos", "shiftmax"),
+    ("CartPole-v1", {"mode": "full", "phase_clock": "window"}, "pos", "shiftmax"),
+    ("CartPole-v1", {"mode": "baseline", "membrane_decay": 1.0, "observation_changes": True}, "baseline", "linear"),
+    ("CartPole-v1", {"mode": "pos", "hidden_size": 64, "heads": 8, "ticks": 1, "context": 9}, "pos", "shiftmax"),
+    ("MountainCar-v0", {"mode": "full", "relative_bias": True}, "baseline", "shiftmax"),
+    ("CartPole-v1", {"mode": "full", "relative_bias": True}, "full", "shiftmax"),
+    ("CartPole-v1", {"mode": "full", "norm": "none"}, "full", "shiftmax"),  # residuals reach their limits
+    ("CartPole-v1", {"mode": "full", "norm": "none", "relative_bias": True}, "baseline", "shiftmax"),
 ]
+SHIPPED = sorted(SHIPPED_POLICIES.glob("*/*/policy.safetensors"))
 
 
 def run(source, target, mode, attention, lines=()):
     text = "".join(json.dumps(line) + "\n" for line in lines)
-    command = [PROGRAM, str(source), str(target), mode, attention]
-    return subprocess.run(command, input=text, capture_output=True, text=True, timeout=120, check=False)
+    return decide([str(source), str(target), mode, attention], text)
 
 
-def add_biases(tensors, config):
-    """Adds random biases by distance."""
-    random = np.random.default_rng(2)
-    for layer in range(config["layers"]):
-        biases = random.uniform(-3, 3, (config["heads"], 3 * config["context"]))
-        tensors[f"layers.{layer}.attention.relative"] = biases.astype(np.float32)
+def decide(arguments, text):
+    return subprocess.run([PROGRAM, *arguments], input=text, capture_output=True, text=True, timeout=120, check=False)
 
 
 def episode(tensors, action_size):
@@ -60,30 +54,38 @@ def episode(tensors, action_size):
         yield line
 
 
-@pytest.mark.parametrize(("name", "changes", "mode", "attention"), CASES)
-def test_every_decision_is_that_of_the_page(tmp_path, name, changes, mode, attention):
-    tensors, metadata = read_policy(SHIPPED_POLICIES / name / "1/policy.safetensors")
-    config = json.loads(metadata["config"]) | changes
-    metadata["config"] = json.dumps(config)
-    if "relative_bias" in changes:
-        add_biases(tensors, config)
-    if "norm" in changes:
-        tensors, metadata = without_norms(tensors, metadata)
-    source, target = tmp_path / "float32/policy.safetensors", tmp_path / "integer.safetensors"
-    write_policy(source, tensors, metadata)
-    lines = list(episode(tensors, len(tensors["head.bias"])))
-    result = run(source, target, mode, attention, lines)
-    assert result.returncode == 0, result.stderr
-    engine = IntegerEngine(*read_policy(target))
-    assert engine.config["mode"] == mode
+def check_decisions(policy, lines, answers):
+    """Compares answers of the program with those of the page's engine, which reads the same file."""
+    engine = IntegerEngine(*read_policy(policy))
     total = 0
-    for step, (line, answer) in enumerate(zip(lines, result.stdout.splitlines(), strict=True)):
+    for step, (line, answer) in enumerate(zip(lines, answers.splitlines(), strict=True)):
         actual = json.loads(answer)
         spikes, readout = engine.decide(line["return_to_go"], line["observation"], line.get("last_action"))
         assert actual["spikes"] == spikes, f"step {step}"
         np.testing.assert_array_equal(np.array(actual["readout"], np.float32), readout)
         total += sum(spikes.values())
     assert total > 0
+    return engine
+
+
+@pytest.mark.parametrize(("environment", "config", "mode", "attention"), CASES)
+def test_every_decision_is_that_of_the_page(tmp_path, environment, config, mode, attention):
+    export_random(tmp_path, "random", gymnasium.make(environment), **config)
+    source, target = tmp_path / "random/1/policy.safetensors", tmp_path / "integer.safetensors"
+    tensors, _ = read_policy(source)
+    lines = list(episode(tensors, len(tensors["head.bias"])))
+    result = run(source, target, mode, attention, lines)
+    assert result.returncode == 0, result.stderr
+    assert check_decisions(target, lines, result.stdout).config["mode"] == mode
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: "/".join(path.parts[-3:-1]))
+def test_every_decision_of_a_shipped_policy_is_that_of_the_page(path):
+    tensors, _ = read_policy(path)
+    lines = list(episode(tensors, len(tensors["head.bias"])))
+    result = decide([str(path)], "".join(json.dumps(line) + "\n" for line in lines))
+    assert result.returncode == 0, result.stderr
+    check_decisions(path, lines, result.stdout)
 
 
 @pytest.mark.parametrize("sizes", [{}, {"hidden_size": 48, "heads": 6, "layers": 3, "context": 3, "ffn_size": 40}])
@@ -106,8 +108,13 @@ def test_a_dense_decision_is_that_of_the_page(tmp_path, sizes):
     assert np.std(readouts, axis=0).max() > 0.1
 
 
+def export(folder, **config):
+    export_random(folder, "random", gymnasium.make("CartPole-v1"), **config)
+    return folder / "random/1/policy.safetensors"
+
+
 def test_a_part_that_the_policy_lacks_is_refused(tmp_path):
-    source = SHIPPED_POLICIES / "lunar-lander/1/policy.safetensors"
+    source = export(tmp_path, mode="baseline")
     result = run(source, tmp_path / "integer.safetensors", "full", "shiftmax")
     assert result.returncode == 1
     assert "mode: expected one whose parts mode baseline has, received full" in result.stderr
@@ -115,7 +122,7 @@ def test_a_part_that_the_policy_lacks_is_refused(tmp_path):
 
 
 def test_unknown_names_are_refused_with_the_known_ones(tmp_path):
-    source = SHIPPED_POLICIES / "cartpole/1/policy.safetensors"
+    source = export(tmp_path)
     result = run(source, tmp_path / "integer.safetensors", "full", "softmax")
     assert result.returncode == 1
     assert 'expected shiftmax or linear, received "softmax"' in result.stderr
@@ -124,7 +131,7 @@ def test_unknown_names_are_refused_with_the_known_ones(tmp_path):
 def test_a_server_serves_and_explains_it(tmp_path):
     target = tmp_path / "policies/integers/1/policy.safetensors"
     target.parent.mkdir(parents=True)
-    result = run(SHIPPED_POLICIES / "cartpole/1/policy.safetensors", target, "full", "shiftmax")
+    result = run(export(tmp_path), target, "full", "shiftmax")
     assert result.returncode == 0, result.stderr
     tensors, metadata = read_policy(target)
     engine = IntegerEngine(tensors, metadata)

@@ -46,7 +46,7 @@ def test_golden_answers_with_and_without_simd():
     for line in played.splitlines():
         file, kind, target, answers = line.split()
         digest = hashlib.sha256(bytes.fromhex(answers)).hexdigest()
-        hashes[target][names[pathlib.Path(file)], kind] = digest
+        hashes[target][names.get(pathlib.Path(file), file), kind] = digest
     expected = {tuple(line.split()[:2]): line.split()[2] for line in GOLDEN.read_text().splitlines()}
     assert set(hashes) == {"WASM", "EMU128"}
     for target, received in hashes.items():
@@ -96,7 +96,7 @@ def play_natively(policy, seed):
     raise AssertionError("the episode does not end")
 
 
-@pytest.mark.parametrize("policy", ["cartpole-frugal/3", "cartpole/1", "pendulum-frugal/3"])
+@pytest.mark.parametrize("policy", ["cartpole-small/1", "cartpole/2", "pendulum/1"])
 def test_a_policy_plays_as_the_native_engine_does(browser, address, policy):
     browser.driver.get("about:blank")
     browser.driver.get(address)
@@ -145,7 +145,7 @@ def test_a_file_that_cannot_be_played_is_named(browser, address):
 
 def test_the_page_has_the_policies_that_it_lists():
     listed = json.loads((PAGE / "policies.json").read_text())
-    assert len(listed) == len(set(listed)) > 10
+    assert len(listed) == len(set(listed)) >= 5
     for name in listed:
         file = f"{name}/policy.safetensors"
         assert (PAGE / "policies" / file).read_bytes() == (SHIPPED_POLICIES / file).read_bytes()

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from fleet_roles import new_session_id
 from policy_file import read_policy
-from serving import SHIPPED_POLICIES, Service, metric, running_server
+from serving import RELEASED_POLICIES, SHIPPED_POLICIES, Service, metric, running_server
 
 FLEET = {"scope": "FLEET", "learning_rate": 0.3}
 SAMPLING = {"action_selection": "SAMPLE", "temperature": 4.0}
 
 
-@pytest.fixture(params=["1", "2"], ids=["float32", "int8"])
+@pytest.fixture(params=[RELEASED_POLICIES / "cartpole-sparse/1", SHIPPED_POLICIES / "cartpole-small/1"], ids=["float32", "integer"])
 def folder(tmp_path, request):
-    """Returns a folder with one shipped version of the policy as version 1."""
-    shutil.copytree(SHIPPED_POLICIES / "cartpole" / request.param, tmp_path / "cartpole" / "1")
+    """Returns a folder with one version of the policy as version 1."""
+    shutil.copytree(request.param, tmp_path / "cartpole" / "1")
     return tmp_path
 
 
@@ -228,9 +228,9 @@ def test_the_guard_rolls_back_and_says_so(folder, tmp_path_factory, scope):
 @pytest.mark.parametrize(
     "fields, message",
     [
-        ({"head_delta": [1.0]}, "head_delta: expected 256 numbers, received 1"),
-        ({"head_delta": [float("inf")] * 256}, "head_delta[0]: expected a finite number"),
-        ({"head_delta": [0.0] * 256, "learning": FLEET}, "where learning.scope is FLEET"),
+        ({"head_delta": [1.0]}, "head_delta: expected 64 numbers, received 1"),
+        ({"head_delta": [float("inf")] * 64}, "head_delta[0]: expected a finite number"),
+        ({"head_delta": [0.0] * 64, "learning": FLEET}, "where learning.scope is FLEET"),
         ({"learning": FLEET | {"max_drift": 5}}, "learning.max_drift: expected unset unless scope"),
         ({"learning": {"modulator": "target", "discount": 0.5}}, "learning.discount: expected unset"),
     ],

@@ -15,7 +15,7 @@ import pytest
 from policy_file import read_policy, write_policy
 from serving import DEPLOY, Service, running_server
 
-SHIPPED = DEPLOY / "policies/cartpole/1/policy.safetensors"
+SHIPPED = DEPLOY / "policies/cartpole/2/policy.safetensors"
 LOW, HIGH = np.array([-2.0, 0.0]), np.array([2.0, 5.0])
 EPISODES = 3
 MOST_STEPS = 60
@@ -45,7 +45,7 @@ def policies(tmp_path_factory):
         edited = tensors | {
             "head.weight": weight.astype("f4"),
             "head.bias": bias.astype("f4"),
-            "embed.action.weight": np.zeros((size, len(weight)), "f4"),
+            "embed.action.weight": np.zeros((size, len(weight)), tensors["embed.action.weight"].dtype),
         }
         path = folder / name / "1" / "policy.safetensors"
         write_policy(path, edited, metadata | {"action_space": json.dumps(spaces[name])})

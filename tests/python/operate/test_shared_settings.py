@@ -144,7 +144,7 @@ def test_settings_lost_while_no_replica_lives(redis, start, tmp_path):
         until(lambda: redis.command("HGET cfg revision") == b"1")
     line = next(line for line in (tmp_path / "log").read_text().splitlines() if "has no settings" in line)
     assert 'settings="defaults"' in line
-    assert opened_version(first) == 3
+    assert opened_version(first) == 2
 
 
 def learn(replica):
@@ -161,9 +161,9 @@ def test_a_promoted_version_travels(start):
     first, second = start("a"), start("b")
     learn(first)
     promoted = admin(first).PromoteHead(policy="cartpole", make_default=True)
-    assert promoted.version == 4
-    until(lambda: opened_version(second) == 4)
-    files = [each.folder / "cartpole" / "4" / "policy.safetensors" for each in (first, second)]
+    assert promoted.version == 3
+    until(lambda: opened_version(second) == 3)
+    files = [each.folder / "cartpole" / "3" / "policy.safetensors" for each in (first, second)]
     assert files[0].read_bytes() == files[1].read_bytes()
 
     # A session of the new version continues elsewhere, and one that joins later has it.
@@ -171,7 +171,7 @@ def test_a_promoted_version_travels(start):
     answer = first.Act(session_id=session, observation=[0.1] * 4)
     first.kill()
     assert comparable(second.Act(session_id=session, observation=[0.1] * 4)) == comparable(answer)
-    assert opened_version(start("c")) == 4
+    assert opened_version(start("c")) == 3
 
 
 def test_two_replicas_promote_at_the_same_time(start):
@@ -180,15 +180,15 @@ def test_two_replicas_promote_at_the_same_time(start):
         learn(replica)
     with ThreadPoolExecutor() as pool:
         promoted = list(pool.map(lambda each: admin(each).PromoteHead(policy="cartpole"), replicas))
-    assert sorted(each.version for each in promoted) == [4, 5]
+    assert sorted(each.version for each in promoted) == [3, 4]
     for replica in replicas:
-        for version in (4, 5):
+        for version in (3, 4):
             until(
                 lambda replica=replica, version=version: (
                     code_of(replica.OpenSession, policy="cartpole", version=version) == grpc.StatusCode.OK
                 )
             )
-    files = [[each.folder / "cartpole" / str(version) for each in replicas] for version in (4, 5)]
+    files = [[each.folder / "cartpole" / str(version) for each in replicas] for version in (3, 4)]
     for ours, theirs in files:
         assert (ours / "policy.safetensors").read_bytes() == (theirs / "policy.safetensors").read_bytes()
 

@@ -9,9 +9,9 @@ from serving import DEADLINE_SECONDS, method_of
 
 SESSION = "0" * 31 + "a"
 KINDS = {
-    "float": {"policy": "pendulum"},
+    "greedy": {"policy": "pendulum"},
     "sampled": {"policy": "cartpole", "action_selection": "SAMPLE", "temperature": 0.7, "seed": 3},
-    "int8": {"policy": "pendulum-frugal"},
+    "small": {"policy": "cartpole-small"},
     "learning": {
         "policy": "cartpole",
         "action_selection": "SAMPLE",

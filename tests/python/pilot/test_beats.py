@@ -57,8 +57,8 @@ def test_held_actions_count_as_reported_ones(service):
 
 
 def test_everything_counts_once(service):
-    values, beats = undisturbed(service, **KINDS["float"])
-    robot = Robot(service, **KINDS["float"])
+    values, beats = undisturbed(service, **KINDS["greedy"])
+    robot = Robot(service, **KINDS["greedy"])
     for step in range(7):
         robot.execute(beats[step]["executed"])
     first = robot.request(7)
@@ -95,8 +95,8 @@ def test_the_history_alone_is_appended(service):
 
 
 def test_an_expired_request_is_appended_and_not_decided(service):
-    values, beats = undisturbed(service, **KINDS["float"])
-    robot = Robot(service, **KINDS["float"])
+    values, beats = undisturbed(service, **KINDS["greedy"])
+    robot = Robot(service, **KINDS["greedy"])
     # The fastest request so far shows the way from the observation to the server.
     robot.act(observed_at=START, valid_until=START + 3600 * SECOND)
     robot.execute(beats[1]["executed"])

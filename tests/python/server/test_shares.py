@@ -80,7 +80,7 @@ def test_a_single_tenant_opens_all_sessions(tmp_path):
 def open_many(addresses, count):
     with grpc.insecure_channel(addresses.grpc) as channel:
         request = message_class(channel, "spikeserve.v1.OpenSessionRequest")(
-            policy="cartpole-sparse", labels={"robot": "x" * 40}
+            policy="cartpole-small", labels={"robot": "x" * 40}
         ).SerializeToString()
         call = channel.unary_unary(f"/{POLICY}/OpenSession")
         metadata = [("authorization", "Bearer agent")]
@@ -159,9 +159,9 @@ def test_tokens_that_were_removed_occupy_no_memory(tmp_path):
 
 
 def test_versions_that_were_unloaded_leave_nothing(tmp_path):
-    source = SHIPPED_POLICIES / "cartpole-sparse" / "2"
+    source = SHIPPED_POLICIES / "cartpole-small" / "1"
     policies = tmp_path / "policies"
-    shutil.copytree(source, policies / "sparse" / "1")
+    shutil.copytree(source, policies / "small" / "1")
     with (
         served(tmp_path, policies=policies) as addresses,
         service_with(addresses, "operator", ADMIN) as admin,
@@ -170,10 +170,10 @@ def test_versions_that_were_unloaded_leave_nothing(tmp_path):
         warm = None
         for _ in range(2):  # the first time shows what the allocator keeps
             for version in range(2, VERSIONS + 1):
-                shutil.copytree(source, policies / "sparse" / str(version))
-                admin.LoadPolicy(policy="sparse", version=version)
+                shutil.copytree(source, policies / "small" / str(version))
+                admin.LoadPolicy(policy="small", version=version)
             for version in range(2, VERSIONS + 1):
-                shutil.rmtree(policies / "sparse" / str(version))
+                shutil.rmtree(policies / "small" / str(version))
             assert len(admin.ReloadPolicies().unloaded) == VERSIONS - 1
             page = http_body(addresses.http, "/metrics", "Bearer viewer").decode()
             assert 'version="1"' in page and 'version="2"' not in page

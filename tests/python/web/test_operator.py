@@ -23,8 +23,7 @@ WEAK_ROBOT = "arm-03"
 def copy_policies(directory):
     """Copies shipped policies. Version 2 of cartpole will be rolled out; the others are idle or busy."""
     for name in ("cartpole", "pendulum", "acrobot", "mountaincar"):
-        for version in ("1", "2"):
-            shutil.copytree(SHIPPED_POLICIES / name / version, directory / name / version)
+        shutil.copytree(SHIPPED_POLICIES / name, directory / name)
     return directory
 
 

@@ -158,8 +158,8 @@ def roll_out_in_vain(agent, admin):
 
 
 def shadow(agent, admin, address):
-    """Lets version 4 of cartpole, which decides differently, shadow version 2."""
-    admin.SetShadow(policy="cartpole", shadow_version=4)
+    """Lets version 3 of cartpole, which decides differently, shadow version 2."""
+    admin.SetShadow(policy="cartpole", shadow_version=3)
     session = agent.OpenSession(policy="cartpole").session_id
     for step in range(200):
         angle = (step % 20 - 10) / 100
@@ -174,7 +174,7 @@ def server(tmp_path_factory):
     """Starts a server, plays with it, operates it and yields its addresses."""
     policies = tmp_path_factory.mktemp("policies") / "policies"
     shutil.copytree(SHIPPED_POLICIES, policies)
-    shutil.copytree(policies / "cartpole-dial" / "1", policies / "cartpole" / "4")
+    shutil.copytree(policies / "cartpole-small" / "1", policies / "cartpole" / "3")
     with (
         stopping([Redis(password="")]) as [redis],
         running_server(policies, flags=[f"--session_store=redis://127.0.0.1:{redis.port}"]) as addresses,

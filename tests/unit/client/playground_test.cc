@@ -35,7 +35,7 @@ std::vector<Json> PlayEpisode(Playground& playground) {
 }
 
 TEST(PlaygroundTest, PlaysTheEpisodesOfItsSeeds) {
-  const auto playground = Open("pendulum-frugal/2", 5);
+  const auto playground = Open("pendulum/1", 5);
   for (const uint64_t seed : {5u, 6u}) {
     const auto environment = *MakeEnvironment("Pendulum-v1");
     const std::vector<float> first = environment->Reset(seed);
@@ -53,7 +53,7 @@ TEST(PlaygroundTest, PlaysTheEpisodesOfItsSeeds) {
 }
 
 TEST(PlaygroundTest, AnExplanationHasTheSpikesOfItsDecision) {
-  const auto playground = Open("cartpole-frugal/2", 0);
+  const auto playground = Open("cartpole-small/1", 0);
   for (int step = 0; step < 4; ++step) {
     Json decision = *playground->Step();
     const Json explained = *playground->Explain();
@@ -72,9 +72,9 @@ TEST(PlaygroundTest, AnExplanationHasTheSpikesOfItsDecision) {
 
 TEST(PlaygroundTest, RefusesFilesThatItCannotPlay) {
   EXPECT_EQ(Playground::Open("no policy", 0).status().code(), absl::StatusCode::kInvalidArgument);
-  const auto lander = Playground::Open(PolicyFile("lunar-lander/2"), 0).status();
+  const auto lander = Playground::Open(PolicyFile("lunar-lander/1"), 0).status();
   EXPECT_EQ(lander.code(), absl::StatusCode::kNotFound);
-  EXPECT_EQ(Open("cartpole-frugal/2", 0)->Explain().status().code(),
+  EXPECT_EQ(Open("cartpole-small/1", 0)->Explain().status().code(),
             absl::StatusCode::kFailedPrecondition);
 }
 

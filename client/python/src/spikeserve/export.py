@@ -180,6 +180,7 @@ def _check_space(space: ActionSpace) -> None:
 def _config_values(config: ModelConfig) -> dict[str, Any]:
     values = asdict(config)
     # Without these keys, servers that do not know them can read the file.
+    check(not config.is_integer, "arithmetic", "float32 or int8", repr(config.arithmetic))
     if not config.is_int8:
         del values["arithmetic"]
     for field in ("leak", "attention", "input_fraction", "residual_fraction"):
