@@ -40,8 +40,10 @@ void ServerHistory::Tick() {
 
 std::vector<MetricLabels> ServerHistory::Versions() const {
   std::vector<MetricLabels> versions;
-  for (const MetricSeries* series : history_.Select("spikeserve_sessions")) {
-    if (series->present) versions.push_back(series->labels);
+  for (const MetricSeries* series : history_.Select("spikeserve_policy_info")) {
+    if (!series->present) continue;
+    versions.push_back(
+        {{"policy", series->labels.at("policy")}, {"version", series->labels.at("version")}});
   }
   return versions;
 }

@@ -12,7 +12,6 @@
 #include "core/engine/account.h"
 #include "prometheus/text_serializer.h"
 #include "server/base/log.h"
-#include "server/metrics/policy_metrics.h"
 #include "server/metrics/process_metrics.h"
 
 namespace spikeserve {
@@ -68,6 +67,13 @@ std::optional<double> DenseEnergy(EnergyModel model, const Policy& policy) {
   return EstimateEnergy(model, counts, DenseTwin(config));
 }
 
+prometheus::Labels With(const prometheus::Labels& labels, const char* label,
+                        absl::string_view value) {
+  prometheus::Labels more = labels;
+  more.emplace(label, value);
+  return more;
+}
+
 }  // namespace
 
 Metrics::Metrics()
@@ -95,6 +101,10 @@ Metrics::Metrics()
                        "alternatives: do not add them. docs/reference/energy.md lists what each "
                        "counts and leaves out. A policy to which a model does not apply has no "
                        "series under it.")),
+      dense_energy_(
+          Register(BuildGauge(), "spikeserve_dense_energy_joules",
+                   "Energy of a decision of a dense policy in integers with the sizes of this one "
+                   "and a full window, by the models that apply to both.")),
       decision_duration_(Register(BuildHistogram(), "spikeserve_decision_duration_seconds",
                                   "Time to compute one decision, without network and queueing.")),
       sessions_(Register(BuildGauge(), "spikeserve_sessions", "Open sessions.")),
@@ -134,8 +144,9 @@ Metrics::Metrics()
       rollbacks_(Register(BuildCounter(), "spikeserve_learning_rollbacks_total",
                           "Rollbacks of an action head to its last good state by a guard.")),
       policy_info_(Register(BuildGauge(), "spikeserve_policy_info",
-                            "Copies of a policy version in memory. The series of a version are "
-                            "removed when it is unloaded and its last session has ended.")),
+                            "Copies of a policy version in memory. The other series of a version "
+                            "begin with its first session, and all are removed when it is "
+                            "unloaded and its last session has ended.")),
       rpc_duration_(Register(
           BuildHistogram(), "spikeserve_rpc_duration_seconds",
           "Time to handle one call, measured on the server, by method and gRPC status code. For "
@@ -192,113 +203,127 @@ Metrics::Metrics()
       .Set(1);
 }
 
+auto* Metrics::Add(VersionSeries& series, auto& family, const prometheus::Labels& labels,
+                   auto... buckets) {
+  auto* metric = &family.Add(labels, buckets...);
+  series.removals[metric] = [&family, metric] { family.Remove(metric); };
+  return metric;
+}
+
 std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& name,
                                                             int64_t version, const Policy& policy,
                                                             double unusual_deviations) {
-  const prometheus::Labels labels = {{"policy", name}, {"version", absl::StrCat(version)}};
-  const auto with = [&](const char* label, absl::string_view value) {
-    prometheus::Labels more = labels;
-    more.emplace(label, value);
-    return more;
-  };
-  prometheus::Labels info = with("environment", policy.environment);
-  const absl::string_view mode = ToString(policy.config.mode);
-  info.emplace("mode", mode);
-
   const std::string key = absl::StrCat(name, "/", version);
+  PolicySeries of = {.labels = {{"policy", name}, {"version", absl::StrCat(version)}},
+                     .config = policy.config,
+                     .elements = ElementNames(policy.observation_size()),
+                     .dense_energy = {}};
+  for (size_t i = 0; i < kEnergyModels; ++i) {
+    of.dense_energy[i] = DenseEnergy(static_cast<EnergyModel>(i), policy);
+  }
+  const prometheus::Labels info = With(With(of.labels, "environment", policy.environment), "mode",
+                                       ToString(policy.config.mode));
+  PolicyMetrics::LoadedHandles loaded;
+  {
+    absl::MutexLock lock(&versions_mutex_);
+    VersionSeries& series = versions_[key];
+    ++series.observers;
+    loaded = {.info = Add(series, policy_info_, info),
+              .non_finite = Add(series, non_finite_, of.labels)};
+  }
+  const prometheus::Labels labels = of.labels;
+  return std::make_shared<PolicyMetrics>(
+      key, loaded, EvidenceOf(name, version), policy.config,
+      UsualObservations::Of(policy, unusual_deviations),
+      [this, key, of = std::move(of)] { return AddSessions(key, of); },
+      [this, key, labels] { return AddRobots(key, labels); }, [this, key] { OnObserverEnd(key); });
+}
+
+PolicyMetrics::Handles Metrics::AddSessions(const std::string& version, const PolicySeries& of) {
   absl::MutexLock lock(&versions_mutex_);
-  VersionSeries& series = versions_[key];
-  ++series.observers;
-  const auto add = [&series](auto& family, const prometheus::Labels& of, auto... buckets) {
-    auto* metric = &family.Add(of, buckets...);
-    series.removals[metric] = [&family, metric] { family.Remove(metric); };
-    return metric;
+  VersionSeries& series = versions_[version];
+  const auto add = [&](auto& family, auto... buckets) {
+    return Add(series, family, of.labels, buckets...);
+  };
+  const auto add_with = [&](auto& family, const char* label, absl::string_view value) {
+    return Add(series, family, With(of.labels, label, value));
   };
   PolicyMetrics::Handles handles;
-  handles.info = add(policy_info_, info);
-  handles.decisions = add(decisions_, labels);
-  handles.spikes_per_decision = add(spikes_per_decision_, labels, Spikes());
-  for (int i = 0; i < kStages; ++i) {
-    const absl::string_view stage = ToString(static_cast<Stage>(i));
-    handles.spikes[static_cast<size_t>(i)] =
-        add(spikes_, with("stage", {stage.data(), stage.size()}));
+  handles.decisions = add(decisions_);
+  handles.spikes_per_decision = add(spikes_per_decision_, Spikes());
+  for (size_t i = 0; i < kStages; ++i) {
+    handles.spikes[i] = add_with(spikes_, "stage", ToString(static_cast<Stage>(i)));
   }
-  handles.accumulates = add(synaptic_operations_, with("kind", "accumulate"));
-  handles.multiply_accumulates = add(synaptic_operations_, with("kind", "multiply_accumulate"));
-  handles.attention_products = add(synaptic_operations_, with("kind", "attention"));
-  handles.membrane_updates = add(membrane_updates_, labels);
-  handles.coder_gains = add(other_operations_, with("kind", "coder_gain"));
-  handles.layer_norm_elements = add(other_operations_, with("kind", "layer_norm_element"));
-  handles.softmax_terms = add(other_operations_, with("kind", "softmax_term"));
-  handles.gate_products = add(other_operations_, with("kind", "gate_product"));
+  handles.accumulates = add_with(synaptic_operations_, "kind", "accumulate");
+  handles.multiply_accumulates = add_with(synaptic_operations_, "kind", "multiply_accumulate");
+  handles.attention_products = add_with(synaptic_operations_, "kind", "attention");
+  handles.membrane_updates = add(membrane_updates_);
+  handles.coder_gains = add_with(other_operations_, "kind", "coder_gain");
+  handles.layer_norm_elements = add_with(other_operations_, "kind", "layer_norm_element");
+  handles.softmax_terms = add_with(other_operations_, "kind", "softmax_term");
+  handles.gate_products = add_with(other_operations_, "kind", "gate_product");
   handles.energy = {};
-  auto& dense_energy = Register(
-      BuildGauge(), "spikeserve_dense_energy_joules",
-      "Energy of a decision of a dense policy in integers with the sizes of this one and a full "
-      "window, by the models that apply to both.");
-  for (const auto& [model, name_of_model] : EnumNames(EnergyModel())) {
-    if (!Applies(model, policy.config)) continue;
-    const auto of = with("energy_model", {name_of_model.data(), name_of_model.size()});
-    handles.energy[static_cast<size_t>(model)] = add(energy_, of);
-    if (const auto joules = DenseEnergy(model, policy)) add(dense_energy, of)->Set(*joules);
+  for (const auto& [model, name] : EnumNames(EnergyModel())) {
+    if (!Applies(model, of.config)) continue;
+    const size_t i = static_cast<size_t>(model);
+    handles.energy[i] = add_with(energy_, "energy_model", name);
+    if (of.dense_energy[i].has_value()) {
+      add_with(dense_energy_, "energy_model", name)->Set(*of.dense_energy[i]);
+    }
   }
-  handles.decision_duration = add(decision_duration_, labels, ComputeSeconds());
-  handles.sessions = add(sessions_, labels);
-  handles.errors = add(policy_errors_, labels);
-  handles.non_finite = add(non_finite_, labels);
-  handles.episodes = add(episodes_, labels);
-  handles.episode_return = add(episode_return_, labels, Returns());
-  handles.episode_return_mean = add(episode_return_mean_, labels);
-  for (const std::string& element : ElementNames(policy.observation_size())) {
-    handles.unusual.push_back(add(unusual_, with("element", element)));
+  handles.decision_duration = add(decision_duration_, ComputeSeconds());
+  handles.sessions = add(sessions_);
+  handles.errors = add(policy_errors_);
+  handles.episodes = add(episodes_);
+  handles.episode_return = add(episode_return_, Returns());
+  handles.episode_return_mean = add(episode_return_mean_);
+  for (const std::string& element : of.elements) {
+    handles.unusual.push_back(add_with(unusual_, "element", element));
   }
-  handles.learning_updates = add(learning_updates_, labels);
+  AddLearning(series, of.labels, &handles);
+  return handles;
+}
+
+void Metrics::AddLearning(VersionSeries& series, const prometheus::Labels& labels,
+                          PolicyMetrics::Handles* handles) {
+  handles->learning_updates = Add(series, learning_updates_, labels);
   const auto rejected = [&](UpdateOutcome outcome) {
-    const absl::string_view reason = ToString(outcome);
-    return add(learning_rejected_, with("reason", {reason.data(), reason.size()}));
+    return Add(series, learning_rejected_, With(labels, "reason", ToString(outcome)));
   };
-  handles.learning_rejected_non_finite = rejected(UpdateOutcome::kNonFinite);
-  handles.learning_rejected_over_budget = rejected(UpdateOutcome::kOverBudget);
-  handles.learning_rejected_held_out = rejected(UpdateOutcome::kHeldOut);
+  handles->learning_rejected_non_finite = rejected(UpdateOutcome::kNonFinite);
+  handles->learning_rejected_over_budget = rejected(UpdateOutcome::kOverBudget);
+  handles->learning_rejected_held_out = rejected(UpdateOutcome::kHeldOut);
   for (const Scope scope : {Scope::kSession, Scope::kFleet}) {
-    const absl::string_view word = ToString(scope);
-    const prometheus::Labels of = with("scope", {word.data(), word.size()});
-    handles.learning[static_cast<size_t>(scope)] = {.head_drift = add(head_drift_, of),
-                                                    .modulator_mean = add(modulator_mean_, of),
-                                                    .modulator_std = add(modulator_std_, of),
-                                                    .watched_return = add(watched_return_, of),
-                                                    .rollbacks = add(rollbacks_, of)};
+    const prometheus::Labels of = With(labels, "scope", ToString(scope));
+    handles->learning[static_cast<size_t>(scope)] = {
+        .head_drift = Add(series, head_drift_, of),
+        .modulator_mean = Add(series, modulator_mean_, of),
+        .modulator_std = Add(series, modulator_std_, of),
+        .watched_return = Add(series, watched_return_, of),
+        .rollbacks = Add(series, rollbacks_, of)};
   }
-  return std::make_shared<PolicyMetrics>(
-      key, handles, EvidenceOf(name, version), policy.config,
-      UsualObservations::Of(policy, unusual_deviations),
-      [this, key, labels] { return AddRobots(key, labels); }, [this, key] { OnObserverEnd(key); });
 }
 
 RobotHandles Metrics::AddRobots(const std::string& version, const prometheus::Labels& labels) {
   absl::MutexLock lock(&versions_mutex_);
   VersionSeries& series = versions_[version];
-  const auto add = [&series](auto& family, const prometheus::Labels& of, auto... buckets) {
-    auto* metric = &family.Add(of, buckets...);
-    series.removals[metric] = [&family, metric] { family.Remove(metric); };
-    return metric;
+  const auto add = [&](auto& family, auto... buckets) {
+    return Add(series, family, labels, buckets...);
   };
-  const auto with = [&](const char* label, const char* value) {
-    prometheus::Labels more = labels;
-    more.emplace(label, value);
-    return more;
+  const auto add_with = [&](auto& family, const char* label, const char* value) {
+    return Add(series, family, With(labels, label, value));
   };
-  return {.beats = {add(beats_, with("source", "fresh")), add(beats_, with("source", "held")),
-                    add(beats_, with("source", "local")), add(beats_, with("source", "safe"))},
-          .late_answers = add(late_answers_, labels),
-          .cancelled_calls = add(cancelled_calls_, labels),
-          .reconnects = add(reconnects_, labels),
-          .appended = add(appended_beats_, with("known", "observation")),
-          .skipped = add(appended_beats_, with("known", "reward")),
-          .expired = add(expired_requests_, labels),
-          .repeated = add(repeated_requests_, labels),
-          .age = add(action_age_, labels, RobotSeconds()),
-          .gap = add(fresh_gap_, labels, RobotSeconds())};
+  return {.beats = {add_with(beats_, "source", "fresh"), add_with(beats_, "source", "held"),
+                    add_with(beats_, "source", "local"), add_with(beats_, "source", "safe")},
+          .late_answers = add(late_answers_),
+          .cancelled_calls = add(cancelled_calls_),
+          .reconnects = add(reconnects_),
+          .appended = add_with(appended_beats_, "known", "observation"),
+          .skipped = add_with(appended_beats_, "known", "reward"),
+          .expired = add(expired_requests_),
+          .repeated = add(repeated_requests_),
+          .age = add(action_age_, RobotSeconds()),
+          .gap = add(fresh_gap_, RobotSeconds())};
 }
 
 VersionEvidence* Metrics::EvidenceOf(const std::string& name, int64_t version) {

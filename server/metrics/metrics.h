@@ -4,8 +4,8 @@
 //   metrics.ObserveRpc(MethodNamed("Act"), absl::StatusCode::kOk, absl::Microseconds(80));
 //   std::string page = metrics.ToText();
 //
-// Thread-safe. Time series are created before a decision needs them, so that a decision looks
-// nothing up.
+// Thread-safe. The time series of a policy version are created when its first session opens, so
+// that a version without traffic costs next to nothing, and a decision looks nothing up.
 #ifndef SERVER_METRICS_METRICS_H_
 #define SERVER_METRICS_METRICS_H_
 
@@ -15,6 +15,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -31,11 +32,10 @@
 #include "prometheus/metric_family.h"
 #include "prometheus/registry.h"
 #include "server/base/method.h"
+#include "server/metrics/policy_metrics.h"
 #include "server/metrics/version_evidence.h"
 
 namespace spikeserve {
-
-struct RobotHandles;
 
 // The outcome of recording one episode.
 enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed };
@@ -111,7 +111,26 @@ class Metrics {
  private:
   static constexpr int kCodes = 17;  // gRPC status codes
 
-  // Adds the series of the robots of a version, which has an observer.
+  // The time series of one policy version.
+  struct VersionSeries {
+    int observers = 0;
+    std::map<const void*, std::function<void()>> removals;  // by series
+  };
+  // What the time series of a policy version are made from.
+  struct PolicySeries {
+    prometheus::Labels labels;
+    ModelConfig config;
+    std::vector<std::string> elements;  // of the observation; see ElementNames
+    std::array<std::optional<double>, kEnergyModels> dense_energy;
+  };
+
+  static auto* Add(VersionSeries& series, auto& family, const prometheus::Labels& labels,
+                   auto... buckets);
+  // Add the series of the sessions and of the robots of a version, which has an observer.
+  PolicyMetrics::Handles AddSessions(const std::string& version, const PolicySeries& of)
+      ABSL_LOCKS_EXCLUDED(versions_mutex_);
+  void AddLearning(VersionSeries& series, const prometheus::Labels& labels,
+                   PolicyMetrics::Handles* handles);
   RobotHandles AddRobots(const std::string& version, const prometheus::Labels& labels)
       ABSL_LOCKS_EXCLUDED(versions_mutex_);
   void OnObserverEnd(const std::string& version) ABSL_LOCKS_EXCLUDED(versions_mutex_);
@@ -133,6 +152,7 @@ class Metrics {
   prometheus::Family<prometheus::Counter>& membrane_updates_;
   prometheus::Family<prometheus::Counter>& other_operations_;
   prometheus::Family<prometheus::Counter>& energy_;
+  prometheus::Family<prometheus::Gauge>& dense_energy_;
   prometheus::Family<prometheus::Histogram>& decision_duration_;
   prometheus::Family<prometheus::Gauge>& sessions_;
   prometheus::Family<prometheus::Counter>& policy_errors_;
@@ -164,11 +184,6 @@ class Metrics {
   std::array<prometheus::Counter*, kRecordingOutcomes> recorded_episodes_;
   prometheus::Gauge* recording_queue_episodes_;
   prometheus::Gauge* recording_queue_bytes_;
-  // The time series of one policy version.
-  struct VersionSeries {
-    int observers = 0;
-    std::map<const void*, std::function<void()>> removals;  // by series
-  };
   absl::Mutex versions_mutex_;
   bool keeps_series_ ABSL_GUARDED_BY(versions_mutex_) = false;
   std::map<std::string, VersionSeries> versions_

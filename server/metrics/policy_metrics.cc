@@ -23,31 +23,23 @@ uint32_t PolicyMetrics::CountUnusual(absl::Span<const float> observation) {
   for (size_t i = 0; i < usual_.low.size(); ++i) {
     if (observation[i] >= usual_.low[i] && observation[i] <= usual_.high[i]) continue;
     ++total;
-    handles_.unusual[i * handles_.unusual.size() / usual_.low.size()]->Increment();
+    const auto& unusual = series_.get().unusual;
+    unusual[i * unusual.size() / usual_.low.size()]->Increment();
   }
   return total;
 }
 
-const RobotHandles& PolicyMetrics::robots() {
-  const RobotHandles* handles = robots_.load(std::memory_order_acquire);
-  if (handles != nullptr) return *handles;
-  absl::MutexLock lock(&robots_mutex_);
-  if (own_robots_ == nullptr) own_robots_ = std::make_unique<const RobotHandles>(make_robots_());
-  robots_.store(own_robots_.get(), std::memory_order_release);
-  return *own_robots_;
-}
-
 void PolicyMetrics::OnBeat(const Answer& answer) {
   CountWork(answer);
-  robots().appended->Increment();
+  robots_.get().appended->Increment();
 }
 
 void PolicyMetrics::OnSkippedBeats(int64_t beats) {
-  robots().skipped->Increment(static_cast<double>(beats));
+  robots_.get().skipped->Increment(static_cast<double>(beats));
 }
 
 void PolicyMetrics::OnReport(const BeatCounts& beats) {
-  const RobotHandles& handles = robots();
+  const RobotHandles& handles = robots_.get();
   const uint64_t by_source[] = {beats.fresh, beats.held, beats.local, beats.safe};
   for (size_t i = 0; i < handles.beats.size(); ++i) {
     handles.beats[i]->Increment(static_cast<double>(by_source[i]));
@@ -61,10 +53,11 @@ void PolicyMetrics::OnReport(const BeatCounts& beats) {
 }
 
 void PolicyMetrics::OnDecision(const Answer& answer) {
-  handles_.decisions->Increment();
+  const Handles& handles = series_.get();
+  handles.decisions->Increment();
   CountWork(answer);
-  handles_.spikes_per_decision->Observe(static_cast<double>(answer.counts.total_spikes()));
-  handles_.decision_duration->Observe(answer.compute_seconds);
+  handles.spikes_per_decision->Observe(static_cast<double>(answer.counts.total_spikes()));
+  handles.decision_duration->Observe(answer.compute_seconds);
 }
 
 void PolicyMetrics::CountWork(const Answer& answer) {
@@ -72,51 +65,53 @@ void PolicyMetrics::CountWork(const Answer& answer) {
     counter->Increment(static_cast<double>(count));
   };
   const Counts& counts = answer.counts;
-  for (size_t i = 0; i < kStages; ++i) add(handles_.spikes[i], counts.spikes_by_stage[i]);
-  add(handles_.accumulates, counts.accumulates);
-  add(handles_.multiply_accumulates, counts.multiply_accumulates);
-  add(handles_.attention_products, counts.attention_products);
-  add(handles_.membrane_updates, counts.membrane_updates);
-  add(handles_.coder_gains, counts.coder_gains);
-  add(handles_.layer_norm_elements, counts.layer_norm_elements);
-  add(handles_.softmax_terms, counts.softmax_terms);
-  add(handles_.gate_products, counts.gate_products);
+  const Handles& handles = series_.get();
+  for (size_t i = 0; i < kStages; ++i) add(handles.spikes[i], counts.spikes_by_stage[i]);
+  add(handles.accumulates, counts.accumulates);
+  add(handles.multiply_accumulates, counts.multiply_accumulates);
+  add(handles.attention_products, counts.attention_products);
+  add(handles.membrane_updates, counts.membrane_updates);
+  add(handles.coder_gains, counts.coder_gains);
+  add(handles.layer_norm_elements, counts.layer_norm_elements);
+  add(handles.softmax_terms, counts.softmax_terms);
+  add(handles.gate_products, counts.gate_products);
 
   for (int i = 0; i < kEnergyModels; ++i) {
     const auto joules = EstimateEnergy(static_cast<EnergyModel>(i), counts, config_);
-    if (joules.has_value()) handles_.energy[static_cast<size_t>(i)]->Increment(*joules);
+    if (joules.has_value()) handles.energy[static_cast<size_t>(i)]->Increment(*joules);
   }
 }
 
 void PolicyMetrics::OnNonFinite() {
-  handles_.non_finite->Increment();
+  loaded_.non_finite->Increment();
   LogError("answer not finite", {{"policy", name_}});
 }
 
 void PolicyMetrics::OnEpisodeEnd(double episode_return) {
-  handles_.episodes->Increment();
-  handles_.episode_return->Observe(episode_return);
+  const Handles& handles = series_.get();
+  handles.episodes->Increment();
+  handles.episode_return->Observe(episode_return);
   absl::MutexLock lock(&mutex_);
   ++episodes_;
   return_mean_ += (episode_return - return_mean_) / static_cast<double>(episodes_);
-  handles_.episode_return_mean->Set(return_mean_);
+  handles.episode_return_mean->Set(return_mean_);
 }
 
 void PolicyMetrics::OnHeadUpdate(UpdateOutcome outcome) {
   switch (outcome) {
     case UpdateOutcome::kApplied:
-      return handles_.learning_updates->Increment();
+      return series_.get().learning_updates->Increment();
     case UpdateOutcome::kNonFinite:
-      return handles_.learning_rejected_non_finite->Increment();
+      return series_.get().learning_rejected_non_finite->Increment();
     case UpdateOutcome::kOverBudget:
-      return handles_.learning_rejected_over_budget->Increment();
+      return series_.get().learning_rejected_over_budget->Increment();
     case UpdateOutcome::kHeldOut:
-      return handles_.learning_rejected_held_out->Increment();
+      return series_.get().learning_rejected_held_out->Increment();
   }
 }
 
 void PolicyMetrics::OnLearned(const LearningSummary& summary) {
-  const LearningHandles& handles = handles_.learning[static_cast<size_t>(summary.scope)];
+  const LearningHandles& handles = series_.get().learning[static_cast<size_t>(summary.scope)];
   handles.head_drift->Set(summary.head_drift);
   handles.modulator_mean->Set(summary.returns.mean);
   handles.modulator_std->Set(summary.returns.deviation());

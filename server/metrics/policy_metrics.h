@@ -6,7 +6,6 @@
 #define SERVER_METRICS_POLICY_METRICS_H_
 
 #include <array>
-#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -14,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/base/call_once.h"
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/types/span.h"
@@ -34,6 +34,23 @@ struct UsualObservations {
   // Returns the ranges of `deviations` standard deviations on either side of the mean of the
   // training data, which the policy stores. 0: no ranges.
   static UsualObservations Of(const Policy& policy, double deviations);
+};
+
+// A value that is made when it is first needed. Thread-safe.
+template <class Value>
+class MadeOnce {
+ public:
+  explicit MadeOnce(std::function<Value()> make) : make_(std::move(make)) {}
+
+  const Value& get() {
+    absl::call_once(once_, [this] { value_ = make_(); });
+    return value_;
+  }
+
+ private:
+  const std::function<Value()> make_;
+  absl::once_flag once_;
+  Value value_;
 };
 
 // Time series about the robots of a policy version, as their links show it to the server.
@@ -60,9 +77,13 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Gauge* watched_return;
     prometheus::Counter* rollbacks;
   };
-  // Time series of this policy version.
-  struct Handles {
+  // The time series that a version has from the start.
+  struct LoadedHandles {
     prometheus::Gauge* info;
+    prometheus::Counter* non_finite;  // its alert needs the 0 before the first count
+  };
+  // Time series of what sessions of this policy version do.
+  struct Handles {
     prometheus::Counter* decisions;
     prometheus::Histogram* spikes_per_decision;
     std::array<prometheus::Counter*, kStages> spikes;
@@ -79,7 +100,6 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Histogram* decision_duration;
     prometheus::Gauge* sessions;
     prometheus::Counter* errors;
-    prometheus::Counter* non_finite;
     prometheus::Counter* episodes;
     prometheus::Histogram* episode_return;
     prometheus::Gauge* episode_return_mean;
@@ -93,37 +113,38 @@ class PolicyMetrics final : public SessionObserver {
   };
 
   // `name` stands for the policy version in log lines. `config` is that of the policy. The
-  // handles and `evidence` must outlive this object. Calls `robots` for the first request of a
-  // robot on a real link, and `on_end` when it is destroyed.
-  PolicyMetrics(std::string name, const Handles& handles, VersionEvidence* evidence,
-                const ModelConfig& config, UsualObservations usual,
+  // handles and `evidence` must outlive this object. Calls `make` when the first session opens,
+  // `robots` for the first request of a robot on a real link, and `on_end` when it is destroyed.
+  PolicyMetrics(std::string name, const LoadedHandles& loaded, VersionEvidence* evidence,
+                const ModelConfig& config, UsualObservations usual, std::function<Handles()> make,
                 std::function<RobotHandles()> robots, std::function<void()> on_end)
       : name_(std::move(name)),
-        handles_(handles),
-        make_robots_(std::move(robots)),
+        loaded_(loaded),
+        series_(std::move(make)),
+        robots_(std::move(robots)),
         evidence_(*evidence),
         config_(config),
         usual_(std::move(usual)),
         on_end_(std::move(on_end)) {
-    handles_.info->Increment();
+    loaded_.info->Increment();
   }
   ~PolicyMetrics() override {
-    handles_.info->Decrement();
+    loaded_.info->Decrement();
     on_end_();
   }
 
-  void OnOpen() override { handles_.sessions->Increment(); }
+  void OnOpen() override { series_.get().sessions->Increment(); }
   std::shared_ptr<SessionListener> OnAssigned(absl::string_view tenant) override {
     return evidence_.NewSession(tenant);
   }
-  void OnError() override { handles_.errors->Increment(); }
-  void OnClose() override { handles_.sessions->Decrement(); }
+  void OnError() override { series_.get().errors->Increment(); }
+  void OnClose() override { series_.get().sessions->Decrement(); }
   uint32_t CountUnusual(absl::Span<const float> observation) override;
   void OnDecision(const Answer& answer) override;
   void OnBeat(const Answer& answer) override;
   void OnSkippedBeats(int64_t beats) override;
-  void OnExpired() override { robots().expired->Increment(); }
-  void OnRepeated() override { robots().repeated->Increment(); }
+  void OnExpired() override { robots_.get().expired->Increment(); }
+  void OnRepeated() override { robots_.get().repeated->Increment(); }
   void OnReport(const BeatCounts& beats) override;
   void OnNonFinite() override;
   void OnEpisodeEnd(double episode_return) override;
@@ -133,18 +154,15 @@ class PolicyMetrics final : public SessionObserver {
  private:
   // Counts what was computed for `answer`.
   void CountWork(const Answer& answer);
-  const RobotHandles& robots() ABSL_LOCKS_EXCLUDED(robots_mutex_);
 
   const std::string name_;
-  const Handles handles_;
-  const std::function<RobotHandles()> make_robots_;
+  const LoadedHandles loaded_;
+  MadeOnce<Handles> series_;
+  MadeOnce<RobotHandles> robots_;
   VersionEvidence& evidence_;
   const ModelConfig config_;
   const UsualObservations usual_;
   const std::function<void()> on_end_;
-  std::atomic<const RobotHandles*> robots_ = nullptr;
-  absl::Mutex robots_mutex_;
-  std::unique_ptr<const RobotHandles> own_robots_ ABSL_GUARDED_BY(robots_mutex_);
   absl::Mutex mutex_;
   int64_t episodes_ ABSL_GUARDED_BY(mutex_) = 0;
   double return_mean_ ABSL_GUARDED_BY(mutex_) = 0.0;

@@ -132,6 +132,19 @@ TEST_F(MetricsTest, WhatIsServedIsSaid) {
   EXPECT_EQ(Metric("spikeserve_build_info", {"version=\""}), 1.0);
 }
 
+TEST_F(MetricsTest, AVersionHasSeriesOfSessionsFromItsFirstSessionOn) {
+  const std::string before = Page("/metrics");
+  EXPECT_THAT(before, ::testing::HasSubstr("spikeserve_non_finite_answers_total{policy="));
+  EXPECT_THAT(before, ::testing::Not(::testing::HasSubstr("spikeserve_sessions{")));
+  EXPECT_THAT(before, ::testing::Not(::testing::HasSubstr("spikeserve_decisions_total{")));
+  client_->Open("discrete");
+  const std::string after = Page("/metrics");
+  const std::string labels = "{policy=\"discrete\",version=\"2\"}";
+  EXPECT_THAT(after, ::testing::HasSubstr("spikeserve_sessions" + labels + " 1\n"));
+  EXPECT_THAT(after, ::testing::HasSubstr("spikeserve_decisions_total" + labels + " 0\n"));
+  EXPECT_THAT(after, ::testing::Not(::testing::HasSubstr("spikeserve_sessions{policy=\"box\"")));
+}
+
 TEST_F(MetricsTest, TheLimitOfSessionsIsTheOneGiven) {
   StartServer({"--max_sessions=7"});
   EXPECT_EQ(Metric("spikeserve_sessions_limit"), 7.0);

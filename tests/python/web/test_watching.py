@@ -169,6 +169,20 @@ def shadow(agent, admin, address):
     wait_for(lambda: 'agreement="differ"' in get(f"http://{address}/metrics"), "another action")
 
 
+def test_versions_without_a_session_have_hardly_any_series():
+    with running_server() as addresses:
+        lines = [line for line in get(f"http://{addresses.http}/metrics").splitlines() if not line.startswith("#")]
+    assert len(lines) < 200
+    names = {line.partition("{")[0] for line in lines if 'policy="' in line}
+    assert names <= {
+        "spikeserve_policy_info",
+        "spikeserve_non_finite_answers_total",
+        "spikeserve_policy_traffic_ratio",
+        "spikeserve_head_held_out_sessions",
+        "spikeserve_head_trimmed_contributions",
+    }
+
+
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
     """Starts a server, plays with it, operates it and yields its addresses."""
