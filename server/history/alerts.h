@@ -1,6 +1,6 @@
 // Evaluates the alerts of deploy/prometheus/alerts.yml in the server, so that the status page shows
-// the same alerts as Prometheus without one. tests/python/web/test_alerts.py feeds both with the same
-// figures and compares them.
+// the same alerts as Prometheus without one. tests/python/web/test_alerts.py feeds both with the
+// same figures and compares them.
 //
 //   Alerts alerts;
 //   alerts.Evaluate(history, now, /*unix_seconds=*/1.8e9);  // whenever the history has grown

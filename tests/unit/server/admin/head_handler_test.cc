@@ -1,4 +1,5 @@
-// Tests of behaviour that tests/python/learning/test_fleet_learning.py cannot observe over the wire.
+// Tests of behaviour that tests/python/learning/test_fleet_learning.py cannot observe over the
+// wire.
 #include "server/admin/head_handler.h"
 
 #include <gmock/gmock.h>
