@@ -10,6 +10,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "core/base/file.h"
 #include "core/base/status.h"
@@ -295,23 +296,27 @@ absl::StatusOr<std::optional<BaselineComparison>> CompareIfPossible(
   return std::optional<BaselineComparison>(std::move(comparison));
 }
 
-// Evaluates the policy and writes it to --out.
+// Writes the policy to --out, evaluates it, and writes it again with the result in its record.
 absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string& command_line,
                                      const nlohmann::ordered_json& sources,
                                      const TrainOptions& options, const EpisodeSource& source,
                                      const Policy& initial, double validation, Policy policy) {
+  const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
+  // Whatever fails below only reports.
+  policy.training = TrainingRecord(command_line, sources, options, source.dataset(), validation,
+                                   std::nullopt, policy.config, initial.training);
+  RETURN_IF_ERROR(WritePolicyFile(policy, path));
   ASSIGN_OR_RETURN(
       const std::optional<Evaluation> evaluation,
       EvaluateIfPossible(policy, {.episodes = flags.episodes, .delay = options.delay}));
   policy.training = TrainingRecord(command_line, sources, options, source.dataset(), validation,
                                    evaluation, policy.config, initial.training);
+  RETURN_IF_ERROR(WritePolicyFile(policy, path));
   absl::StatusOr<std::optional<BaselineComparison>> comparison =
       std::optional<BaselineComparison>();
   // With a delay a baseline would imitate other labels and play another task.
   if (options.delay.most == 0) comparison = CompareIfPossible(flags, source, policy, evaluation);
   if (!comparison.ok()) return comparison.status();
-  const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
-  RETURN_IF_ERROR(WritePolicyFile(policy, path));
   ASSIGN_OR_RETURN(const double spikes_on_data,
                    evaluation.has_value() ? 0.0 : SpikesOnData(policy, source));
   TrainSummary summary = {.path = path,
@@ -323,6 +328,17 @@ absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string&
   return TrainedPolicy{.policy = std::move(policy), .summary = std::move(summary)};
 }
 
+// Returns INVALID_ARGUMENT if no decision of the episodes for training has a weight in the loss.
+absl::Status CheckWeights(const TrainOptions& options, const EpisodeSource& source) {
+  const Split split = SplitEpisodes(source.entries(), options.validation);
+  const bool weighted = std::any_of(split.training.begin(), split.training.end(), [&](int index) {
+    return source.entries()[static_cast<size_t>(index)].weighted > options.delay.least;
+  });
+  if (weighted) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      "--data: weights: expected one above 0 in the episodes for training, received only 0");
+}
+
 // Returns INVALID_ARGUMENT if no episode is long enough for a decision to be executed.
 absl::Status CheckDelay(DelayRange delay, const EpisodeSource& source) {
   int longest = 0;
@@ -331,6 +347,30 @@ absl::Status CheckDelay(DelayRange delay, const EpisodeSource& source) {
   return absl::InvalidArgumentError(
       absl::StrCat("--delay: expected fewer beats than the longest episode has steps, ", longest,
                    ", received ", delay.most));
+}
+
+std::string SpaceText(const ActionSpace& space) {
+  constexpr size_t kMostShown = 8;
+  if (space.is_discrete()) return absl::StrCat("Discrete(", space.n, ")");
+  if (space.low.size() > kMostShown) return absl::StrCat("Box of ", space.low.size());
+  return absl::StrCat("Box from [", absl::StrJoin(space.low, ", "), "] to [",
+                      absl::StrJoin(space.high, ", "), "]");
+}
+
+// Returns INVALID_ARGUMENT if an environment of this program has other spaces than its data.
+absl::Status CheckEnvironment(const Dataset& dataset) {
+  const absl::StatusOr<std::unique_ptr<Environment>> made = MakeEnvironment(dataset.environment);
+  if (!made.ok()) return absl::OkStatus();  // one of another program
+  const Environment& environment = **made;
+  if (environment.observation_size() != dataset.observation_size) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--data: expected observations of ", environment.observation_size(), " numbers, as ",
+        dataset.environment, " has, received ", dataset.observation_size));
+  }
+  if (environment.action_space() == dataset.action_space) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "--data: expected the action space ", SpaceText(environment.action_space()), ", as ",
+      dataset.environment, " has, received ", SpaceText(dataset.action_space)));
 }
 
 }  // namespace
@@ -369,6 +409,7 @@ absl::StatusOr<EpisodeSource> MakeSource(const TrainFlags& flags) {
     return absl::InvalidArgumentError(
         absl::StrCat("--env: expected ", expected, " as in --data, received ", environment));
   }
+  RETURN_IF_ERROR(CheckEnvironment(source->dataset()));
   return source;
 }
 
@@ -377,6 +418,7 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
   ASSIGN_OR_RETURN(TrainOptions options, MakeTrainOptions(flags.trainer));
   ASSIGN_OR_RETURN(options.patches, PatchesOf(flags, source.dataset().observation_size));
   RETURN_IF_ERROR(CheckDelay(options.delay, source));
+  RETURN_IF_ERROR(CheckWeights(options, source));
   RETURN_IF_ERROR(CheckOut(flags));
   RETURN_IF_ERROR(MakeDirectory(flags.out));
   ASSIGN_OR_RETURN(const Policy initial, MakeInitialPolicy(flags, source, options.patches));

@@ -1,12 +1,23 @@
 #include "core/action/action_space.h"
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
+#include <string>
 
 #include "absl/strings/str_cat.h"
 #include "core/contract/dcheck.h"
 
 namespace spikeserve {
+namespace {
+
+// Returns the shortest text that is this number and no other one.
+std::string Shortest(float number) {
+  char text[32];
+  return {text, std::to_chars(text, text + sizeof(text), number).ptr};
+}
+
+}  // namespace
 
 // Encode and FromUnit compute in double, because high - low can overflow float32.
 void ActionSpace::Encode(const Action& action, absl::Span<float> encoded) const {
@@ -53,8 +64,9 @@ absl::Status ActionSpace::Contains(const Action& action) const {
   for (size_t i = 0; i < low.size(); ++i) {
     const float value = action.continuous[i];
     if (value >= low[i] && value <= high[i]) continue;  // false for NaN
-    return absl::InvalidArgumentError(
-        absl::StrCat("action[", i, "]: expected ", low[i], " to ", high[i], ", received ", value));
+    return absl::InvalidArgumentError(absl::StrCat("action[", i, "]: expected ", Shortest(low[i]),
+                                                   " to ", Shortest(high[i]), ", received ",
+                                                   Shortest(value)));
   }
   return absl::OkStatus();
 }

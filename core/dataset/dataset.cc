@@ -1,5 +1,7 @@
 #include "core/dataset/dataset.h"
 
+#include <algorithm>
+#include <cmath>
 #include <iterator>
 #include <tuple>
 #include <utility>
@@ -40,6 +42,77 @@ absl::Status CheckServed(const Dataset& dataset, const ServedEpisode& served, si
   return absl::OkStatus();
 }
 
+absl::Status CheckNumber(double number, absl::string_view where) {
+  if (std::abs(number) <= kLargestDataNumber) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(where, ": expected a finite number",
+                                                 std::isfinite(number) ? " of at most 1e18" : "",
+                                                 ", received ", number));
+}
+
+// Checks [rows, columns]; names the row as a step. One column is not named.
+template <typename T>
+absl::Status CheckNumbers(absl::string_view name, absl::Span<const T> numbers, size_t columns) {
+  for (size_t i = 0; i < numbers.size(); ++i) {
+    if (std::abs(numbers[i]) <= static_cast<T>(kLargestDataNumber)) continue;  // false for NaN
+    const std::string element = columns > 1 ? absl::StrCat(", element ", i % columns) : "";
+    return CheckNumber(numbers[i], absl::StrCat(name, ": step ", i / columns, element));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckObservations(const Dataset& dataset, const Episode& episode) {
+  const auto size = static_cast<size_t>(dataset.observation_size);
+  absl::Span<const float> observations = episode.observations;
+  const absl::Span<const float> last = observations.last(size);
+  const bool unknown = std::all_of(last.begin(), last.end(), [](float x) { return std::isnan(x); });
+  if (unknown) observations.remove_suffix(size);
+  return CheckNumbers("observations", observations, size);
+}
+
+absl::Status CheckWeights(const Episode& episode) {
+  RETURN_IF_ERROR(CheckNumbers<float>("weights", episode.weights, 1));
+  const auto negative = std::find_if(episode.weights.begin(), episode.weights.end(),
+                                     [](float weight) { return weight < 0.0f; });
+  if (negative == episode.weights.end()) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("weights: step ", negative - episode.weights.begin(),
+                   ": expected a number of at least 0, received ", *negative));
+}
+
+absl::Status CheckActions(absl::string_view name, const ActionSpace& space,
+                          const std::vector<Action>& actions) {
+  for (size_t step = 0; step < actions.size(); ++step) {
+    const absl::Status status = space.Contains(actions[step]);
+    if (!status.ok()) return Annotate(status, absl::StrCat(name, ": step ", step));
+  }
+  return absl::OkStatus();
+}
+
+// Returns INVALID_ARGUMENT if two recipes have other names for the elements of their arrays. Files
+// without names fit all.
+absl::Status CheckNames(const char* key, const Json& first, const Json& other) {
+  const auto name = [key](const Json& recipe) {
+    return recipe.is_object() && recipe.contains(key) ? recipe[key] : Json();
+  };
+  const Json expected = name(first), received = name(other);
+  if (expected.is_null() || received.is_null() || expected == received) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat("data: ", key, ": expected ", expected.dump(),
+                                                 " in all datasets, received ", received.dump()));
+}
+
+void RoundToBounds(const ActionSpace& space, std::vector<Action>* actions) {
+  constexpr double kRounding = 1e-6;  // of the range
+  for (Action& action : *actions) {
+    if (action.continuous.size() != space.low.size()) return;  // CheckEpisode names it
+    for (size_t i = 0; i < space.low.size(); ++i) {
+      const double low = space.low[i], high = space.high[i];
+      const double slack = kRounding * (high - low), value = action.continuous[i];
+      if (value < low - slack || value > high + slack || std::isnan(value)) continue;
+      action.continuous[i] = static_cast<float>(std::clamp(value, low, high));
+    }
+  }
+}
+
 }  // namespace
 
 absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
@@ -63,13 +136,22 @@ absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
     return absl::InvalidArgumentError(
         absl::StrCat("weights: expected ", steps, " or none, received ", episode.weights.size()));
   }
-  for (const auto* actions : {&episode.actions, &episode.labels}) {
-    for (const Action& action : *actions) {
-      RETURN_IF_ERROR(dataset.action_space.Contains(action));
-    }
-  }
+  RETURN_IF_ERROR(CheckObservations(dataset, episode));
+  RETURN_IF_ERROR(CheckNumbers<double>("rewards", episode.rewards, 1));
+  RETURN_IF_ERROR(CheckWeights(episode));
+  RETURN_IF_ERROR(CheckNumber(episode.target_return.value_or(0.0), "asked_return"));
+  RETURN_IF_ERROR(CheckActions("actions", dataset.action_space, episode.actions));
+  RETURN_IF_ERROR(CheckActions("labels", dataset.action_space, episode.labels));
   return episode.served.has_value() ? CheckServed(dataset, *episode.served, steps)
                                     : absl::OkStatus();
+}
+
+absl::Status AcceptEpisode(const Dataset& dataset, Episode* episode) {
+  if (!dataset.action_space.is_discrete()) {
+    RoundToBounds(dataset.action_space, &episode->actions);
+    RoundToBounds(dataset.action_space, &episode->labels);
+  }
+  return CheckEpisode(dataset, *episode);
 }
 
 absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets) {
@@ -87,6 +169,9 @@ absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets) {
       return absl::InvalidArgumentError(
           absl::StrCat("data: expected equal spaces in all datasets of ", all.environment,
                        ", received other ones in dataset ", recipes.size() + 1));
+    }
+    for (const char* names : {"observation_names", "action_names"}) {
+      RETURN_IF_ERROR(CheckNames(names, recipes[0], dataset.recipe));
     }
     recipes.push_back(std::move(dataset.recipe));
     std::move(dataset.episodes.begin(), dataset.episodes.end(), std::back_inserter(all.episodes));

@@ -72,9 +72,20 @@ struct Dataset {
   std::vector<Episode> episodes;
 };
 
-// Returns INVALID_ARGUMENT if the length of an array of `episode` does not match the number of
-// steps and the dataset's observation size, or if an action is outside the dataset's action space.
+// The largest absolute value of an observation, a reward, a weight and a return that is asked for:
+// its square is still a number of float.
+inline constexpr double kLargestDataNumber = 1e18;
+
+// Returns INVALID_ARGUMENT, which names the array, the step and the element, if the length of an
+// array of `episode` does not match the number of steps and the dataset's observation size, if a
+// number is not finite or too large, if a weight is negative, or if an action is outside the
+// dataset's action space. The last observation may be NaN as a whole.
 absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode);
+
+// Rounds actions and labels of a Box to its bounds where they are outside by less than a millionth
+// of the range, as arithmetic in double leaves them. Then returns CheckEpisode(). For episodes from
+// a file.
+absl::Status AcceptEpisode(const Dataset& dataset, Episode* episode);
 
 // Returns one dataset with the episodes of all `datasets`, in order. INVALID_ARGUMENT if their
 // environments or spaces differ. REQUIRES: at least one dataset.

@@ -1,5 +1,7 @@
 #include "core/dataset/dataset_cbor.h"
 
+#include <cmath>
+#include <limits>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -118,12 +120,22 @@ void ReadActions(const char* key, bool discrete, bool required, JsonObject* obje
   }
 }
 
+// Returns an infinity for what float cannot hold. CheckEpisode() names its step and element.
+float ToFloat(double x) {
+  constexpr double kGreatest = std::numeric_limits<float>::max();
+  if (std::abs(x) > kGreatest)
+    return static_cast<float>(std::copysign(std::numeric_limits<double>::infinity(), x));
+  return static_cast<float>(x);
+}
+
 absl::Status ReadEpisode(absl::string_view field, const Json& json, bool discrete,
                          Episode* episode) {
   JsonObject object(field, json);
   object.Required("actor", &episode->actor);
   object.Required("seed", &episode->seed);
-  object.Required("observations", &episode->observations);
+  std::vector<double> observations;
+  object.Required("observations", &observations);
+  for (const double x : observations) episode->observations.push_back(ToFloat(x));
   ReadActions("actions", discrete, /*required=*/true, &object, &episode->actions);
   ReadActions("labels", discrete, /*required=*/false, &object, &episode->labels);
   object.Optional("weights", &episode->weights);
@@ -156,7 +168,7 @@ absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
     Episode& episode = dataset.episodes.emplace_back();
     auto status = ReadEpisode(field, item, dataset.action_space.is_discrete(), &episode);
     if (!status.ok()) return status;
-    if (status = CheckEpisode(dataset, episode); !status.ok()) return Annotate(status, field);
+    if (status = AcceptEpisode(dataset, &episode); !status.ok()) return Annotate(status, field);
   }
   if (dataset.episodes.empty()) {
     return absl::InvalidArgumentError("episodes: expected at least one, received none");

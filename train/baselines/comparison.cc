@@ -62,7 +62,8 @@ std::string ErrorKind(const BaselineComparison& comparison) {
 }
 
 std::string Row(absl::string_view name, double error, const std::vector<double>& returns) {
-  std::string row = absl::StrFormat("  %-16s %.4f", name, error);
+  std::string row = std::isnan(error) ? absl::StrFormat("  %-16s none", name)
+                                      : absl::StrFormat("  %-16s %.4f", name, error);
   if (!returns.empty()) absl::StrAppendFormat(&row, "  return %.2f", AsVector(returns).mean());
   return row + "\n";
 }
@@ -99,7 +100,7 @@ bool NeedsChanges(const ActionSpace& space, const StepTable& table) {
             Score(fit(halves[1 - i], frames), space, halves[i]).error.episodes;
         error.episodes.insert(error.episodes.end(), episodes.begin(), episodes.end());
       }
-      error.mean = AsVector(error.episodes).mean();
+      if (!error.episodes.empty()) error.mean = AsVector(error.episodes).mean();
       return error;
     };
     const ImitationError one = error_of(1), two = error_of(2);

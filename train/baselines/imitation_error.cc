@@ -55,6 +55,10 @@ ImitationError ErrorOf(const ActionSpace& space, const RowMajorMatrix<float>& ou
   const Eigen::VectorXd weights = table.weights.cast<double>();
   const Eigen::VectorXd steps = errors.rowwise().mean().cwiseProduct(weights);
   ImitationError error;
+  if (weights.sum() <= 0.0) {
+    error.mean = std::numeric_limits<double>::quiet_NaN();
+    return error;
+  }
   error.mean = steps.sum() / weights.sum();
   if (!space.is_discrete()) {
     const Eigen::VectorXd elements = errors.transpose() * weights / weights.sum();
@@ -79,6 +83,10 @@ ImitationError ErrorOf(std::shared_ptr<const Policy> policy, const StepTable& ta
 }
 
 ErrorDifference Compare(const ImitationError& a, const ImitationError& b) {
+  // One of them may have no step with a weight.
+  if (a.episodes.empty() || a.episodes.size() != b.episodes.size()) {
+    return {0.0, std::numeric_limits<double>::infinity()};
+  }
   const Eigen::ArrayXd differences = AsVector(a.episodes) - AsVector(b.episodes);
   const auto count = static_cast<double>(differences.size());
   const double mean = differences.mean();

@@ -16,7 +16,7 @@ namespace spikeserve {
 // a Box the mean over its elements of the squared difference of the encoded actions, whose bounds
 // are -1 and 1. Means are weighted by the weights of the steps in the loss.
 struct ImitationError {
-  double mean = 0.0;
+  double mean = 0.0;             // NaN if no step has a weight
   std::vector<double> elements;  // [act] for a Box: the means of each element; empty if Discrete
   std::vector<double> episodes;  // the means of each episode of the table
 };
@@ -30,7 +30,7 @@ ImitationError ErrorOf(const ActionSpace& space, const RowMajorMatrix<float>& ou
 // returns-to-go, and computed by the engine of the server.
 ImitationError ErrorOf(std::shared_ptr<const Policy> policy, const StepTable& table);
 
-// A difference of two errors on the same episodes.
+// A difference of two errors on the same episodes; 0 and infinity without any.
 struct ErrorDifference {
   double mean = 0.0;            // over the episodes; positive: `b` is better
   double standard_error = 0.0;  // infinite for a single episode

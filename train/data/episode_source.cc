@@ -16,10 +16,13 @@ namespace {
 constexpr int64_t kReadBytes = int64_t{8} << 20;
 
 EpisodeEntry EntryOf(const Episode& episode, size_t file, int index) {
+  int weighted = episode.steps();
+  while (weighted > 0 && episode.weight(weighted - 1) == 0.0f) --weighted;
   return {.file = file,
           .index = index,
           .steps = episode.steps(),
           .memory = MemoryOf(episode),
+          .weighted = weighted,
           .actor = episode.actor};
 }
 

@@ -23,6 +23,7 @@ struct EpisodeEntry {
   int index = 0;    // of the episode in its file
   int steps = 0;
   int64_t memory = 0;  // bytes, see MemoryOf
+  int weighted = 0;    // steps up to the last one with a weight
   std::string actor;
 };
 

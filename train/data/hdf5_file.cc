@@ -84,6 +84,20 @@ bool IsSingle(hid_t attribute) {
   return space >= 0 && H5Sget_simple_extent_npoints(space) == 1;
 }
 
+// Returns whether the numbers of an array are in the file of this path: a file may link to another
+// one, or name any file of the machine as the place of its numbers.
+bool IsInFile(hid_t data, const std::string& path) {
+  std::string owner(path.size() + 1, '\0');
+  const ssize_t length = H5Fget_name(data, owner.data(), owner.size());
+  owner.resize(path.size());
+  if (length != static_cast<ssize_t>(path.size()) || owner != path) return false;
+  const Handle properties(H5Dget_create_plist(data), H5Pclose);
+  const H5D_layout_t layout = H5Pget_layout(properties);
+  const bool contiguous_or_chunked =
+      layout == H5D_COMPACT || layout == H5D_CONTIGUOUS || layout == H5D_CHUNKED;
+  return contiguous_or_chunked && H5Pget_external_count(properties) == 0;
+}
+
 // Turns off the library's error reports on standard error. Errors are returned as statuses, and the
 // reports add nothing to them.
 void Silence() { H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr); }
@@ -226,10 +240,19 @@ absl::Status Hdf5File::Write(const std::string& name, const Hdf5Shape& shape,
   return written ? absl::OkStatus() : Failed("write", name);
 }
 
+absl::StatusOr<int64_t> Hdf5File::OpenArray(const std::string& name) const {
+  const hid_t data = H5Dopen2(id_, name.c_str(), H5P_DEFAULT);
+  if (data < 0) return absl::NotFoundError(absl::StrCat(path_, ": no array ", name));
+  if (IsInFile(data, path_)) return data;
+  H5Dclose(data);
+  return absl::InvalidArgumentError(absl::StrCat(
+      path_, ": ", name, ": expected numbers in this file, received those of another one"));
+}
+
 template <typename T>
 absl::StatusOr<Hdf5Array<T>> Hdf5File::Read(const std::string& name) const {
-  const Handle data(H5Dopen2(id_, name.c_str(), H5P_DEFAULT), H5Dclose);
-  if (data < 0) return absl::NotFoundError(absl::StrCat(path_, ": no array ", name));
+  ASSIGN_OR_RETURN(const hid_t opened, OpenArray(name));
+  const Handle data(opened, H5Dclose);
   const Handle space(H5Dget_space(data), H5Sclose);
   const Handle type(MemoryType<T>(), H5Tclose);
   const auto shape = ShapeOf(space);
@@ -241,8 +264,8 @@ absl::StatusOr<Hdf5Array<T>> Hdf5File::Read(const std::string& name) const {
 }
 
 absl::StatusOr<std::vector<bool>> Hdf5File::ReadBools(const std::string& name) const {
-  const Handle data(H5Dopen2(id_, name.c_str(), H5P_DEFAULT), H5Dclose);
-  if (data < 0) return absl::NotFoundError(absl::StrCat(path_, ": no array ", name));
+  ASSIGN_OR_RETURN(const hid_t opened, OpenArray(name));
+  const Handle data(opened, H5Dclose);
   const Handle stored(H5Dget_type(data), H5Tclose);
   if (H5Tget_class(stored) != H5T_ENUM) {
     ASSIGN_OR_RETURN(const auto integers, Read<int64_t>(name));

@@ -80,6 +80,8 @@ class Hdf5File {
                            const void* value);
   absl::Status ReadNumber(const std::string& object, const std::string& name, int64_t type,
                           void* value) const;
+  // Opens an array for reading. INVALID_ARGUMENT if its numbers are in another file.
+  absl::StatusOr<int64_t> OpenArray(const std::string& name) const;
   absl::Status Failed(absl::string_view action, const std::string& name) const;
 
   std::string path_;

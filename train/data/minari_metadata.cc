@@ -6,7 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_replace.h"
+#include "absl/strings/strip.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
 #include "core/base/status.h"
@@ -20,10 +20,24 @@ constexpr int64_t kLargestJointSpace = 4096;  // the outputs of an action head
 constexpr int64_t kLargestBox = 1 << 20;      // numbers
 constexpr int64_t kLargestStart = 1 << 30;    // of the indices
 
-// Parses Python's dialect of JSON. Infinities, which standard JSON lacks, become +-1e300, which is
-// beyond the range of float.
+// Parses Python's dialect of JSON. What standard JSON lacks is replaced outside of texts:
+// infinities become +-1e300, which is beyond the range of float, and NaN becomes null.
 absl::StatusOr<nlohmann::json> ParsePython(absl::string_view field, absl::string_view text) {
-  return ParseJsonObject(field, absl::StrReplaceAll(text, {{"Infinity", "1e300"}}));
+  std::string standard;
+  bool in_text = false;
+  while (!text.empty()) {
+    if (!in_text && absl::ConsumePrefix(&text, "Infinity")) {
+      standard += "1e300";
+    } else if (!in_text && absl::ConsumePrefix(&text, "NaN")) {
+      standard += "null";
+    } else {
+      const size_t length = in_text && text[0] == '\\' && text.size() > 1 ? 2 : 1;
+      if (text[0] == '"') in_text = !in_text;
+      absl::StrAppend(&standard, text.substr(0, length));
+      text.remove_prefix(length);
+    }
+  }
+  return ParseJsonObject(field, standard);
 }
 
 float ToFloat(double x) {
@@ -174,9 +188,9 @@ absl::StatusOr<ActionSpace> ToActionSpace(const SpaceDescription& description) {
 }  // namespace
 
 absl::StatusOr<MinariMetadata> ParseMinariMetadata(absl::string_view text) {
-  ASSIGN_OR_RETURN(const auto metadata, ParseJsonObject("metadata", text));
+  ASSIGN_OR_RETURN(const auto metadata, ParsePython("metadata", text));
   MinariMetadata description;
-  std::string id, observation_space, action_space;
+  std::string id, observation_space, action_space, format = "hdf5";
   nlohmann::json own, environment;
   JsonObject object("metadata", metadata);
   object.AllowOtherKeys();
@@ -184,14 +198,22 @@ absl::StatusOr<MinariMetadata> ParseMinariMetadata(absl::string_view text) {
   object.Required("observation_space", &observation_space);
   object.Required("action_space", &action_space);
   object.Required("total_episodes", &description.episodes, 0);
+  object.Optional("data_format", &format);
   object.Optional("env_spec", &environment);
   object.Optional(kMinariExtension, &own);
   RETURN_IF_ERROR(object.Finish());
+  if (format != "hdf5") {
+    return absl::InvalidArgumentError(
+        absl::StrCat("data_format: expected hdf5, which `python -m spikeserve convert --to=minari` "
+                     "writes, received ",
+                     Quoted(format)));
+  }
   ASSIGN_OR_RETURN(const auto observations, ParseSpace("observation_space", observation_space));
   if (observations.type != "Box") {
-    return absl::InvalidArgumentError(absl::StrCat("observation_space: expected Box, received ",
-                                                   observations.type,
-                                                   "; record with Gymnasium's FlattenObservation"));
+    return absl::InvalidArgumentError(
+        absl::StrCat("observation_space: expected Box, received ", observations.type,
+                     "; record with Gymnasium's FlattenObservation, or flatten it by "
+                     "`python -m spikeserve convert --to=minari`"));
   }
   ASSIGN_OR_RETURN(const auto actions, ParseSpace("action_space", action_space));
   ASSIGN_OR_RETURN(auto space, ToActionSpace(actions));

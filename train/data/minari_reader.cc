@@ -1,5 +1,6 @@
 #include "train/data/minari_reader.h"
 
+#include <algorithm>
 #include <filesystem>
 #include <system_error>
 #include <utility>
@@ -37,6 +38,7 @@ class Reader {
     for (const auto& [name, ended] : {std::pair{"/terminations", &episode.terminated},
                                       std::pair{"/truncations", &episode.truncated}}) {
       ASSIGN_OR_RETURN(const auto values, file_.ReadBools(group + name));
+      RETURN_IF_ERROR(CheckEnds(group + name, values, episode.actions.size()));
       *ended = !values.empty() && values.back();
     }
     RETURN_IF_ERROR(ReadInfos(group + "/infos", &episode));
@@ -45,7 +47,7 @@ class Reader {
     if (const auto asked = file_.ReadDouble(group, "asked_return"); asked.ok()) {
       episode.target_return = *asked;
     }
-    if (auto status = CheckEpisode(dataset_, episode); !status.ok()) {
+    if (auto status = AcceptEpisode(dataset_, &episode); !status.ok()) {
       return Annotate(status, group);
     }
     dataset_.episodes.push_back(std::move(episode));
@@ -91,6 +93,20 @@ class Reader {
       actions->push_back({.discrete = static_cast<int>(joint), .continuous = {}});
     }
     return absl::OkStatus();
+  }
+
+  // Returns INVALID_ARGUMENT if an episode ends before its last step.
+  static absl::Status CheckEnds(const std::string& name, const std::vector<bool>& ends,
+                                size_t steps) {
+    if (ends.size() != steps) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(name, ": expected ", steps, " values, received ", ends.size()));
+    }
+    const auto first = std::find(ends.begin(), ends.end(), true);
+    if (first == ends.end() || first + 1 == ends.end()) return absl::OkStatus();
+    return absl::InvalidArgumentError(absl::StrCat(name, ": step ", first - ends.begin(),
+                                                   ": expected true only at the last step, "
+                                                   "received true"));
   }
 
   static absl::Status CheckColumns(const std::string& name, int64_t expected, int64_t received) {

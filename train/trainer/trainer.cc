@@ -353,11 +353,15 @@ double Trainer::ValidationLoss() const {
   SPIKESERVE_DCHECK(has_validation());
   const torch::NoGradGuard no_gradient;
   double sum = 0.0;
+  int weighted = 0;
   for (uint64_t i = 0; i < kValidationBatches; ++i) {
+    const std::vector<float>& weights = validation_[i].weights;
+    if (std::all_of(weights.begin(), weights.end(), [](float w) { return w == 0.0f; })) continue;
     const Batch batch = MakeBatch(validation_[i], ValidationKey(i));
     sum += Loss(batch, model_.Forward(batch.clips)).item<double>();
+    ++weighted;
   }
-  return sum / kValidationBatches;
+  return weighted == 0 ? -1.0 : sum / weighted;
 }
 
 std::map<std::string, torch::Tensor> Trainer::State() const {

@@ -2,6 +2,7 @@
 
 import json
 import os
+import subprocess
 
 import h5py
 import minari
@@ -122,6 +123,16 @@ def test_hdf5_does_not_show_other_files(prying):
     for opening in (read, open_dataset):
         with pytest.raises(ValueError, match=f"episode_0/observations: expected .* received {kind}"):
             opening(folder)
+
+
+def test_spiketrain_does_not_read_other_files(prying, tmp_path):
+    if "SPIKETRAIN_PROGRAM" not in os.environ:
+        pytest.skip("the build has no spiketrain")
+    folder, _ = prying
+    command = [os.environ["SPIKETRAIN_PROGRAM"], "train", f"--data={folder}", f"--out={tmp_path}/out"]
+    trained = subprocess.run(command, capture_output=True, text=True)
+    assert trained.returncode == 1
+    assert "episode_0/observations: expected numbers in this file, received those of another one" in trained.stderr
 
 
 def test_what_is_read_in_a_child_is_the_same(tmp_path):
