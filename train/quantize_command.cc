@@ -19,6 +19,7 @@
 #include "train/data/episode_source.h"
 #include "train/evaluation/calibration.h"
 #include "train/evaluation/paired_evaluation.h"
+#include "train/evaluation/rounding_loss.h"
 #include "train/evaluation/training_record.h"
 #include "train/record_flags.h"
 
@@ -28,11 +29,13 @@ namespace {
 struct QuantizeFlags {
   std::string policy;
   std::string out;
-  Arithmetic to = Arithmetic::kInt8;
+  Arithmetic to = Arithmetic::kInteger;
   IntegerOptions integer;         // of --to=integer
   std::vector<std::string> data;  // its calibration set; empty: episodes that the policy plays
   bool prune = false;
   EvaluationOptions options = {.episodes = 1000, .first_seed = 2'000'000};
+  double max_loss = 0.01;
+  bool allow_loss = false;
   bool json = false;
 };
 
@@ -53,6 +56,10 @@ absl::Status CheckFlags(const QuantizeFlags& flags) {
     return absl::InvalidArgumentError(
         "--mode, --leak, --attention, --data, --prune: expected with --to=integer, received "
         "--to=int8");
+  }
+  if (!(flags.max_loss >= 0.0 && flags.max_loss <= 1.0)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--max_loss: expected 0 to 1, received ", flags.max_loss));
   }
   const absl::Status status = flags.options.Validate();
   return status.ok() ? status : NameFlag(status);
@@ -124,13 +131,29 @@ absl::StatusOr<std::optional<PairedEvaluation>> PlayBoth(const Policy& parent,
   return std::optional<PairedEvaluation>(std::move(pair));
 }
 
+// Measures what rounding cost, by returns or, where the environment is not ours, by the actions of
+// the recorded data.
+absl::StatusOr<std::optional<RoundingLoss>> MeasureLoss(
+    const Policy& parent, const Policy& integer, const QuantizeFlags& flags,
+    const std::optional<PairedEvaluation>& pair) {
+  if (pair.has_value()) {
+    ASSIGN_OR_RETURN(const RoundingLoss loss, LostReturn(parent, *pair));
+    return std::optional<RoundingLoss>(loss);
+  }
+  if (flags.data.empty() || flags.max_loss == 1.0) return std::optional<RoundingLoss>();
+  ASSIGN_OR_RETURN(const std::vector<Episode> episodes, CalibrationSet(parent, flags.data));
+  return std::optional<RoundingLoss>(LostAgreement(parent, integer, episodes));
+}
+
 // The record of how the integer policy came to be.
 std::string QuantizationRecord(const std::string& command_line,
                                const nlohmann::ordered_json& sources,
-                               const std::optional<PairedEvaluation>& pair, const Policy& parent,
+                               const std::optional<PairedEvaluation>& pair,
+                               const std::optional<RoundingLoss>& loss, const Policy& parent,
                                const ModelConfig& config) {
   nlohmann::ordered_json record = {{"command", command_line}};
   record.update(sources);
+  if (loss.has_value()) record["rounding_loss"] = ToJson(*loss);
   if (pair.has_value()) {
     record["paired_returns"] = ToJson(*pair);
     record["evaluation"] = ToJson(pair->second, config);
@@ -146,8 +169,11 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
   ASSIGN_OR_RETURN(Policy integer, Round(parent, flags));
   ASSIGN_OR_RETURN(const std::optional<PairedEvaluation> pair,
                    PlayBoth(parent, integer, flags.options));
+  ASSIGN_OR_RETURN(const std::optional<RoundingLoss> loss,
+                   MeasureLoss(parent, integer, flags, pair));
+  if (loss.has_value() && !flags.allow_loss) RETURN_IF_ERROR(CheckLoss(*loss, flags.max_loss));
   RETURN_IF_ERROR(MakeDirectoryOf(flags.out));
-  integer.training = QuantizationRecord(command_line, sources, pair, parent, integer.config);
+  integer.training = QuantizationRecord(command_line, sources, pair, loss, parent, integer.config);
   RETURN_IF_ERROR(WritePolicyFile(integer, flags.out));
   if (!pair.has_value()) return absl::OkStatus();
   std::fputs((flags.json ? ToJson(*pair).dump(2) + "\n" : ToText(*pair, "before", "after")).c_str(),
@@ -168,6 +194,11 @@ void AddQuantizeCommand(Program& program) {
       .Add("episodes", "N", &flags->options.episodes, "Episodes that both policies play")
       .Add("seed", "N", &flags->options.first_seed,
            "Seed of the first start; later episodes count on")
+      .Add("max_loss", "SHARE", &flags->max_loss,
+           "Largest loss, as a share of the range between random actions and the policy's "
+           "return or, where it cannot be played, of its agreement with --data; nothing is "
+           "written beyond it")
+      .AddSwitch("allow_loss", &flags->allow_loss, "Write a policy that lost more")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   command.Flags("Integer arithmetic (--to=integer)")
       .Add("mode", EnumKind<Mode>(), &flags->integer.mode,

@@ -101,7 +101,7 @@ def main():
             record_calibration(factory, out / first, arguments.calibration, out / data)
         # Only spikes show which hidden neurons are idle.
         dense = json.loads((out / "settings.json").read_text())["mode"] == "dense"
-        command = ["quantize", "--to=integer", *([] if dense else ["--prune"]), *shlex.split(arguments.flags)]
+        command = ["quantize", "--max_loss=1", "--to=integer", *([] if dense else ["--prune"]), *shlex.split(arguments.flags)]
         command += [f"--policy={first}", f"--data={data}", f"--out={stage}"]
     if not (out / stage).is_file():  # a recipe that was interrupted continues
         subprocess.run([find_spiketrain(arguments.spiketrain), *command], cwd=out, check=True)

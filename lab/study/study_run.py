@@ -169,7 +169,7 @@ class Workshop:
         """Returns the figures of the policy in integer arithmetic, which has energies of `int_45nm`."""
         integer = policy.replace("policy.", "integer.")
         files = f"--policy={policy}", f"--out={integer}", f"--data={data}"
-        self._program("quantize", "--to=integer", *files, "--episodes=1")
+        self._program("quantize", "--to=integer", *files, "--episodes=1", "--max_loss=1")
         starts = self._budget.priced_starts
         if not task.is_gymnasium:
             return self._play_own(integer, first_start, starts)

@@ -76,7 +76,7 @@ def wrapper(path, program, small):
 
 def test_a_recipe_trains_in_miniature_and_continues(tmp_path):
     small = {"dataset": "--steps=200", "train": "--iterations=2 --batch=2 --episodes=1", "eval": "--episodes=2"}
-    small["quantize"] = "--episodes=2"
+    small["quantize"] = "--episodes=2 --allow_loss"
     spiketrain = wrapper(tmp_path / "spiketrain", os.environ["SPIKETRAIN"], small)
     command = [ROOT / "lab/recipes/cartpole-sparse.sh", spiketrain, tmp_path / "out"]
     subprocess.run(command, check=True, capture_output=True)

@@ -123,7 +123,7 @@ def test_a_server_decides_like_the_engine_with_changes(tmp_path):
         spiketrain("train", f"--data={tmp_path}/spring-v0", f"--out={out}", *flags, "--observation_changes=true")
     spiketrain(
         "quantize", f"--policy={tmp_path}/policies/full/1/policy.safetensors",
-        f"--out={tmp_path}/policies/full/2/policy.safetensors",
+        f"--out={tmp_path}/policies/full/2/policy.safetensors", f"--data={tmp_path}/spring-v0", "--allow_loss",
     )  # fmt: skip
     with running_server(tmp_path / "policies") as addresses, spikeserve.Client(addresses.grpc) as client:
         for name, version in (("dense", 1), ("full", 1), ("full", 2)):

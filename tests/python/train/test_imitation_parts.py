@@ -214,7 +214,7 @@ def test_a_run_continues_and_one_seed_gives_one_policy(tmp_path, monkeypatch):
     assert report.startswith("# HomeMade-v0, imitating home_made:go_to_corner\n")
     assert "| `2-round1` |" in report
     engine = spikeserve.engine.Engine(again.quantized)
-    assert (engine.arithmetic, engine.environment) == ("int8", "HomeMade-v0")
+    assert (engine.arithmetic, engine.environment) == ("integer", "HomeMade-v0")
     assert engine.training_return == pytest.approx(again.quantized_figures.mean)
     record = json.loads(engine.training)
     assert record["imitation"]["steps"] == 400

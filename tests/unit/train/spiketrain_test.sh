@@ -110,7 +110,7 @@ grep -q '"kind":"mlp"' other/baselines.json || fail "the weights of the baseline
   grep -q '^shape: .*, observation changes$' || fail "--observation_changes"
 says changes/policy.safetensors '\"observation_changes\":true'
 "$spiketrain" eval --policy=changes/policy.safetensors --episodes=1 --ablate=changes >/dev/null
-"$spiketrain" quantize --policy=changes/policy.safetensors --out=changes8.safetensors --episodes=1 >/dev/null
+"$spiketrain" quantize --policy=changes/policy.safetensors --out=changes8.safetensors --episodes=1 --allow_loss >/dev/null
 refuses "--ablate: expected a policy with observation changes, received one without" \
   eval --policy=plain/policy.safetensors --episodes=1 --ablate=changes
 refuses "--observation_changes: expected what --init has, true, or no such flag, received false" \
@@ -184,12 +184,13 @@ refuses '--activity_router: expected no such flag beside --init, but --freeze=ro
 { "$spiketrain" train --data=data.cbor --out=x "${tiny[@]}" --freeze=heads 2>&1 || true; } |
   grep -q 'between dots: embed.*; received heads$' || fail "--freeze"
 
-# Rounds a policy to integers; equal starts give a small difference, and a policy is rounded once.
-"$spiketrain" quantize --policy=whole/policy.safetensors --out=new/2/policy.safetensors --episodes=3 --seed=2000000 --json |
+# Rounds weights to 8 bits; equal starts give a small difference, and a policy is rounded once.
+"$spiketrain" quantize --to=int8 --policy=whole/policy.safetensors --out=new/2/policy.safetensors --episodes=3 --seed=2000000 \
+  --allow_loss --json |
   grep -q '"difference_95_percent"'
 grep -aq "parent_sha256.*$(sha256sum <whole/policy.safetensors | cut -d' ' -f1)" new/2/policy.safetensors ||
   fail "the parent's hash"
-grep -aq 'command.*spiketrain quantize --policy=whole/policy.safetensors .*lineage.*--out=whole' new/2/policy.safetensors ||
+grep -aq 'command.*spiketrain quantize --policy=whole/policy.safetensors .*--to=int8 .*--allow_loss.*lineage.*--out=whole' new/2/policy.safetensors ||
   fail "the command or the lineage of the integer policy"
 "$spiketrain" eval --policy=new/2/policy.safetensors --episodes=1 --ablate=phase --json | grep -q '"phase"'
 refuses 'new/2/policy.safetensors: arithmetic: expected float32, received int8' \
@@ -199,12 +200,14 @@ refuses '--policy: expected a policy file, received none' quantize --out=x
 refuses '--episodes: expected at least 1, received 0' quantize --policy=whole/policy.safetensors --out=x --episodes=0
 
 # Rounds a policy from end to end, and leaves hidden neurons out. The record names the calibration set.
-"$spiketrain" quantize --to=integer --prune --policy=whole/policy.safetensors --data=data.cbor --out=new/3/policy.safetensors \
-  --episodes=3 >/dev/null
+"$spiketrain" quantize --prune --policy=whole/policy.safetensors --data=data.cbor --out=new/3/policy.safetensors \
+  --episodes=3 --allow_loss >/dev/null
 says new/3/policy.safetensors '\"arithmetic\":\"integer\"'
+says new/3/policy.safetensors '\"rounding_loss\":{\"measure\":\"return\",'
+refuses '--max_loss: expected 0 to 1, received 2' quantize --policy=whole/policy.safetensors --out=x --max_loss=2
 says new/3/policy.safetensors "\\\"data_sha256\\\":{\\\"data.cbor\\\":\\\"$(sha data.cbor)\\\"}"
 refuses '--mode, --leak, --attention, --data, --prune: expected with --to=integer, received --to=int8' \
-  quantize --policy=whole/policy.safetensors --out=x --prune
+  quantize --to=int8 --policy=whole/policy.safetensors --out=x --prune
 # A dense policy has no silent neurons and no membranes.
 "$spiketrain" train --data=data.cbor --out=dense --mode=dense --hidden_size=16 --batch=4 --iterations=1 --episodes=1 >/dev/null 2>&1
 refuses 'dense/policy.safetensors: --prune: expected a mode with spikes, received dense' \
@@ -285,7 +288,7 @@ fade --init=faded/policy.safetensors --out=faded-on --iterations=2 >/dev/null 2>
 says faded-on/policy.safetensors '\"norm\":\"none\"'
 fade --init=whole/policy.safetensors --norm=fade --out=faded-late --iterations=3 >/dev/null 2>&1 || fail "no late fading"
 "$spiketrain" quantize --to=integer --policy=faded-on/policy.safetensors --out=faded-integer/policy.safetensors --episodes=2 \
-  >/dev/null 2>&1 || fail "no integers without norms"
+  --allow_loss >/dev/null 2>&1 || fail "no integers without norms"
 "$spiketrain" account --policy=faded-integer/policy.safetensors --episodes=1 >account.txt
 grep -q '^residual_limit ' account.txt || fail "no limits: $(cat account.txt)"
 refuses '--norm: expected layer for a policy without norms, received fade' \

@@ -192,7 +192,7 @@ def _check_train_flag(flag: str) -> None:
         name != "arithmetic",
         "train_flags",
         "no --arithmetic, because stages continue from float32 weights, and version 2 of the "
-        "policy has 8-bit weights",
+        "policy is in integers",
         flag,
     )
     check(name not in _SET_BY_STAGES, "train_flags", f"no --{name}, which each stage sets", flag)

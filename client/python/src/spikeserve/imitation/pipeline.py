@@ -44,6 +44,9 @@ from spikeserve.imitation.training import Spiketrain, Training, find_spiketrain
 # Every round of data has environment seeds of its own.
 _SEEDS_OF_A_ROUND = 50_000
 _BASELINE_EPISODES = 100
+_NORMAL_95 = 1.96
+# The largest share of the way from random actions to the policy that integers may lose.
+_LARGEST_LOSS = 0.01
 
 
 @dataclass(frozen=True)
@@ -52,12 +55,12 @@ class ImitationResult:
 
     policies: pathlib.Path  # a folder for `spikeserve --policies`
     policy: pathlib.Path  # the policy in float32
-    quantized: pathlib.Path | None  # the same with 8-bit weights; None in mode dense
+    quantized: pathlib.Path | None  # in integers; None in mode dense, or if it lost too much
     report: pathlib.Path
     figures: Figures  # of `policy`
     quantized_figures: Figures | None
     baselines: dict[str, Figures]  # of lines and perceptrons that learned from the same data
-    warnings: list[str]  # one for each baseline that is better than the policy
+    warnings: list[str]  # of baselines that are better than the policy, and of lost returns
     expert_figures: Figures
     errors: dict[str, float]  # on held-out episodes, of "the policy" and of the baselines
 
@@ -343,26 +346,32 @@ class _Run:
 
     def _publish(self, chosen: _Candidate) -> ImitationResult:
         folder = self._journal.folder
-        first, first_figures = self._publish_version(1, chosen.policy)
+        first_figures = self._play_version(1, chosen.policy)
+        first = self._publish_version(1, chosen.policy, first_figures)
         second: pathlib.Path | None = None
         second_figures: Figures | None = None
-        if not self._is_dense:
+        lost: list[str] = []
+        # A Bernoulli coder has no integers.
+        if not self._is_dense and "--coder=bernoulli" not in self._options.train_flags:
             stage = folder / "stages/quantized/policy.safetensors"
             # From the published file, so that its record names a parent that exists for others.
-            quantized = self._trainer.quantize(first, stage)
-            second, second_figures = self._publish_version(2, quantized)
+            quantized = self._trainer.quantize(first, self._data, stage)
+            second_figures = self._play_version(2, quantized)
+            lost = self._lost_return(first_figures, second_figures)
+            if not lost:
+                second = self._publish_version(2, quantized, second_figures)
         insight, baselines = self._explain(first, first_figures)
         comparison = insight.comparison
         compared = comparison.warnings if comparison else []
         result = ImitationResult(
             baselines=baselines,
-            warnings=[*compared, *return_warnings(first_figures, baselines)],
+            warnings=[*lost, *compared, *return_warnings(first_figures, baselines)],
             policies=folder / "policies",
             policy=first,
             quantized=second,
             report=folder / "report.md",
             figures=first_figures,
-            quantized_figures=second_figures,
+            quantized_figures=None if second is None else second_figures,
             expert_figures=self._expert_figures(
                 FIRST_UNSEEN_SEED, self._options.episodes, "expert-unseen"
             ),
@@ -380,16 +389,32 @@ class _Run:
         )
         return result
 
-    def _publish_version(self, version: int, source: pathlib.Path) -> tuple[pathlib.Path, Figures]:
-        """Evaluates a policy on unseen starts and writes it as a version that can be served."""
-        options = self._options
+    def _play_version(self, version: int, source: pathlib.Path) -> Figures:
+        """Evaluates a policy on unseen starts."""
         title = f"version {version} plays unseen starts"
-        figures = self._journal.figures(
+        return self._journal.figures(
             f"version-{version}",
             lambda: self._evaluator.evaluate_policy(
-                source, FIRST_UNSEEN_SEED, options.episodes, title
+                source, FIRST_UNSEEN_SEED, self._options.episodes, title
             ),
         )
+
+    def _lost_return(self, before: Figures, after: Figures) -> list[str]:
+        """Returns a warning if integers lost more than they may, and more than chance explains."""
+        fall, error = after.falls_by(before)
+        span = before.mean - self._chance().mean
+        if span <= 0 or fall <= _LARGEST_LOSS * span or fall <= _NORMAL_95 * error:
+            return []
+        return [
+            f"in integers the policy returns {after.mean:.4g} instead of {before.mean:.4g}, "
+            f"{fall / span:.1%} of the way from random actions less, so there is no version 2: "
+            "train it through the integers (spiketrain train --arithmetic=integer --init=FILE)"
+        ]
+
+    def _publish_version(
+        self, version: int, source: pathlib.Path, figures: Figures
+    ) -> pathlib.Path:
+        """Writes a policy with its evaluation as a version that can be served."""
         name = self._factory.policy_name
         folder = self._journal.folder / "policies" / name / str(version)
         evaluation = {key: value for key, value in figures.to_json().items() if key != "returns"}
@@ -397,7 +422,7 @@ class _Run:
         target = folder / "policy.safetensors"
         if not target.is_file():  # a second writing would order the metadata differently
             write_with_record(source, target, {"evaluation": evaluation, "imitation": settings})
-        return target, figures
+        return target
 
     # Reasons
 

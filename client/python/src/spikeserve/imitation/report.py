@@ -55,7 +55,7 @@ def write_report(path: pathlib.Path, account: Account, result: _Result, insight:
         f"{name}/1, float32": result.figures,
     }
     if result.quantized_figures is not None:
-        figures[f"{name}/2, 8-bit weights"] = result.quantized_figures
+        figures[f"{name}/2, integers"] = result.quantized_figures
     metadata: dict[str, Any] = {
         "settings": settings,
         "reasons": account.reasons,

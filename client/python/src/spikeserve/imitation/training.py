@@ -54,7 +54,7 @@ class Spiketrain:
     def train(self, training: Training, out: pathlib.Path) -> pathlib.Path:
         """Trains into the folder `out` and returns the policy. Continues an interrupted run."""
         flags = [
-            "--data=" + ",".join(str(self._relative(path)) for path in training.data),
+            f"--data={self._datasets(training.data)}",
             f"--out={self._relative(out)}",
             f"--seed={training.seed}",
             f"--iterations={training.iterations}",
@@ -71,11 +71,15 @@ class Spiketrain:
             self._run("train", *flags)
         return policy
 
-    def quantize(self, policy: pathlib.Path, out: pathlib.Path) -> pathlib.Path:
-        """Writes the policy with 8-bit weights to the file `out`."""
+    def quantize(
+        self, policy: pathlib.Path, data: Sequence[pathlib.Path], out: pathlib.Path
+    ) -> pathlib.Path:
+        """Writes the policy in integers, calibrated on the data, to the file `out`."""
         if not out.is_file():
             source, target = self._relative(policy), self._relative(out)
-            self._run("quantize", f"--policy={source}", f"--out={target}", "--episodes=1")
+            files = f"--policy={source}", f"--out={target}", f"--data={self._datasets(data)}"
+            # What it lost is measured afterwards, on the starts of the evaluation.
+            self._run("quantize", "--prune", *files, "--episodes=1", "--max_loss=1")
         return out
 
     def compare(
@@ -83,10 +87,12 @@ class Spiketrain:
     ) -> pathlib.Path:
         """Writes the comparison of the policy with baselines on the data to the file `out`."""
         if not out.is_file():
-            datasets = ",".join(str(self._relative(path)) for path in data)
             files = f"--policy={self._relative(policy)}", f"--out={self._relative(out)}"
-            self._run("compare", *files, f"--data={datasets}", "--episodes=1")
+            self._run("compare", *files, f"--data={self._datasets(data)}", "--episodes=1")
         return out
+
+    def _datasets(self, data: Sequence[pathlib.Path]) -> str:
+        return ",".join(str(self._relative(path)) for path in data)
 
     def _relative(self, path: pathlib.Path) -> pathlib.Path:
         return path.relative_to(self.folder)

@@ -1,0 +1,45 @@
+// Measures what a policy lost when it was rounded, and decides whether that is too much.
+//
+// All functions are thread-safe.
+#ifndef TRAIN_EVALUATION_ROUNDING_LOSS_H_
+#define TRAIN_EVALUATION_ROUNDING_LOSS_H_
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/types/span.h"
+#include "core/dataset/dataset.h"
+#include "core/model/policy.h"
+#include "nlohmann/json.hpp"
+#include "train/evaluation/paired_evaluation.h"
+
+namespace spikeserve {
+
+// What rounding cost, as shares of a range.
+struct RoundingLoss {
+  absl::string_view measure;  // "return" or "agreement"
+  double range = 0.0;         // of the measure, which counts as 1
+  MeanInterval loss;          // as a share of the range; a gain is negative
+};
+
+// Measures the return that `pair`, a policy before and after it was rounded, lost. The range is the
+// distance of the policy's mean return from that of random actions on the same starts, at most 100.
+// Errors are those of MakeEnvironment.
+absl::StatusOr<RoundingLoss> LostReturn(const Policy& parent, const PairedEvaluation& pair);
+
+// Measures how much less the rounded policy agrees with the recorded actions. Both policies observe
+// the episodes without acting. A discrete action agrees or not; continuous ones agree by 1 minus
+// their mean distance, as a share of the bounds' distance. REQUIRES: at least one episode, of the
+// spaces of both policies.
+RoundingLoss LostAgreement(const Policy& parent, const Policy& rounded,
+                           absl::Span<const Episode> episodes);
+
+// Returns FAILED_PRECONDITION, with what to do, if the mean loss is larger than `largest` and
+// larger than chance explains at 95%.
+absl::Status CheckLoss(const RoundingLoss& loss, double largest);
+
+nlohmann::ordered_json ToJson(const RoundingLoss& loss);
+
+}  // namespace spikeserve
+
+#endif  // TRAIN_EVALUATION_ROUNDING_LOSS_H_
