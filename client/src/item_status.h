@@ -17,7 +17,9 @@ absl::Status StatusOfItem(const Item& item) {
   if (item.has_retry_after_seconds()) retry_after = item.retry_after_seconds();
   std::optional<uint64_t> decision;
   if (item.has_expected_decision()) decision = item.expected_decision();
-  return ForSession(StatusFromCode(item.code(), item.message(), retry_after, decision));
+  std::optional<int64_t> episode;
+  if (item.has_expected_episode()) episode = item.expected_episode();
+  return ForSession(StatusFromCode(item.code(), item.message(), retry_after, decision, episode));
 }
 
 }  // namespace spikeserve

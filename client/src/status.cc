@@ -18,12 +18,23 @@ constexpr char kErrorInfo[] = "type.googleapis.com/google.rpc.ErrorInfo";
 constexpr char kSessionLost[] = "spikeserve.session_lost";
 constexpr char kDiverged[] = "spikeserve.diverged";
 
-constexpr char kExpectedDecision[] = "expected_decision";  // in the metadata of ErrorInfo
+// In the metadata of ErrorInfo.
+constexpr char kExpectedDecision[] = "expected_decision";
+constexpr char kExpectedEpisode[] = "expected_episode";
 
 std::optional<uint64_t> ParseNumber(const std::string& text) {
   uint64_t number = 0;
   if (!absl::SimpleAtoi(text, &number)) return std::nullopt;
   return number;
+}
+
+// Returns a number in the metadata of the ErrorInfo of a status.
+std::optional<uint64_t> NumberIn(const absl::Status& status, const char* name) {
+  const auto payload = status.GetPayload(kErrorInfo);
+  google::rpc::ErrorInfo info;
+  if (!payload.has_value() || !info.ParseFromString(std::string(*payload))) return std::nullopt;
+  const auto found = info.metadata().find(name);
+  return found == info.metadata().end() ? std::nullopt : ParseNumber(found->second);
 }
 
 }  // namespace
@@ -49,7 +60,8 @@ absl::Status StatusFromGrpc(const grpc::Status& status) {
 
 absl::Status StatusFromCode(int32_t code, absl::string_view message,
                             std::optional<double> retry_after_seconds,
-                            std::optional<uint64_t> expected_decision) {
+                            std::optional<uint64_t> expected_decision,
+                            std::optional<int64_t> expected_episode) {
   // The codes of absl have the same numbers as those of gRPC.
   constexpr int32_t kLastCode = static_cast<int32_t>(absl::StatusCode::kUnauthenticated);
   if (code < 0 || code > kLastCode) {
@@ -60,6 +72,9 @@ absl::Status StatusFromCode(int32_t code, absl::string_view message,
   if (expected_decision.has_value()) {
     google::rpc::ErrorInfo info;
     (*info.mutable_metadata())[kExpectedDecision] = absl::StrCat(*expected_decision);
+    if (expected_episode.has_value()) {
+      (*info.mutable_metadata())[kExpectedEpisode] = absl::StrCat(*expected_episode);
+    }
     status.SetPayload(kErrorInfo, absl::Cord(info.SerializeAsString()));
   }
   if (!retry_after_seconds.has_value()) return status;
@@ -81,11 +96,12 @@ std::optional<absl::Duration> RetryAfter(const absl::Status& status) {
 }
 
 std::optional<uint64_t> ExpectedDecision(const absl::Status& status) {
-  const auto payload = status.GetPayload(kErrorInfo);
-  google::rpc::ErrorInfo info;
-  if (!payload.has_value() || !info.ParseFromString(std::string(*payload))) return std::nullopt;
-  const auto found = info.metadata().find(kExpectedDecision);
-  return found == info.metadata().end() ? std::nullopt : ParseNumber(found->second);
+  return NumberIn(status, kExpectedDecision);
+}
+
+std::optional<int64_t> ExpectedEpisode(const absl::Status& status) {
+  const auto episode = NumberIn(status, kExpectedEpisode);
+  return episode.has_value() ? std::optional(static_cast<int64_t>(*episode)) : std::nullopt;
 }
 
 std::optional<uint64_t> DivergedAt(const absl::Status& status) {

@@ -1,8 +1,10 @@
-// The time by which the client measures its waits. A step of the time of day does not change it.
+// The times by which the client measures. A step of the time of day changes neither.
 //
-// Free function without shared state; safe to call from many threads.
+// Free functions without shared state; safe to call from many threads.
 #ifndef CLIENT_SRC_STEADY_TIME_H_
 #define CLIENT_SRC_STEADY_TIME_H_
+
+#include <time.h>
 
 #include <chrono>
 
@@ -10,9 +12,20 @@
 
 namespace spikeserve {
 
-// Returns the time since a fixed point in the past, by the monotonic clock.
+// Returns the time since a fixed point in the past, by the monotonic clock: for waits.
 inline absl::Duration SteadyNow() {
   return absl::FromChrono(std::chrono::steady_clock::now().time_since_epoch());
+}
+
+// As SteadyNow, with the time in which the computer was suspended, where the system counts it: for
+// the age of an observation. The monotonic clock of Linux stands still meanwhile, so that an old
+// observation would be taken for a new one, and the server for a slow link.
+inline absl::Duration RobotNow() {
+#ifdef CLOCK_BOOTTIME
+  timespec now;
+  if (clock_gettime(CLOCK_BOOTTIME, &now) == 0) return absl::DurationFromTimespec(now);
+#endif
+  return SteadyNow();
 }
 
 }  // namespace spikeserve

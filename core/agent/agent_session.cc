@@ -79,7 +79,7 @@ void AgentSession::AddListener(std::shared_ptr<SessionListener> listener) {
   listeners_.push_back(std::move(listener));
 }
 
-// What one call of ActTogether does for sessions of one policy version.
+// What one call of ActTogether does for sessions of one policy version, and EndEpisode for one.
 struct AgentSession::Together {
   // Returns whether `call` requires a new decision. Otherwise sets its answer.
   static bool IsNewDecision(ActCall& call);
@@ -93,6 +93,13 @@ struct AgentSession::Together {
   // Adds the answer to the session, and reports it.
   static void Record(ActCall& call, Answer answer, absl::Span<const float> readout,
                      absl::Span<const float> noise);
+  // Ends an episode that has a decision.
+  static absl::StatusOr<EpisodeSummary> End(const EpisodeEnd& end, AgentSession& agent);
+  // Undoes SkipSteps, if no decision has followed.
+  static void RestoreSkipped(AgentSession& agent) {
+    const auto before = std::exchange(agent.before_skipped_, nullptr);
+    if (before != nullptr) agent.session_ = *before;
+  }
 };
 
 absl::StatusOr<const Answer*> AgentSession::Act(int64_t step, absl::Span<const float> observation,
@@ -134,7 +141,10 @@ bool AgentSession::Together::IsNewDecision(ActCall& call) {
     status = absl::FailedPreconditionError(
         absl::StrCat("decision: expected ", session.decisions, ", received ", *call.decision));
   }
-  if (!status.ok()) call.answer = status;
+  if (!status.ok()) {
+    call.answer = status;
+    RestoreSkipped(*call.session);
+  }
   return status.ok();
 }
 
@@ -175,14 +185,13 @@ void AgentSession::Together::Decide(absl::Span<ActCall* const> calls) {
     // Probabilities and actions are finite where the logits are.
     if (!AllFinite(choice.logits)) {
       session.context_.Drop();  // it holds the decision that was not made
-      if (const auto before = std::exchange(session.before_skipped_, nullptr)) {
-        session.session_ = *before;
-      }
+      RestoreSkipped(session);
       call.answer = session.NonFiniteError();
       continue;
     }
     Answer answer = MakeAnswer(session, outputs[i], call.reward, &choice);
-    answer.unusual_observations = served.observer->CountUnusual(call.observation);
+    answer.unusual_observations =
+        served.observer->CountUnusual(call.observation, static_cast<double>(answer.return_to_go));
     const absl::Duration chosen = clock.Now();
     answer.compute_seconds = absl::ToDoubleSeconds(share + (chosen - last));
     last = chosen;
@@ -312,7 +321,7 @@ absl::Status AgentSession::Append(absl::Span<const float> observation, double re
 
 void AgentSession::SkipSteps(absl::Span<const double> rewards) {
   head_.TakeMerged(&session_);
-  before_skipped_ = std::make_unique<const Session>(session_);
+  if (before_skipped_ == nullptr) before_skipped_ = std::make_unique<const Session>(session_);
   for (const double reward : rewards) CountSkipped(reward, &session_);
   session_.history.Clear();
   DropContext();
@@ -327,51 +336,61 @@ void AgentSession::ReportExecuted(const Action& executed) {
 
 absl::StatusOr<EpisodeSummary> AgentSession::EndEpisode(const EpisodeEnd& end) {
   if (session_.step == 0) return RepeatEnd(end);
-  head_.TakeMerged(&session_);
-  if (auto status = CheckReward(end.reward, NextReturnToGo(session_, end.reward)); !status.ok()) {
+  auto summary = Together::End(end, *this);
+  if (!summary.ok()) Together::RestoreSkipped(*this);
+  before_skipped_ = nullptr;
+  return summary;
+}
+
+absl::StatusOr<EpisodeSummary> AgentSession::Together::End(const EpisodeEnd& end,
+                                                           AgentSession& agent) {
+  Session& session = agent.session_;
+  agent.head_.TakeMerged(&session);
+  if (auto status = CheckReward(end.reward, NextReturnToGo(session, end.reward)); !status.ok()) {
     return status;
   }
   if (!end.observation.empty()) {
-    if (auto status = CheckObservation(end.observation, served_->policy().observation_size());
+    if (auto status = CheckObservation(end.observation, agent.served_->policy().observation_size());
         !status.ok()) {
       return status;
     }
   }
-  const double target_return = end.target_return.value_or(session_.options.target_return);
+  const double target_return = end.target_return.value_or(session.options.target_return);
   RETURN_IF_ERROR(CheckTargetReturn(target_return));
-  if (contribution() != nullptr) {
+  if (agent.contribution() != nullptr) {
     return absl::UnavailableError(
         "fleet head: has not taken the last episode of the session yet; try again");
   }
 
-  if (end.executed_action.has_value()) TakeExecuted(*end.executed_action);
-  const double episode_return = session_.episode_return + end.reward;
+  const bool is_known = !session.history.empty();  // otherwise the last steps were skipped
+  if (is_known && end.executed_action.has_value()) agent.TakeExecuted(*end.executed_action);
+  const double episode_return = session.episode_return + end.reward;
   const EpisodeSummary summary = {
       .episode_return = episode_return,
-      .steps = session_.step,
-      .spikes = session_.episode_spikes,
-      .energy_joules = session_.episode_energy_joules,
-      .learning = head_.OnEpisodeEnd(end, episode_return, *clock_, &session_)};
-  ++session_.episode;
-  session_.step = 0;
-  session_.target_return = target_return;
-  session_.return_to_go = target_return;
-  session_.episode_return = 0.0;
-  session_.episode_spikes = 0;
-  session_.episode_energy_joules = 0.0;
-  session_.history.Clear();
-  session_.last_answer.reset();
-  session_.last_end =
+      .steps = session.step,
+      .spikes = session.episode_spikes,
+      .energy_joules = session.episode_energy_joules,
+      .learning = agent.head_.OnEpisodeEnd(end, episode_return, *agent.clock_, &session)};
+  ++session.episode;
+  session.step = 0;
+  session.target_return = target_return;
+  session.return_to_go = target_return;
+  session.episode_return = 0.0;
+  session.episode_spikes = 0;
+  session.episode_energy_joules = 0.0;
+  session.history.Clear();
+  session.last_answer.reset();
+  session.last_end =
       std::make_shared<const EndedEpisode>(EndedEpisode{.end = end, .summary = summary});
-  DropContext();
-  head_.NewContribution(session_);
+  agent.DropContext();
+  agent.head_.NewContribution(session);
   bool is_taken = false;
-  for (const auto& listener : listeners_) {
-    if (listener->OnEpisodeEnd(session_, contribution())) is_taken = true;
+  for (const auto& listener : agent.listeners_) {
+    if (listener->OnEpisodeEnd(session, agent.contribution())) is_taken = true;
   }
-  if (contribution() != nullptr && !is_taken) contribution()->Append();
-  life_.OnEpisode(summary.episode_return);
-  served_->observer->OnEpisodeEnd(summary.episode_return);
+  if (agent.contribution() != nullptr && !is_taken) agent.contribution()->Append();
+  agent.life_.OnEpisode(summary.episode_return);
+  agent.served_->observer->OnEpisodeEnd(summary.episode_return);
   return summary;
 }
 

@@ -68,8 +68,8 @@ class AgentSession {
   // Adds the next step as Act decides it, but counts no decision for the observer.
   absl::Status Append(absl::Span<const float> observation, double reward,
                       const std::optional<ReportedAction>& executed);
-  // Counts the rewards of the next steps, whose observations are not known. REQUIRES: Append or Act
-  // follows, which begins the context; if it fails, the steps are not counted either.
+  // Counts the rewards of the next steps, whose observations are not known. REQUIRES: Append, Act
+  // or EndEpisode follows; if it fails, the steps are not counted either.
   void SkipSteps(absl::Span<const double> rewards);
   // Puts `executed`, of the action space, in the place of the last answered action, without a
   // further decision. REQUIRES: the running episode has a decision.
@@ -116,7 +116,7 @@ class AgentSession {
   int64_t Rollbacks() const { return head_.Rollbacks(session_); }
 
  private:
-  struct Together;  // the steps of ActTogether
+  struct Together;  // the steps of ActTogether, and of EndEpisode
 
   void TakeExecuted(const Action& executed);
   // Counts an answer that holds NaN or infinity, and returns its error.

@@ -105,7 +105,9 @@ absl::Status CheckBeats(const BeatHistory& history, const AgentSession& agent) {
     }
     if (status.ok()) status = ParseExecutedAction(beat.executed, policy.action_space).status();
     if (status.ok() && beat.step >= session.step) {
-      status = CheckObservation(beat.observation, policy.observation_size());
+      if (!beat.observation.empty()) {
+        status = CheckObservation(beat.observation, policy.observation_size());
+      }
       if (status.ok()) status = return_to_go.Take(beat.reward);
     }
     if (!status.ok()) return Annotate(status, Name(index));
@@ -133,6 +135,40 @@ int64_t Skip(const BeatHistory& history, int64_t end, AgentSession* agent) {
   return static_cast<int64_t>(rewards.size());
 }
 
+// Returns the rewards of the beats from `index` on that have no observation, up to the first that
+// has one.
+std::vector<double> BlindRewards(const BeatHistory& history, size_t index) {
+  std::vector<double> rewards;
+  for (; index < history.size; ++index) {
+    const Beat beat = history.beat(index);
+    if (!beat.observation.empty()) break;
+    rewards.push_back(beat.reward);
+  }
+  return rewards;
+}
+
+// Returns the step behind the last beat that is taken.
+int64_t PastOf(const BeatHistory& history) {
+  if (!history.observation.empty() || history.end_reward.has_value()) return history.step;
+  size_t size = history.size;
+  while (size > 0 && history.beat(size - 1).observation.empty()) --size;
+  return FirstStep(history) + static_cast<int64_t>(size);
+}
+
+// Skips the beats without an observation, whose `rewards` are given, from `index` on. Before them,
+// takes the executed action of the beat that they follow.
+absl::Status SkipBlind(const BeatHistory& history, size_t index, absl::Span<const double> rewards,
+                       AgentSession* agent) {
+  if (index > 0 && !agent->session().history.empty() &&
+      !history.beat(index - 1).observation.empty()) {
+    ASSIGN_OR_RETURN(const Action executed, ParseExecutedAction(history.beat(index - 1).executed,
+                                                                agent->policy().action_space));
+    agent->ReportExecuted(executed);
+  }
+  agent->SkipSteps(rewards);
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 absl::StatusOr<AppendedBeats> AppendBeats(const BeatHistory& history, AgentSession* agent,
@@ -147,14 +183,24 @@ absl::StatusOr<AppendedBeats> AppendBeats(const BeatHistory& history, AgentSessi
   RETURN_IF_ERROR(CheckBeats(history, *agent));
   agent->ExpectExecutedActions();
   const int64_t first = FirstStep(history);
-  result.dropped = Skip(history, std::max(first, history.step - kHistoryLimit), agent);
+  const int64_t past = PastOf(history);
+  if (past <= std::max(first, session.step)) return result;
+  result.dropped =
+      Skip(history, std::min(std::max(first, history.step - kHistoryLimit), past - 1), agent);
   bool after_gap = result.dropped > 0;
-  while (session.step < history.step) {
+  while (session.step < past) {
     if (result.appended == most) {
       result.finished = false;
       return result;
     }
-    const auto index = static_cast<size_t>(session.step - first);
+    auto index = static_cast<size_t>(session.step - first);
+    if (const auto blind = BlindRewards(history, index); !blind.empty()) {
+      RETURN_IF_ERROR(SkipBlind(history, index, blind, agent));
+      result.dropped += static_cast<int64_t>(blind.size());
+      index += blind.size();
+      if (index == history.size) break;
+      after_gap = true;
+    }
     const Beat beat = history.beat(index);
     std::optional<ReportedAction> executed;
     if (index > 0 && !after_gap) executed = history.beat(index - 1).executed;
@@ -172,8 +218,9 @@ absl::Status TakeLastExecuted(const BeatHistory& history, AgentSession* agent) {
   if (history.size == 0 || history.step == 0 || history.step != agent->session().step) {
     return absl::OkStatus();
   }
-  const auto executed =
-      ParseExecutedAction(history.beat(history.size - 1).executed, agent->policy().action_space);
+  const Beat last = history.beat(history.size - 1);
+  if (last.observation.empty()) return absl::OkStatus();  // skipped: nothing was decided there
+  const auto executed = ParseExecutedAction(last.executed, agent->policy().action_space);
   if (!executed.ok()) return Annotate(executed.status(), Name(history.size - 1));
   agent->ReportExecuted(*executed);
   return absl::OkStatus();

@@ -28,9 +28,9 @@ namespace spikeserve {
 
 // One beat. Views of a request.
 struct Beat {
-  int64_t step = 0;  // within the episode
-  absl::Span<const float> observation;
-  double reward = 0.0;  // of the action before
+  int64_t step = 0;                     // within the episode
+  absl::Span<const float> observation;  // empty: the robot had no valid one
+  double reward = 0.0;                  // of the action before
   ReportedAction executed;
 };
 
@@ -50,7 +50,7 @@ struct BeatHistory {
 // What AppendBeats has done.
 struct AppendedBeats {
   int64_t appended = 0;  // with their observations
-  int64_t dropped = 0;   // as rewards only
+  int64_t dropped = 0;   // as rewards only, with or without an observation
   bool finished = true;  // false: more beats are to be appended by another call
 };
 
@@ -67,6 +67,11 @@ inline constexpr int64_t kMostSkippedRewards = 65536;
 // is not valid; FAILED_PRECONDITION if it does not reach back to the step that the session expects
 // or belongs to another episode. Returns INTERNAL if the policy's answer to a beat is not finite;
 // the beats before it are appended then. A history that is older than the session adds nothing.
+//
+// A beat without an observation counts as a skipped reward: the context begins again behind it.
+// Such beats at the end of the history are taken only if `history` has an observation or ends the
+// episode, because a session is never left without a context. REQUIRES: the decision or the end
+// follows then.
 absl::StatusOr<AppendedBeats> AppendBeats(
     const BeatHistory& history, AgentSession* agent,
     int64_t most = std::numeric_limits<int64_t>::max(),

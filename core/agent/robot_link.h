@@ -26,6 +26,7 @@ struct BeatCounts {
   uint64_t late_answers = 0;
   uint64_t cancelled_calls = 0;
   uint64_t reconnects = 0;
+  uint64_t invalid_observations = 0;
   // Since the last report.
   double longest_gap_seconds = 0.0;
   double oldest_age_seconds = 0.0;
@@ -40,6 +41,7 @@ struct BeatCounts {
             .late_answers = grown(late_answers, before.late_answers),
             .cancelled_calls = grown(cancelled_calls, before.cancelled_calls),
             .reconnects = grown(reconnects, before.reconnects),
+            .invalid_observations = grown(invalid_observations, before.invalid_observations),
             .longest_gap_seconds = longest_gap_seconds,
             .oldest_age_seconds = oldest_age_seconds};
   }
@@ -51,12 +53,20 @@ class RobotLink {
   // million drift apart by 2 ms in two of them.
   static constexpr absl::Duration kWindow = absl::Seconds(10);
 
+  // How long requests may be later than the measure by the same time until the robot's clock is
+  // taken to have stood still. A link that was cut makes up for that time much faster: what waited
+  // in it arrives at once.
+  static constexpr absl::Duration kTrial = absl::Milliseconds(250);
+  // Less than this is what links do.
+  static constexpr absl::Duration kLate = absl::Milliseconds(100);
+
   // Takes a request that was received at `received`, by the server's clock, with an observation
-  // that was made at `observed_at` of the robot's clock. A robot's clock that has gone back is
-  // taken for a new one.
+  // that was made at `observed_at` of the robot's clock. Clocks are compared by what was measured
+  // since the robot's clock has gone back, or stood still while its computer was suspended.
   void OnRequest(absl::Duration received, absl::Duration observed_at) {
     const absl::Duration offset = received - observed_at;
-    if (!least_.has_value() || observed_at < newest_ - kWindow) {
+    if (!least_.has_value() || observed_at < newest_ - kWindow ||
+        HasStoodStill(received, observed_at)) {
       least_ = before_ = offset;
       since_ = received;
       newest_ = observed_at;
@@ -90,11 +100,34 @@ class RobotLink {
   const std::optional<BeatCounts>& report() const { return report_; }
 
  private:
+  // Returns whether all requests of the last kTrial were later than the measure by about the same
+  // time. Begins again with a request that is not, or is earlier than those before it by half of
+  // the time in which they came: a queue that empties.
+  bool HasStoodStill(absl::Duration received, absl::Duration observed_at) {
+    const absl::Duration late = received - observed_at - std::min(*least_, before_);
+    if (late < kLate) {
+      trial_.reset();
+      return false;
+    }
+    if (!trial_.has_value() || trial_->late - late > (received - trial_->begun) / 2) {
+      trial_ = {.begun = received, .late = late};
+    }
+    if (received - trial_->begun < kTrial) return false;
+    trial_.reset();
+    return true;
+  }
+
+  struct Trial {
+    absl::Duration begun;  // of the server's clock
+    absl::Duration late;   // by the measure, of the request that began it
+  };
+
   // Arrival minus observation of the fastest request in this window and in the window before.
   std::optional<absl::Duration> least_;
   absl::Duration before_;
-  absl::Duration since_;   // begin of the window, of the server's clock
-  absl::Duration newest_;  // observation, of the robot's clock
+  absl::Duration since_;        // begin of the window, of the server's clock
+  absl::Duration newest_;       // observation, of the robot's clock
+  std::optional<Trial> trial_;  // absent: the last request was not late
   std::optional<BeatCounts> report_;
 };
 

@@ -39,9 +39,11 @@ class SessionObserver {
   virtual std::shared_ptr<SessionListener> OnAssigned(absl::string_view /*tenant*/) {
     return nullptr;
   }
-  // Counts the elements of a new observation that lie far from the training data, and returns their
-  // number.
-  virtual uint32_t CountUnusual(absl::Span<const float> /*observation*/) { return 0; }
+  // Counts the elements of a new observation, and the return-to-go, that lie far from the training
+  // data, and returns their number.
+  virtual uint32_t CountUnusual(absl::Span<const float> /*observation*/, double /*return_to_go*/) {
+    return 0;
+  }
   virtual void OnDecision(const Answer& /*answer*/) {}
   // A step that an agent took without the server was appended, as `answer`, which was not sent.
   virtual void OnBeat(const Answer& /*answer*/) {}

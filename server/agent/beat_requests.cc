@@ -74,7 +74,9 @@ bool IsExpired(const v1::ActRequest& request, absl::Duration now, const RobotLin
 
 std::optional<ReportedAction> ExecutedBefore(const v1::ActRequest& request) {
   if (request.history_size() > 0) {
-    return FromProto(request.history(request.history_size() - 1).executed());
+    const v1::Beat& last = request.history(request.history_size() - 1);
+    if (last.observation().empty()) return std::nullopt;  // the session has skipped it
+    return FromProto(last.executed());
   }
   if (!request.has_executed_action()) return std::nullopt;
   return FromProto(request.executed_action());
@@ -100,7 +102,9 @@ absl::StatusOr<bool> TakeBeats(const v1::ActRequest& request, absl::Duration rec
     return !progress->expired;
   }
   const RequestBeats beats(request);
-  const BeatHistory history = HistoryOf(request, beats);
+  BeatHistory history = HistoryOf(request, beats);
+  const bool is_late = !request.observation().empty() && IsExpired(request, start, *robot);
+  if (is_late) history.observation = {};  // no decision follows the beats
   progress->finished = *budget > 0;
   if (!progress->finished) return false;
   ASSIGN_OR_RETURN(const auto done, AppendBeats(history, agent, *budget, on_appended));
@@ -108,13 +112,12 @@ absl::StatusOr<bool> TakeBeats(const v1::ActRequest& request, absl::Duration rec
   progress->appended += done.appended;
   progress->dropped += done.dropped;
   if (done.dropped > 0) observer.OnSkippedBeats(done.dropped);
-  const absl::Duration now = clock.Now();
-  progress->spent += now - start;
+  progress->spent += clock.Now() - start;
   progress->finished = done.finished;
   if (!progress->finished) return false;
   if (request.step() < agent->session().step) return true;  // asks for an answer that was given
-  if (!request.observation().empty()) progress->expired = IsExpired(request, now, *robot);
-  if (progress->expired) observer.OnExpired();
+  progress->expired = is_late;
+  if (is_late) observer.OnExpired();
   if (!progress->expired && !request.observation().empty()) return true;
   RETURN_IF_ERROR(TakeLastExecuted(history, agent));
   return false;
@@ -142,6 +145,7 @@ BeatCounts FromProto(const v1::BeatReport& report) {
           .late_answers = report.late_answers(),
           .cancelled_calls = report.cancelled_calls(),
           .reconnects = report.reconnects(),
+          .invalid_observations = report.invalid_observations(),
           .longest_gap_seconds = Finite(report.longest_gap_seconds()),
           .oldest_age_seconds = Finite(report.oldest_age_seconds())};
 }
@@ -154,6 +158,7 @@ void ToProto(const BeatCounts& counts, v1::BeatReport* report) {
   report->set_late_answers(counts.late_answers);
   report->set_cancelled_calls(counts.cancelled_calls);
   report->set_reconnects(counts.reconnects);
+  report->set_invalid_observations(counts.invalid_observations);
   report->set_longest_gap_seconds(counts.longest_gap_seconds);
   report->set_oldest_age_seconds(counts.oldest_age_seconds);
 }

@@ -253,6 +253,16 @@ Instances RobotsWithoutActions(const AlertRule& rule, const AlertInput& input) {
   return found;
 }
 
+Instances RobotsBlind(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  const Selection invalid = input.history.Select("spikeserve_invalid_observations_total");
+  for (const auto& [labels, series] : GroupBy({"policy", "version"}, invalid)) {
+    const double beats = Increase(series, WindowOf(rule, input));
+    if (beats > rule.threshold) found.push_back({labels, beats});
+  }
+  return found;
+}
+
 Instances RobotsSilent(const AlertRule& rule, const AlertInput& input) {
   const double silent = Gauge(input.history.Select("spikeserve_silent_robots"));
   return ServerIf(silent > rule.threshold, silent);
@@ -316,6 +326,9 @@ const std::vector<AlertRule>& Rules() {
       {"SpikeserveRobotsWithoutActions", "warning",
        "Robots play beats without a fresh action, or ask again for answers that were late.", 0.05,
        absl::Minutes(2), kNow, RobotsWithoutActions},
+      {"SpikeserveRobotsBlind", "warning",
+       "Robots play beats without a valid observation, minute after minute.", 0.0, absl::Minutes(2),
+       absl::Minutes(2), RobotsBlind},
       {"SpikeserveRobotsSilent", "warning",
        "Robots that declared their period have sent nothing for 50 periods.", 0.0, kNow, kNow,
        RobotsSilent},

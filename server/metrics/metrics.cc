@@ -122,7 +122,8 @@ Metrics::Metrics()
       unusual_(Register(BuildCounter(), "spikeserve_unusual_observations_total",
                         "Elements of observations further than --unusual_deviations standard "
                         "deviations from the mean of the training data, by index in the "
-                        "observation. Long observations are counted by ranges of indices.")),
+                        "observation. Long observations are counted by ranges of indices. "
+                        "return_to_go: far beyond the policy's returns.")),
       learning_updates_(Register(BuildCounter(), "spikeserve_learning_updates_total",
                                  "Action-head updates applied by sessions that learn.")),
       learning_rejected_(Register(BuildCounter(), "spikeserve_learning_rejected_total",
@@ -162,6 +163,10 @@ Metrics::Metrics()
       reconnects_(Register(BuildCounter(), "spikeserve_robot_reconnects_total",
                            "Connections that robots opened in the place of one that did not "
                            "answer, as robots report.")),
+      invalid_observations_(Register(
+          BuildCounter(), "spikeserve_invalid_observations_total",
+          "Beats of robots without a valid observation, as they report them: its size was wrong or "
+          "a number not finite. The robot executed a held or a safe action.")),
       appended_beats_(Register(
           BuildCounter(), "spikeserve_appended_beats_total",
           "Beats that were appended to sessions without a decision, by what is known of them: "
@@ -280,6 +285,7 @@ PolicyMetrics::Handles Metrics::AddSessions(const std::string& version, const Po
   for (const std::string& element : of.elements) {
     handles.unusual.push_back(add_with(unusual_, "element", element));
   }
+  handles.unusual_return = add_with(unusual_, "element", "return_to_go");
   AddLearning(series, of.labels, &handles);
   return handles;
 }
@@ -318,6 +324,7 @@ RobotHandles Metrics::AddRobots(const std::string& version, const prometheus::La
           .late_answers = add(late_answers_),
           .cancelled_calls = add(cancelled_calls_),
           .reconnects = add(reconnects_),
+          .invalid_observations = add(invalid_observations_),
           .appended = add_with(appended_beats_, "known", "observation"),
           .skipped = add_with(appended_beats_, "known", "reward"),
           .expired = add(expired_requests_),

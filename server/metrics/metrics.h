@@ -174,6 +174,7 @@ class Metrics {
   prometheus::Family<prometheus::Counter>& late_answers_;
   prometheus::Family<prometheus::Counter>& cancelled_calls_;
   prometheus::Family<prometheus::Counter>& reconnects_;
+  prometheus::Family<prometheus::Counter>& invalid_observations_;
   prometheus::Family<prometheus::Counter>& appended_beats_;
   prometheus::Family<prometheus::Counter>& expired_requests_;
   prometheus::Family<prometheus::Counter>& repeated_requests_;

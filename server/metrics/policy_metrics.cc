@@ -1,9 +1,16 @@
 #include "server/metrics/policy_metrics.h"
 
+#include <algorithm>
+
 #include "absl/strings/str_cat.h"
 #include "server/base/log.h"
 
 namespace spikeserve {
+namespace {
+
+constexpr double kUsualReturnScales = 3.0;
+
+}  // namespace
 
 UsualObservations UsualObservations::Of(const Policy& policy, double deviations) {
   UsualObservations usual;
@@ -15,16 +22,24 @@ UsualObservations UsualObservations::Of(const Policy& policy, double deviations)
     usual.low.push_back(static_cast<float>(mean[i] - reach));
     usual.high.push_back(static_cast<float>(mean[i] + reach));
   }
+  const auto [least, most] = std::minmax(policy.return_offset, policy.target_return);
+  const double reach = kUsualReturnScales * static_cast<double>(policy.return_scale);
+  usual.low_return = static_cast<double>(least) - reach;
+  usual.high_return = static_cast<double>(most) + reach;
   return usual;
 }
 
-uint32_t PolicyMetrics::CountUnusual(absl::Span<const float> observation) {
+uint32_t PolicyMetrics::CountUnusual(absl::Span<const float> observation, double return_to_go) {
   uint32_t total = 0;
   for (size_t i = 0; i < usual_.low.size(); ++i) {
     if (observation[i] >= usual_.low[i] && observation[i] <= usual_.high[i]) continue;
     ++total;
     const auto& unusual = series_.get().unusual;
     unusual[i * unusual.size() / usual_.low.size()]->Increment();
+  }
+  if (return_to_go < usual_.low_return || return_to_go > usual_.high_return) {
+    ++total;
+    series_.get().unusual_return->Increment();
   }
   return total;
 }
@@ -47,6 +62,7 @@ void PolicyMetrics::OnReport(const BeatCounts& beats) {
   handles.late_answers->Increment(static_cast<double>(beats.late_answers));
   handles.cancelled_calls->Increment(static_cast<double>(beats.cancelled_calls));
   handles.reconnects->Increment(static_cast<double>(beats.reconnects));
+  handles.invalid_observations->Increment(static_cast<double>(beats.invalid_observations));
   const bool is_news = beats.fresh + beats.held + beats.local + beats.safe > 0;
   if (is_news && beats.oldest_age_seconds > 0.0) handles.age->Observe(beats.oldest_age_seconds);
   if (is_news && beats.longest_gap_seconds > 0.0) handles.gap->Observe(beats.longest_gap_seconds);

@@ -8,6 +8,7 @@
 #include <array>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <string>
 #include <utility>
@@ -26,13 +27,18 @@
 
 namespace spikeserve {
 
-// The range of each element of an observation that counts as usual.
+// The range of each element of an observation, and of the return-to-go, that counts as usual.
 struct UsualObservations {
   std::vector<float> low;  // [obs], in environment units; empty: every observation is usual
   std::vector<float> high;
+  // The range of the return-to-go.
+  double low_return = -std::numeric_limits<double>::infinity();
+  double high_return = std::numeric_limits<double>::infinity();
 
   // Returns the ranges of `deviations` standard deviations on either side of the mean of the
-  // training data, which the policy stores. 0: no ranges.
+  // training data, which the policy stores. The return-to-go is usual up to three return_scale
+  // beyond return_offset and target_return: a policy stores no other trace of the returns that it
+  // was trained on. 0: no ranges.
   static UsualObservations Of(const Policy& policy, double deviations);
 };
 
@@ -59,10 +65,11 @@ struct RobotHandles {
   prometheus::Counter* late_answers;
   prometheus::Counter* cancelled_calls;
   prometheus::Counter* reconnects;
-  prometheus::Counter* appended;  // beats
-  prometheus::Counter* skipped;   // beats
-  prometheus::Counter* expired;   // requests
-  prometheus::Counter* repeated;  // requests
+  prometheus::Counter* invalid_observations;  // beats
+  prometheus::Counter* appended;              // beats
+  prometheus::Counter* skipped;               // beats
+  prometheus::Counter* expired;               // requests
+  prometheus::Counter* repeated;              // requests
   prometheus::Histogram* age;
   prometheus::Histogram* gap;
 };
@@ -105,6 +112,7 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Gauge* episode_return_mean;
     // Element i of an observation of length n counts in series i * unusual.size() / n.
     std::vector<prometheus::Counter*> unusual;
+    prometheus::Counter* unusual_return;
     prometheus::Counter* learning_updates;
     prometheus::Counter* learning_rejected_non_finite;
     prometheus::Counter* learning_rejected_over_budget;
@@ -139,7 +147,7 @@ class PolicyMetrics final : public SessionObserver {
   }
   void OnError() override { series_.get().errors->Increment(); }
   void OnClose() override { series_.get().sessions->Decrement(); }
-  uint32_t CountUnusual(absl::Span<const float> observation) override;
+  uint32_t CountUnusual(absl::Span<const float> observation, double return_to_go) override;
   void OnDecision(const Answer& answer) override;
   void OnBeat(const Answer& answer) override;
   void OnSkippedBeats(int64_t beats) override;

@@ -314,6 +314,7 @@ Json BeatsJson(const v1::BeatReport& beats) {
           {"late_answers", Integer(beats.late_answers())},
           {"cancelled_calls", Integer(beats.cancelled_calls())},
           {"reconnects", Integer(beats.reconnects())},
+          {"invalid_observations", Integer(beats.invalid_observations())},
           {"longest_gap_seconds", beats.longest_gap_seconds()},
           {"oldest_age_seconds", beats.oldest_age_seconds()}};
 }

@@ -15,11 +15,18 @@
 //   {"do": "summary", "episode": 0, "timeout": 10}    returns {} if it is not there in time
 //   {"do": "stats"}
 //   {"do": "value"}                                   of the session of the local engine, as HEX
+//   {"do": "wait", "timeout": 10}                     for an answer to be executed
+//   {"do": "suspend", "seconds": 15}                  lets CLOCK_BOOTTIME jump
 //   {"do": "close"}
 //
 // A number that JSON has no word for is null: NaN. A beat tells how often its thread has called
 // operator new.
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <cstdlib>
@@ -41,6 +48,7 @@
 namespace {
 
 thread_local uint64_t allocations = 0;
+std::atomic<time_t> seconds_asleep = 0;
 
 void* Allocate(size_t size) {
   ++allocations;
@@ -50,6 +58,13 @@ void* Allocate(size_t size) {
 }
 
 }  // namespace
+
+// Takes the place of the C library's function, for all of the process.
+extern "C" int clock_gettime(clockid_t clock, timespec* time) noexcept {
+  const auto result = static_cast<int>(syscall(SYS_clock_gettime, clock, time));
+  if (clock == CLOCK_BOOTTIME) time->tv_sec += seconds_asleep.load();
+  return result;
+}
 
 // The compiler would complain that memory of operator new is freed by free().
 void* operator new(size_t size) { return Allocate(size); }
@@ -114,6 +129,8 @@ Json StatsOf(const PilotStats& stats) {
                {"dropped", stats.dropped},
                {"lost_episodes", stats.lost_episodes},
                {"invalid", stats.invalid},
+               {"invalid_observations", stats.invalid_observations},
+               {"last_invalid_observation", stats.last_invalid_observation},
                {"failures", stats.failures},
                {"longest_gap", absl::ToDoubleSeconds(stats.longest_gap)},
                {"age_p50", absl::ToDoubleSeconds(stats.age_p50)},
@@ -171,6 +188,11 @@ class Player {
       return Json::object();
     }
     if (what == "summary") return Summary(json);
+    if (what == "wait") return pilot_->WaitReady(absl::Seconds(json.at("timeout").get<double>()));
+    if (what == "suspend") {
+      seconds_asleep += json.at("seconds").get<time_t>();
+      return Json::object();
+    }
     pilot_->Close();
     return Json::object();
   }
@@ -190,6 +212,7 @@ class Player {
     const uint64_t before = allocations;
     const PilotAction action = pilot_->Beat(observation, reward, executed);
     const uint64_t allocated = allocations - before;
+    if (!action.status.ok()) return {{"invalid", std::string(action.status.message())}};
     Json answer = {{"action", ActionOf(action.value)},
                    {"source", std::string(ActionSourceName(action.source))},
                    {"age", absl::ToDoubleSeconds(action.age)},
@@ -214,7 +237,9 @@ class Player {
     if (summary.wait_for(timeout) != std::future_status::ready) return Json::object();
     const Pilot::Summary result = summary.get();
     if (!result.ok()) return ErrorOf(result.status());
-    return {{"steps", result->steps()}, {"episode_return", result->episode_return()}};
+    return {{"steps", result->steps()},
+            {"episode_return", result->episode_return()},
+            {"lost_steps", result->lost_steps()}};
   }
 
   std::unique_ptr<Client> client_;

@@ -41,7 +41,8 @@ class LocalPolicy {
 
   // Decides for an observation [obs]. `reward` is for the action before, and `executed` is what the
   // robot executed there; absent at step 0. Returns INTERNAL if the session expects another step.
-  // The action is valid until the next call.
+  // The action is valid until the next call. An empty observation stands for one that was not
+  // valid: decides nothing, and counts the step as the server does.
   virtual absl::StatusOr<ActionView> Act(int64_t step, absl::Span<const float> observation,
                                          double reward,
                                          const std::optional<ActionView>& executed) = 0;

@@ -23,6 +23,7 @@
 #include <optional>
 #include <string>
 
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "absl/types/span.h"
@@ -38,10 +39,15 @@ namespace spikeserve {
 struct PilotAction {
   ActionView value;  // valid until the next call of the pilot
   ActionSource source = ActionSource::kSafe;
-  // From the observation that the action was chosen for to the return of Beat. Of a safe action:
-  // from the last observation that an action was chosen for.
+  // From the observation that the action was chosen for to the return of Beat, with the time in
+  // which the computer was suspended. Of a safe action: from the last observation that an action
+  // was chosen for.
   absl::Duration age;
   uint64_t beat = 0;  // counts the beats of the pilot from 0
+  // INVALID_ARGUMENT as long as no observation was valid: the robot is not wired right. It names
+  // the field, the expected and the received value; the action is the neutral one, and the call
+  // counts as no beat.
+  absl::Status status = absl::OkStatus();
 };
 
 class Pilot {
@@ -62,8 +68,11 @@ class Pilot {
   //
   // `reward` is for the action of the beat before; the first beat of an episode ignores it.
   // `executed` is what the robot executed in the beat before, if it differs from the returned
-  // action, for example because a safety layer clipped it. An observation of another size, or a
-  // number that is not finite, is replaced by the last valid one, by 0, or by what was returned.
+  // action, for example because a safety layer clipped it. A reward or an executed action that is
+  // not valid is replaced by 0, or by what was returned.
+  //
+  // A beat whose observation has another size, or a number that is not finite, has a held or a safe
+  // action. Before the first valid observation there is none: see PilotAction::status.
   PilotAction Beat(absl::Span<const float> observation, double reward = 0.0,
                    const std::optional<ActionView>& executed = std::nullopt) noexcept;
 
@@ -73,6 +82,12 @@ class Pilot {
   // summary once the server has all beats of the episode, or UNAVAILABLE if the session was lost or
   // the pilot closed before. An episode without a beat has an empty summary.
   std::future<Summary> EndEpisode(const EpisodeOutcome& outcome);
+
+  // Waits for an answer that the next beat may execute, for at most `timeout`. Returns whether
+  // there is one. The first beats of an episode have none on a slow link; a robot that stands still
+  // calls this after its first beat. An answer that is older than max_age then is not executed all
+  // the same.
+  bool WaitReady(absl::Duration timeout);
 
   // Returns what the pilot has done so far. Thread-safe.
   PilotStats Stats() const;

@@ -40,9 +40,10 @@ struct PilotOptions {
   std::optional<v1::Action> neutral = std::nullopt;  // absent: the neutral action of the policy
   // Beats from the last action to the neutral one. Absent: those of 0.2 s. 0: no ramp.
   std::optional<int> ramp_beats = std::nullopt;
-  // Returns the action for an observation [obs]. Runs on the thread of Beat and counts for its
-  // time. The action is read before the next call. An action that does not belong to the action
-  // space, or an exception, is replaced by the neutral action.
+  // Returns the action for an observation [obs], whose elements are all NaN if the observation of
+  // the beat is not valid. Runs on the thread of Beat and counts for its time. The action is read
+  // before the next call. An action that does not belong to the action space, or an exception, is
+  // replaced by the neutral action.
   std::function<ActionView(absl::Span<const float> observation)> fallback = nullptr;
   // Returns the W3C Trace Context of a beat (traceparent), or nothing. Runs on the thread of Beat.
   // The text is read before the next call.
@@ -64,6 +65,7 @@ struct PilotOptions {
   // The settings in effect.
   absl::Duration wait() const { return budget.value_or(period / 2); }
   absl::Duration oldest() const;
+  absl::Duration oldest_held() const { return oldest() + hold_beats * period; }
   int ramp() const;
   size_t most_in_flight() const;
 };

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <string>
 
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
@@ -32,9 +33,12 @@ struct PilotStats {
   uint64_t reopened = 0;         // sessions that were opened in the place of a lost one
   uint64_t dropped = 0;          // beats that the server got as rewards only
   uint64_t lost_episodes = 0;    // episodes whose end the server never learned
-  uint64_t invalid = 0;          // observations, rewards or executed actions that were replaced
-  uint64_t failures = 0;         // calls of the fall-back that failed
-  absl::Duration longest_gap;    // without a fresh action
+  uint64_t invalid = 0;          // observations, rewards or executed actions that were not valid
+  uint64_t invalid_observations = 0;  // beats without a valid observation
+  // What was expected and received in the place of the last of these; empty: all were valid.
+  std::string last_invalid_observation;
+  uint64_t failures = 0;       // calls of the fall-back that failed
+  absl::Duration longest_gap;  // without a fresh action
   // Ages of the actions but the safe ones, exact to 2 %.
   absl::Duration age_p50;
   absl::Duration age_p99;

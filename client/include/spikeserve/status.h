@@ -20,11 +20,12 @@ namespace spikeserve {
 absl::Status StatusFromGrpc(const grpc::Status& status);
 
 // Converts the status of one item of a batch or a stream. `code` is the number of a gRPC status
-// code; any other number becomes UNKNOWN. `retry_after_seconds` and `expected_decision` are those
-// of the item, if it has them.
+// code; any other number becomes UNKNOWN. `retry_after_seconds`, `expected_decision` and
+// `expected_episode` are those of the item, if it has them.
 absl::Status StatusFromCode(int32_t code, absl::string_view message,
                             std::optional<double> retry_after_seconds = std::nullopt,
-                            std::optional<uint64_t> expected_decision = std::nullopt);
+                            std::optional<uint64_t> expected_decision = std::nullopt,
+                            std::optional<int64_t> expected_episode = std::nullopt);
 
 // Returns the time after which the server expects that the call may succeed, if it named one
 // (google.rpc.RetryInfo).
@@ -33,6 +34,9 @@ std::optional<absl::Duration> RetryAfter(const absl::Status& status);
 // Returns the number of the decision that the session expects, if the request was out of order and
 // the server said so.
 std::optional<uint64_t> ExpectedDecision(const absl::Status& status);
+
+// Returns the index of the episode of that decision, if the server has named it.
+std::optional<int64_t> ExpectedEpisode(const absl::Status& status);
 
 // Returns the number of the decision if `status` says that a request, which was sent again after
 // the loss of a server, got another answer than before. For the end of an episode: the number of

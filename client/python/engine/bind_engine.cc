@@ -96,6 +96,15 @@ BoundDecision Act(LocalSession& session, nb::handle observation, double reward,
   return ToBound(ValueOrRaise(std::move(answer)), session.policy());
 }
 
+void Skip(LocalSession& session, double reward, nb::handle executed_action) {
+  const ExecutedAction executed = ToExecuted(executed_action);
+  const nb::gil_scoped_release release;
+  const absl::Status status = session.Skip(reward, executed.action);
+  if (status.ok()) return;
+  const nb::gil_scoped_acquire acquire;
+  (void)ValueOrRaise(absl::StatusOr<bool>(status));
+}
+
 EpisodeSummary EndEpisode(LocalSession& session, double reward, bool terminated, bool truncated,
                           std::optional<double> target_return, nb::handle executed_action) {
   EpisodeEnd end = {.reward = reward,
@@ -182,6 +191,10 @@ void BindSession(nb::module_& module) {
            "`observation` is in environment units. `reward` is for the previous action; step 0\n"
            "ignores it. `executed_action` is what was executed at the previous step; None: as\n"
            "answered. After an error the session is unchanged.")
+      .def(
+          "skip", &Skip, "reward"_a = 0.0, nb::kw_only(), "executed_action"_a = nb::none(),
+          "Takes a step without an observation, which decides nothing: its reward counts, and the\n"
+          "context begins again behind it. The arguments are those of `act`.")
       .def("end_episode", &EndEpisode, "reward"_a, "terminated"_a = false, "truncated"_a = false,
            "target_return"_a = nb::none(), nb::kw_only(), "executed_action"_a = nb::none(),
            "Takes the last reward, ends the episode and moves to step 0 of the next episode.\n\n"
@@ -195,7 +208,7 @@ void BindSession(nb::module_& module) {
       .def("state", &StateOf, "Returns the state of the session.")
       .def_prop_ro("step", [](LocalSession& session) {
         const nb::gil_scoped_release release;
-        return session.With([](const AgentSession& agent) { return agent.session().step; });
+        return session.step();
       });
 }
 

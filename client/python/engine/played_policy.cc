@@ -100,14 +100,29 @@ class LocalSession::Locks {
 absl::StatusOr<Answer> LocalSession::Act(absl::Span<const float> observation, double reward,
                                          const std::optional<ReportedAction>& executed) {
   const absl::MutexLock lock(&mutex_);
-  ASSIGN_OR_RETURN(const Answer* answer,
-                   agent_.Act(agent_.session().step, observation, reward, executed));
+  const bool is_behind_gap = blind_.Skip(&agent_);
+  ASSIGN_OR_RETURN(const Answer* answer, agent_.Act(agent_.session().step, observation, reward,
+                                                    is_behind_gap ? std::nullopt : executed));
+  blind_.Taken();
   return *answer;
+}
+
+absl::Status LocalSession::Skip(double reward, const std::optional<ReportedAction>& executed) {
+  const absl::MutexLock lock(&mutex_);
+  return blind_.Add(reward, executed, &agent_);
+}
+
+int64_t LocalSession::step() {
+  const absl::MutexLock lock(&mutex_);
+  return agent_.session().step + static_cast<int64_t>(blind_.size());
 }
 
 absl::StatusOr<EpisodeSummary> LocalSession::EndEpisode(const EpisodeEnd& end) {
   const absl::MutexLock lock(&mutex_);
-  return agent_.EndEpisode(end);
+  blind_.Skip(&agent_);
+  auto summary = agent_.EndEpisode(end);
+  if (summary.ok()) blind_.Taken();
+  return summary;
 }
 
 std::string LocalSession::Export() {
@@ -138,6 +153,10 @@ absl::StatusOr<BatchAnswers> LocalSession::ActTogether(absl::Span<LocalSession* 
   for (size_t i = 0; i < sessions.size(); ++i) {
     sessions[i]->mutex_.AssertHeld();
     AgentSession& agent = sessions[i]->agent_;
+    if (const size_t skipped = sessions[i]->blind_.size(); skipped > 0) {
+      return absl::FailedPreconditionError(absl::StrCat(
+          "row ", i, ": expected a session without skipped steps, received one with ", skipped));
+    }
     calls[i].session = &agent;
     calls[i].step = agent.session().step;
     calls[i].observation = observations.subspan(i * width, width);

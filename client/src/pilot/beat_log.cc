@@ -26,7 +26,8 @@ BeatLog::BeatLog(size_t kept, size_t observation_size, const ActionShape& shape)
       observations_(Reserve<float>(kept * observation_size)),
       continuous_(Reserve<float>(kept * shape.size())),
       discrete_(std::make_unique<int64_t[]>(kept)),
-      rewards_(Reserve<double>(reward_slots_)) {
+      rewards_(Reserve<double>(reward_slots_)),
+      is_blind_(kept) {
   episodes_.emplace_back();
 }
 
@@ -60,7 +61,8 @@ uint64_t BeatLog::Add(absl::Span<const float> observation, double reward, int64_
   const uint64_t number = next_++;
   if (kept_from() > 0 && kept_from() - 1 >= acknowledged_ && kept_from() > base_) ++dropped_;
   const size_t slot = SlotOf(number);
-  std::copy(observation.begin(), observation.end(), &observations_[slot * observation_size_]);
+  is_blind_[slot] = observation.empty();
+  std::copy(observation.begin(), observation.end(), observations_.get() + slot * observation_size_);
   rewards_[number % reward_slots_] = reward;
   observed_at_ = observed_at;
   traceparent_.assign(traceparent.data(), traceparent.size());
@@ -77,7 +79,8 @@ void BeatLog::SetExecuted(const ActionView& action) {
 
 BeatView BeatLog::At(uint64_t number) const {
   const size_t slot = SlotOf(number);
-  return {.observation = {observations_.get() + slot * observation_size_, observation_size_},
+  const size_t size = is_blind_[slot] ? 0 : observation_size_;
+  return {.observation = {observations_.get() + slot * observation_size_, size},
           .reward = RewardOf(number),
           .executed = {.discrete = shape_.is_box() ? 0 : discrete_[slot],
                        .continuous = {continuous_.get() + slot * shape_.size(), shape_.size()}}};
@@ -105,8 +108,15 @@ std::future<absl::StatusOr<v1::EndEpisodeResponse>> BeatLog::End(EpisodeOutcome 
 uint64_t BeatLog::HistoryBegin() const {
   const RobotEpisode& episode = asked();
   // The executed action of the last beat that the server has may be missing there.
-  const uint64_t begin = std::max(episode.first, acknowledged_ > 0 ? acknowledged_ - 1 : 0);
-  return std::max(begin, std::min(kept_from(), episode.past() - 1));
+  uint64_t begin = std::max(episode.first, acknowledged_ > 0 ? acknowledged_ - 1 : 0);
+  begin = std::max(begin, std::min(kept_from(), episode.past() - 1));
+  if (HistoryPast() - begin <= most()) return begin;
+  // The server takes beats without an observation only with what follows them, so that a history
+  // of these alone would bring nothing. They count as rewards all the same.
+  const uint64_t last = std::min(episode.past() - 1, acknowledged_ + kMostSkipped);
+  uint64_t seen = std::max(begin, acknowledged_);
+  while (seen < last && BeatOf(episode, seen).observation.empty()) ++seen;
+  return seen > acknowledged_ ? seen : begin;
 }
 
 uint64_t BeatLog::HistoryPast() const {
@@ -135,6 +145,7 @@ void BeatLog::FillRequest(v1::ActRequest* request) const {
   }
   if (end < newest || episode.ending.has_value()) return;
   const BeatView beat = At(newest);
+  if (beat.observation.empty()) return;
   request->mutable_observation()->Assign(beat.observation.begin(), beat.observation.end());
   request->set_reward(beat.reward);
   request->set_observed_at(observed_at_);
@@ -160,27 +171,54 @@ void BeatLog::Acknowledge(int64_t next_step) {
   acknowledged_ = std::max(acknowledged_, std::min(next, oldest().past()));
 }
 
-bool BeatLog::Rewind(uint64_t decision) {
+bool BeatLog::Rewind(uint64_t decision, std::optional<int64_t> episode) {
   const uint64_t number = NumberOf(decision);
+  while (!settled_.empty() &&
+         (number < oldest().first || episode.value_or(oldest().index) < oldest().index)) {
+    is_ending_ = false;
+    episodes_.push_front(std::move(settled_.back()));
+    settled_.pop_back();
+  }
   if (number < std::max(oldest().first, rewards_from()) || number > oldest().past()) return false;
   acknowledged_ = number;
   return true;
 }
 
-Ending BeatLog::Settle() {
+Ending BeatLog::Settle(bool is_stored) {
   Ending ending = *std::move(episodes_.front().ending);
   acknowledged_ = std::max(acknowledged_, oldest().past());
   is_ending_ = false;
+  if (is_stored) {
+    settled_.push_back(std::move(episodes_.front()));
+    settled_.back().ending = {.outcome = ending.outcome,
+                              .summary = {},  // nobody waits for the next answer
+                              .observation = ending.observation,
+                              .reward = ending.reward,
+                              .executed = ending.executed};
+    if (settled_.size() > kMostEpisodes) settled_.pop_front();
+  }
   episodes_.pop_front();
   return ending;
 }
 
-std::vector<Ending> BeatLog::BeginAgain() {
+void BeatLog::ForgetDurable(uint64_t decisions, int64_t episodes) {
+  while (!settled_.empty() &&
+         (settled_.front().index < episodes || settled_.front().past() < NumberOf(decisions))) {
+    settled_.pop_front();
+  }
+}
+
+std::vector<Ending> BeatLog::BeginAgain(bool keeps_beats) {
   std::vector<Ending> endings;
-  while (episodes_.size() > 1) endings.push_back(Settle());
+  while (episodes_.size() > 1) endings.push_back(Settle(/*is_stored=*/false));
+  settled_.clear();
   RobotEpisode& running = episodes_.front();
-  base_ = acknowledged_ = std::max(running.first, kept_from());
-  running = {.index = 0, .first = base_, .steps = next_ - base_};
+  const uint64_t begin = keeps_beats ? std::max(running.first, rewards_from()) : next_;
+  running = {.index = 0,
+             .first = begin,
+             .steps = next_ - begin,
+             .lost_steps = running.lost_steps + (begin - running.first)};
+  base_ = acknowledged_ = begin;
   lost_episodes_ += endings.size();
   return endings;
 }

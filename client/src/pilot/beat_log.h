@@ -1,4 +1,4 @@
-// The beats of the robot that the server does not have yet. Nothing here waits.
+// The beats of the robot that the server may not have. Nothing here waits.
 //
 // Beats are numbered from 0, over all episodes of the pilot, and the last ones are kept in a ring:
 // their observations, their executed actions, and for a longer time their rewards. So nothing is
@@ -11,7 +11,8 @@
 //   ended      the robot has ended it; the server misses beats, or an older episode's end
 //   complete   the server has acknowledged every beat; EndEpisode may be called, again and again
 //   ending     its end is under way, on the stream; requests are of the episode after it
-//   settled    the server has answered the end; the episode leaves the log
+//   settled    the server has answered the end; the episode leaves the log once the store of the
+//              server has the end, too. A server that has lost it gets the episode again
 //
 // The server's session is at the oldest episode, or at the one after it if the answer to the end of
 // the oldest one is under way or lost. So at most one end is under way: the server repeats the
@@ -42,9 +43,9 @@ namespace spikeserve::piloting {
 
 // A beat in the log, until the next call that changes it.
 struct BeatView {
-  absl::Span<const float> observation;
-  double reward = 0.0;  // for the action before
-  ActionView executed;  // of the newest beat: what was executed so far, if anything
+  absl::Span<const float> observation;  // empty: the robot had no valid one
+  double reward = 0.0;                  // for the action before
+  ActionView executed;                  // of the newest beat: what was executed so far, if anything
 };
 
 // How an episode has ended, and who waits for its summary.
@@ -61,6 +62,7 @@ struct RobotEpisode {
   int64_t index = 0;   // in the server's session
   uint64_t first = 0;  // number of its first beat
   uint64_t steps = 0;
+  uint64_t lost_steps = 0;  // before the first one, which only a lost session had
   std::optional<Ending> ending = std::nullopt;
 
   uint64_t past() const { return first + steps; }
@@ -90,8 +92,9 @@ class BeatLog {
   // Returns the number of the next beat.
   uint64_t next() const { return next_; }
 
-  // Adds a beat to the running episode. `observed_at` is in nanoseconds of the monotonic clock,
-  // `traceparent` the trace context of the beat. Returns its number.
+  // Adds a beat to the running episode, with an empty `observation` if there is no valid one.
+  // `observed_at` is in nanoseconds of RobotNow(), `traceparent` the trace context of the beat.
+  // Returns its number.
   uint64_t Add(absl::Span<const float> observation, double reward, int64_t observed_at,
                absl::string_view traceparent = "");
   // Sets what the robot has executed in the last beat. REQUIRES: the running episode has one.
@@ -99,7 +102,7 @@ class BeatLog {
   // Ends the running episode, which has a beat. The next beat begins another one.
   std::future<absl::StatusOr<v1::EndEpisodeResponse>> End(EpisodeOutcome outcome);
 
-  // Returns whether the beat `number` has its observation and its action.
+  // Returns whether what is known of the beat `number` is kept.
   bool Has(uint64_t number) const { return number >= kept_from() && number < next_; }
   // REQUIRES: Has(number).
   BeatView At(uint64_t number) const;
@@ -121,13 +124,19 @@ class BeatLog {
 
   // Notes that the server expects step `next_step` of the oldest episode.
   void Acknowledge(int64_t next_step);
-  // Notes that the server expects an older decision. Returns false if its beat is not kept.
-  bool Rewind(uint64_t decision);
-  // Removes the oldest episode, whose end was answered, and returns its ending.
-  Ending Settle();
-  // Moves to a new session, whose first episode begins with the beats of the running one that are
-  // kept. Returns the ends of the episodes that the old one had not ended.
-  std::vector<Ending> BeginAgain();
+  // Notes that the server expects an older decision, which is of `episode` if that is known.
+  // Returns false if its beat is not kept.
+  bool Rewind(uint64_t decision, std::optional<int64_t> episode);
+  // Notes that the end of the oldest episode was answered, and returns its ending. With
+  // `is_stored`, keeps the episode until the store has the end.
+  Ending Settle(bool is_stored);
+  // Notes that the store has so many decisions, and the ends of so many episodes. A server of an
+  // earlier release does not name the ends; they are in front of the decisions behind them.
+  void ForgetDurable(uint64_t decisions, int64_t episodes);
+  // Moves to a new session, whose first episode has the rewards of the running one, and its beats
+  // as far as they are kept; or begins with the next beat, if the server has refused them. Returns
+  // the ends of the episodes that the old one had not ended.
+  std::vector<Ending> BeginAgain(bool keeps_beats = true);
 
   // The most beats of one history that the server appends with their observations.
   void set_history_limit(int64_t limit) { history_limit_ = static_cast<uint64_t>(limit); }
@@ -155,8 +164,10 @@ class BeatLog {
   const std::unique_ptr<float[]> continuous_;    // [kept, shape.size()]: executed actions
   const std::unique_ptr<int64_t[]> discrete_;    // [kept]: executed actions
   const std::unique_ptr<double[]> rewards_;      // [reward_slots]
+  std::vector<bool> is_blind_;                   // [kept]: no valid observation
   int64_t observed_at_ = 0;                      // of the last beat
   std::string traceparent_;                      // of the last beat
+  std::deque<RobotEpisode> settled_;             // whose ends the store may lack
   std::deque<RobotEpisode> episodes_;            // the last one is running
   uint64_t next_ = 0;                            // number of the next beat
   uint64_t base_ = 0;                            // number of the first beat of the server's session

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "client/src/lockable.h"
@@ -14,6 +15,12 @@ using piloting::ActionValue;
 using piloting::LostEpisode;
 using piloting::Replaced;
 
+namespace {
+
+constexpr absl::Duration kAskAgain = absl::Milliseconds(50);
+
+}  // namespace
+
 Pilot::Cockpit::Cockpit(Replicas* replicas, piloting::Crew* crew, std::shared_ptr<Route> route,
                         v1::OpenSessionRequest opening, const v1::OpenSessionResponse& opened,
                         const ActionValue& neutral, PilotOptions options)
@@ -23,29 +30,40 @@ Pilot::Cockpit::Cockpit(Replicas* replicas, piloting::Crew* crew, std::shared_pt
       neutral_(neutral),
       facts_(static_cast<size_t>(options_.kept_beats),
              static_cast<size_t>(opened.observation_size()), shape_, neutral_, options_.hold_beats,
-             options_.ramp(), SteadyNow()),
+             options_.oldest_held(), options_.ramp()),
       link_(replicas, crew, route_.get(), std::move(opening), opened, &options_, &facts_),
-      observation_(static_cast<size_t>(opened.observation_size())),
+      no_observation_(static_cast<size_t>(opened.observation_size()),
+                      std::numeric_limits<float>::quiet_NaN()),
       fitted_(neutral),
       returned_(neutral) {}
 
 PilotAction Pilot::Cockpit::Beat(absl::Span<const float> observation, double reward,
                                  const std::optional<ActionView>& executed) {
   const absl::Duration now = SteadyNow();
+  const absl::Duration observed_at = RobotNow();
+  piloting::Blindness why;
+  const bool sees = piloting::IsObservation(observation, no_observation_.size(), &why);
+  if (!sees && !has_seen_) return RefuseBeat(why);
+  has_seen_ = true;
   const absl::string_view traceparent = Traceparent();
   {
     absl::MutexLock lock(&facts_.mutex);
     TakeExecuted(executed);
-    TakeObservation(observation);
-    const uint64_t number = facts_.log.Add(observation_, is_new_episode_ ? 0.0 : Finite(reward),
-                                           absl::ToInt64Nanoseconds(now), traceparent);
-    Queue(number, now);
+    if (!sees) {
+      ++facts_.counters.counts().invalid_observations;
+      facts_.blindness = why;
+      Replace(Replaced::kObservation);
+    }
+    const uint64_t number = facts_.log.Add(sees ? observation : absl::Span<const float>(),
+                                           is_new_episode_ ? 0.0 : Finite(reward),
+                                           absl::ToInt64Nanoseconds(observed_at), traceparent);
+    Queue(number, sees, now);
     is_new_episode_ = false;
-    if (Choose(number, now, now + options_.wait())) return Finish();
+    if (Choose(number, sees, observed_at, now + options_.wait())) return Finish();
   }
   // The robot's function may ask the pilot for its counts, so it runs without the lock.
   bool failed = false;
-  const ActionView own = Fallback(&failed);
+  const ActionView own = Fallback(sees ? observation : no_observation_, &failed);
   absl::MutexLock lock(&facts_.mutex);
   if (failed) {
     ++facts_.counters.counts().failures;
@@ -55,13 +73,30 @@ PilotAction Pilot::Cockpit::Beat(absl::Span<const float> observation, double rew
   return Finish();
 }
 
-void Pilot::Cockpit::Queue(uint64_t number, absl::Duration now) {
+PilotAction Pilot::Cockpit::RefuseBeat(const piloting::Blindness& why) {
+  absl::MutexLock lock(&facts_.mutex);
+  facts_.blindness = why;
+  Replace(Replaced::kObservation);
+  facts_.NotifyWork();
+  return {.value = neutral_.view(),
+          .source = ActionSource::kSafe,
+          .age = absl::ZeroDuration(),
+          .beat = beats_,
+          .status = absl::InvalidArgumentError(why.ToString())};
+}
+
+void Pilot::Cockpit::Queue(uint64_t number, bool sees, absl::Duration now) {
   const bool may_ask =
       facts_.log.is_current() || (facts_.ends_on_stream && facts_.log.is_one_behind());
-  const bool may_send = facts_.is_connected && may_ask && facts_.under_way.size() < facts_.window &&
-                        now >= facts_.paused_until;
+  const bool is_news = sees || (facts_.log.running().steps > 1 && facts_.counters.IsReportDue(now));
+  const bool may_send = is_news && facts_.is_connected && may_ask &&
+                        facts_.under_way.size() < facts_.window && now >= facts_.paused_until;
   if (may_send) {
-    facts_.queued = {.episode = facts_.log.running().index, .number = number, .sent = now};
+    facts_.queued = {.episode = facts_.log.running().index,
+                     .number = number,
+                     .sent = now,
+                     .ends = false,
+                     .asks = sees};
   }
   facts_.NotifyWork();
 }
@@ -75,9 +110,10 @@ absl::string_view Pilot::Cockpit::Traceparent() const {
   }
 }
 
-bool Pilot::Cockpit::Choose(uint64_t number, absl::Duration observed_at, absl::Duration deadline) {
-  return TakeAnswer(deadline) || facts_.ladder.Hold() || TakeLocal(number, observed_at, deadline) ||
-         facts_.ladder.Ramp();
+bool Pilot::Cockpit::Choose(uint64_t number, bool sees, absl::Duration observed_at,
+                            absl::Duration deadline) {
+  return (sees && TakeAnswer(deadline)) || facts_.ladder.Hold(observed_at) ||
+         (sees && TakeLocal(number, observed_at, deadline)) || facts_.ladder.Ramp();
 }
 
 bool Pilot::Cockpit::HasAnswer() const {
@@ -89,11 +125,13 @@ std::optional<uint64_t> Pilot::Cockpit::ExpectedAnswer(absl::Duration deadline) 
     facts_.mutex.AssertHeld();
     return !facts_.round_trip.has_value() || request.sent + *facts_.round_trip <= deadline;
   };
-  if (facts_.queued.has_value() && is_due(*facts_.queued)) return facts_.queued->number;
+  if (facts_.queued.has_value() && facts_.queued->asks && is_due(*facts_.queued)) {
+    return facts_.queued->number;
+  }
   for (size_t i = facts_.under_way.size(); i-- > 0;) {
     const piloting::SentRequest& request = facts_.under_way[i];
     if (request.episode != facts_.log.running().index) return std::nullopt;
-    if (is_due(request)) return request.number;
+    if (request.asks && is_due(request)) return request.number;
   }
   return std::nullopt;
 }
@@ -106,7 +144,7 @@ bool Pilot::Cockpit::TakeAnswer(absl::Duration deadline) {
   }
   if (!HasAnswer()) return false;
   next_answer_ = facts_.answer.number + 1;
-  if (SteadyNow() - facts_.answer.observed_at > options_.oldest()) {
+  if (RobotNow() - facts_.answer.observed_at > options_.oldest()) {
     ++facts_.counters.counts().stale;
     return false;
   }
@@ -136,10 +174,10 @@ bool Pilot::Cockpit::Wait(absl::Duration deadline) {
   return true;
 }
 
-ActionView Pilot::Cockpit::Fallback(bool* failed) {
+ActionView Pilot::Cockpit::Fallback(absl::Span<const float> observation, bool* failed) {
   if (options_.fallback == nullptr) return neutral_.view();
   try {
-    if (shape_.Fit(options_.fallback(observation_), &fitted_)) return fitted_.view();
+    if (shape_.Fit(options_.fallback(observation), &fitted_)) return fitted_.view();
   } catch (...) {  // of the robot's own function; a beat never throws
   }
   *failed = true;
@@ -147,11 +185,11 @@ ActionView Pilot::Cockpit::Fallback(bool* failed) {
 }
 
 PilotAction Pilot::Cockpit::Finish() {
-  const absl::Duration now = SteadyNow();
-  const absl::Duration age = std::max(absl::ZeroDuration(), now - facts_.ladder.observed_at());
+  const absl::Duration age =
+      std::max(absl::ZeroDuration(), RobotNow() - facts_.ladder.observed_at());
   returned_.Assign(facts_.ladder.action().view());
   facts_.log.SetExecuted(returned_.view());
-  facts_.counters.CountBeat(facts_.ladder.source(), age, now);
+  facts_.counters.CountBeat(facts_.ladder.source(), age, SteadyNow());
   return {
       .value = returned_.view(), .source = facts_.ladder.source(), .age = age, .beat = beats_++};
 }
@@ -159,10 +197,13 @@ PilotAction Pilot::Cockpit::Finish() {
 std::future<Pilot::Summary> Pilot::Cockpit::EndEpisode(EpisodeOutcome outcome) {
   absl::MutexLock lock(&facts_.mutex);
   const bool is_closed = facts_.closes_at.has_value();
-  if (is_new_episode_ || is_closed) {
+  const piloting::RobotEpisode& running = facts_.log.running();
+  if (running.steps == 0 || is_closed) {
     std::promise<Summary> known;
-    known.set_value(is_new_episode_ ? Summary(v1::EndEpisodeResponse())
-                                    : Summary(LostEpisode("the pilot was closed")));
+    v1::EndEpisodeResponse empty;
+    empty.set_lost_steps(static_cast<int64_t>(running.lost_steps));
+    known.set_value(running.steps == 0 ? Summary(std::move(empty))
+                                       : Summary(LostEpisode("the pilot was closed")));
     return known.get_future();
   }
   if (outcome.executed_action.has_value()) {
@@ -173,9 +214,12 @@ std::future<Pilot::Summary> Pilot::Cockpit::EndEpisode(EpisodeOutcome outcome) {
     Replace(Replaced::kReward);
     outcome.target_return.reset();
   }
-  if (!outcome.observation.empty()) {
-    TakeObservation(outcome.observation);
-    outcome.observation = observation_;
+  piloting::Blindness why;
+  if (!outcome.observation.empty() &&
+      !piloting::IsObservation(outcome.observation, no_observation_.size(), &why)) {
+    facts_.blindness = why;
+    Replace(Replaced::kObservation);
+    outcome.observation.clear();
   }
   auto summary = facts_.log.End(std::move(outcome));
   facts_.ladder.BeginEpisode();
@@ -185,9 +229,29 @@ std::future<Pilot::Summary> Pilot::Cockpit::EndEpisode(EpisodeOutcome outcome) {
   return summary;
 }
 
+bool Pilot::Cockpit::WaitReady(absl::Duration timeout) {
+  const absl::Duration deadline = SteadyNow() + timeout;
+  absl::MutexLock lock(&facts_.mutex);
+  while (!HasAnswer()) {
+    const absl::Duration now = SteadyNow();
+    if (now >= deadline) return false;
+    // No beat asks meanwhile: the stream may have opened, or broken, after the last one.
+    const piloting::RobotEpisode& running = facts_.log.running();
+    if (running.steps > 0 && facts_.under_way.empty() && !facts_.queued.has_value()) {
+      const uint64_t newest = facts_.log.next() - 1;
+      Queue(newest, !facts_.log.At(newest).observation.empty(), now);
+    }
+    Wait(std::min(deadline, now + kAskAgain));
+  }
+  return true;
+}
+
 PilotStats Pilot::Cockpit::Stats() const {
   absl::MutexLock lock(&facts_.mutex);
   PilotStats stats = facts_.counters.Snapshot();
+  if (facts_.blindness.expected > 0) {
+    stats.last_invalid_observation = facts_.blindness.ToString();
+  }
   stats.entries = facts_.ladder.entries();
   stats.dropped = facts_.log.dropped();
   stats.lost_episodes = facts_.log.lost_episodes();
@@ -199,17 +263,6 @@ PilotStats Pilot::Cockpit::Stats() const {
 std::string Pilot::Cockpit::session_id() const {
   absl::MutexLock lock(&facts_.mutex);
   return facts_.session_id;
-}
-
-void Pilot::Cockpit::TakeObservation(absl::Span<const float> observation) {
-  const bool is_valid =
-      observation.size() == observation_.size() &&
-      std::all_of(observation.begin(), observation.end(), [](float x) { return std::isfinite(x); });
-  if (is_valid) {
-    std::copy(observation.begin(), observation.end(), observation_.begin());
-  } else {
-    Replace(Replaced::kObservation);
-  }
 }
 
 double Pilot::Cockpit::Finite(double reward) {

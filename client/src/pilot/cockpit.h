@@ -36,17 +36,20 @@ class Pilot::Cockpit {
   PilotAction Beat(absl::Span<const float> observation, double reward,
                    const std::optional<ActionView>& executed) ABSL_LOCKS_EXCLUDED(facts_.mutex);
   std::future<Summary> EndEpisode(EpisodeOutcome outcome) ABSL_LOCKS_EXCLUDED(facts_.mutex);
+  bool WaitReady(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(facts_.mutex);
   PilotStats Stats() const ABSL_LOCKS_EXCLUDED(facts_.mutex);
   std::string session_id() const ABSL_LOCKS_EXCLUDED(facts_.mutex);
 
  private:
   // Returns the trace context of this beat.
   absl::string_view Traceparent() const;
-  // Asks for the decision of the newest beat, if a request may be sent.
-  void Queue(uint64_t number, absl::Duration now) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
+  // Asks for the decision of the newest beat, if a request may be sent. A beat without an
+  // observation (`sees` is false) asks for nothing: it only reports, and brings what was before.
+  void Queue(uint64_t number, bool sees, absl::Duration now)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
   // Takes the best action but the robot's own one, and waits for it until `deadline`. Returns false
-  // if there is none.
-  bool Choose(uint64_t number, absl::Duration observed_at, absl::Duration deadline)
+  // if there is none. Nothing is decided without an observation.
+  bool Choose(uint64_t number, bool sees, absl::Duration observed_at, absl::Duration deadline)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
   bool TakeAnswer(absl::Duration deadline) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
   bool TakeLocal(uint64_t number, absl::Duration observed_at, absl::Duration deadline)
@@ -58,14 +61,14 @@ class Pilot::Cockpit {
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
   // Waits for a decision. Returns false at the deadline.
   bool Wait(absl::Duration deadline) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
-  // Returns the action of the robot's own function, or the neutral one. Sets `failed` if the
-  // function threw, or returned an action that is none.
-  ActionView Fallback(bool* failed);
+  // Returns the action of the robot's own function for an observation, or the neutral one. Sets
+  // `failed` if the function threw, or returned an action that is none.
+  ActionView Fallback(absl::Span<const float> observation, bool* failed);
+  // Returns the error of a beat before the first valid observation.
+  PilotAction RefuseBeat(const piloting::Blindness& why) ABSL_LOCKS_EXCLUDED(facts_.mutex);
   PilotAction Finish() ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
 
   // Replace what is not valid, which is counted, and logged once.
-  void TakeObservation(absl::Span<const float> observation)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
   double Finite(double reward) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
   void TakeExecuted(const std::optional<ActionView>& executed)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_.mutex);
@@ -78,10 +81,11 @@ class Pilot::Cockpit {
   piloting::Facts facts_;
   piloting::Link link_;
 
-  std::vector<float> observation_;  // the last valid one
-  piloting::ActionValue fitted_;    // an action of the caller, with its elements in bounds
-  piloting::ActionValue returned_;  // by the last beat
-  uint64_t next_answer_ = 0;        // answers to older beats are not executed
+  const std::vector<float> no_observation_;  // NaN in each element
+  bool has_seen_ = false;                    // whether an observation was valid
+  piloting::ActionValue fitted_;             // an action of the caller, with its elements in bounds
+  piloting::ActionValue returned_;           // by the last beat
+  uint64_t next_answer_ = 0;                 // answers to older beats are not executed
   uint64_t beats_ = 0;
   bool is_new_episode_ = true;
 };

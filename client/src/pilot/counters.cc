@@ -58,8 +58,10 @@ void Counters::CountBeat(ActionSource source, absl::Duration age, absl::Duration
   if (source == ActionSource::kFresh) fresh_at_ = now;
 }
 
+bool Counters::IsReportDue(absl::Duration now) const { return now - reported_at_ >= kReportEvery; }
+
 bool Counters::FillReport(absl::Duration now, v1::BeatReport* report) {
-  if (now - reported_at_ < kReportEvery) return false;
+  if (!IsReportDue(now)) return false;
   report->set_fresh(counts_.of(ActionSource::kFresh));
   report->set_held(counts_.of(ActionSource::kHeld));
   report->set_local(counts_.of(ActionSource::kLocal));
@@ -67,6 +69,7 @@ bool Counters::FillReport(absl::Duration now, v1::BeatReport* report) {
   report->set_late_answers(counts_.late_answers);
   report->set_cancelled_calls(counts_.cancelled_calls);
   report->set_reconnects(counts_.reconnects);
+  report->set_invalid_observations(counts_.invalid_observations);
   report->set_longest_gap_seconds(absl::ToDoubleSeconds(reported_gap_));
   report->set_oldest_age_seconds(absl::ToDoubleSeconds(oldest_age_));
   reported_at_ = now;

@@ -35,6 +35,7 @@ class Counters {
 
   // Counts a beat, at the time `now`.
   void CountBeat(ActionSource source, absl::Duration age, absl::Duration now);
+  bool IsReportDue(absl::Duration now) const;
   // Fills the report that is due, about once a second. Returns false if none is.
   bool FillReport(absl::Duration now, v1::BeatReport* report);
   // Returns the counts with the figures that are computed from all beats.

@@ -17,6 +17,8 @@
 #include "client/src/pilot/counters.h"
 #include "client/src/pilot/crew.h"
 #include "client/src/pilot/ladder.h"
+#include "client/src/pilot/sight.h"
+#include "client/src/steady_time.h"
 
 namespace spikeserve::piloting {
 
@@ -25,7 +27,7 @@ struct Decision {
   bool is_there = false;
   uint64_t number = 0;
   ActionValue action = {};
-  absl::Duration observed_at = absl::ZeroDuration();  // of SteadyNow()
+  absl::Duration observed_at = absl::ZeroDuration();  // of RobotNow()
 };
 
 // A request for the newest beat of an episode, or one that ends it.
@@ -34,6 +36,7 @@ struct SentRequest {
   uint64_t number = 0;
   absl::Duration sent;  // of SteadyNow()
   bool ends = false;    // it ends the episode
+  bool asks = true;     // for a decision
 };
 
 // The requests that have no reply, oldest first, in a ring.
@@ -59,17 +62,17 @@ class UnderWay {
   size_t size_ = 0;
 };
 
-// What a beat had to replace; each kind is logged once.
+// What was not valid in a beat; each kind is logged once.
 enum class Replaced { kObservation, kReward, kExecuted, kFallback };
 inline constexpr size_t kReplaced = 4;
 
 struct Facts {
   // The arguments are those of BeatLog and Ladder.
   Facts(size_t kept, size_t observation_size, const ActionShape& shape, const ActionValue& neutral,
-        int hold_beats, int ramp_beats, absl::Duration now)
+        int hold_beats, absl::Duration oldest_held, int ramp_beats)
       : log(kept, observation_size, shape),
-        ladder(shape, neutral, hold_beats, ramp_beats, now),
-        counters(now) {}
+        ladder(shape, neutral, hold_beats, oldest_held, ramp_beats, RobotNow()),
+        counters(SteadyNow()) {}
 
   mutable absl::Mutex mutex;
   // Notified when a decision has arrived. A CondVar of Abseil would measure its timeouts by the
@@ -84,6 +87,7 @@ struct Facts {
   Ladder ladder ABSL_GUARDED_BY(mutex);
   Counters counters ABSL_GUARDED_BY(mutex);
   std::array<bool, kReplaced> replaced ABSL_GUARDED_BY(mutex) = {};
+  Blindness blindness ABSL_GUARDED_BY(mutex);  // why the last invalid observation was not valid
 
   // The newest decisions of the server and of the engine on the robot.
   Decision answer ABSL_GUARDED_BY(mutex);

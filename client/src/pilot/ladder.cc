@@ -13,11 +13,12 @@ bool IsServers(ActionSource source) {
 
 }  // namespace
 
-Ladder::Ladder(ActionShape shape, const ActionValue& neutral, int hold_beats, int ramp_beats,
-               absl::Duration now)
+Ladder::Ladder(ActionShape shape, const ActionValue& neutral, int hold_beats,
+               absl::Duration oldest_held, int ramp_beats, absl::Duration now)
     : shape_(std::move(shape)),
       neutral_(neutral),
       hold_beats_(hold_beats),
+      oldest_held_(oldest_held),
       ramp_beats_(ramp_beats),
       last_(neutral),
       observed_at_(now),
@@ -39,8 +40,8 @@ void Ladder::TakeFresh(const ActionView& action, absl::Duration observed_at) {
   Enter(ActionSource::kFresh);
 }
 
-bool Ladder::Hold() {
-  if (!can_hold_ || held_ >= hold_beats_) {
+bool Ladder::Hold(absl::Duration now) {
+  if (!can_hold_ || held_ >= hold_beats_ || now - observed_at_ > oldest_held_) {
     can_hold_ = false;
     return false;
   }

@@ -25,11 +25,12 @@ struct RungChange {
 
 class Ladder {
  public:
-  // `neutral` belongs to the action space of `shape`. A last action is held for `hold_beats`, and
-  // the way from it to the neutral action takes `ramp_beats`. `now` stands for the observation of
-  // safe actions before the first one that an action was chosen for.
-  Ladder(ActionShape shape, const ActionValue& neutral, int hold_beats, int ramp_beats,
-         absl::Duration now);
+  // `neutral` belongs to the action space of `shape`. A last action is held for `hold_beats`, while
+  // its observation is not older than `oldest_held`, and the way from it to the neutral action
+  // takes `ramp_beats`. `now`, of RobotNow() as all times here, stands for the observation of safe
+  // actions before the first one that an action was chosen for.
+  Ladder(ActionShape shape, const ActionValue& neutral, int hold_beats, absl::Duration oldest_held,
+         int ramp_beats, absl::Duration now);
 
   const ActionShape& shape() const { return shape_; }
   const ActionValue& neutral() const { return neutral_; }
@@ -48,7 +49,7 @@ class Ladder {
   // Takes the answer for an observation that was made at `observed_at`.
   void TakeFresh(const ActionView& action, absl::Duration observed_at);
   // Takes the last action again, if it may be held.
-  bool Hold();
+  bool Hold(absl::Duration now);
   // Takes the decision of the engine on the robot.
   void TakeLocal(const ActionView& action, absl::Duration observed_at);
   // Goes one beat on the way to the neutral action. Returns false at its end.
@@ -70,6 +71,7 @@ class Ladder {
   const ActionShape shape_;
   const ActionValue neutral_;
   const int hold_beats_;
+  const absl::Duration oldest_held_;
   const int ramp_beats_;
   ActionValue last_;
   absl::Duration observed_at_;

@@ -16,8 +16,9 @@ constexpr absl::Duration kFirstPause = absl::Milliseconds(50);
 constexpr absl::Duration kLongestPause = absl::Milliseconds(200);
 constexpr absl::Duration kGiveUp = absl::Seconds(1);  // without an answer, then another server
 constexpr absl::Duration kLongestLinkWait = absl::Seconds(1);
+constexpr absl::Duration kDenied = absl::Seconds(2);
 constexpr std::array<absl::string_view, kReplaced> kReplacedNames = {
-    "observation: expected finite values of the policy's observation",
+    "observation",  // Blindness::ToString says more
     "reward: expected a finite number", "executed: expected an action of the action space",
     "fallback: expected an action of the action space"};
 
@@ -163,7 +164,7 @@ absl::Duration Link::Doubt(absl::Duration now) {
   if (facts_->under_way.empty()) return absl::InfiniteDuration();
   const absl::Duration since = std::max(facts_->under_way.front().sent, replied_at_);
   if (now - since >= kGiveUp && replicas_->MayMove(*route_)) {
-    replicas_->Failed(*replica_);
+    ReplicaFailed();
     EndStream();
     return now;
   }
@@ -187,7 +188,7 @@ void Link::Lose() {
     StopLocal();
     is_open_ = false;
     facts_->answer.is_there = facts_->local.is_there = false;
-    endings = facts_->log.BeginAgain();
+    endings = facts_->log.BeginAgain(std::exchange(keeps_beats_, true));
   }
   stream_.reset();
   if (call_kind_ != Kind::kOpen) call_.reset();
@@ -230,7 +231,10 @@ void Link::WriteLog() {
     for (size_t i = 0; i < kReplaced; ++i) {
       if (facts_->replaced[i] == logged_[i]) continue;
       logged_[i] = true;
-      lines_.push_back(absl::StrCat(kReplacedNames[i], ", received another one (logged once)"));
+      lines_.push_back(
+          static_cast<Replaced>(i) == Replaced::kObservation
+              ? absl::StrCat(facts_->blindness.ToString(), " (logged once)")
+              : absl::StrCat(kReplacedNames[i], ", received another one (logged once)"));
     }
     while (const auto change = facts_->ladder.TakeChange()) {
       lines_.push_back(absl::StrCat(ActionSourceName(change->to), " after ", change->beats,
@@ -303,16 +307,18 @@ void Link::TakeCall() {
   const absl::Status resumed =
       status.ok() && kind == Kind::kExport ? local_.policy()->Resume(call->exported()) : status;
   std::optional<Ending> ended;
+  v1::EndEpisodeResponse summary;
   {
     absl::MutexLock lock(&facts_->mutex);
     call_done_ = false;
     if (!resumed.ok()) {
-      CallFailed(kind, resumed);
+      CallFailed(kind, call->replica(), resumed);
       return;
     }
     if (kind == Kind::kOpen) {
       if (call->opened().history_limit() == 0) {
-        CallFailed(kind, absl::UnimplementedError("server: expected one that appends beats"));
+        CallFailed(kind, call->replica(),
+                   absl::UnimplementedError("server: expected one that appends beats"));
         return;
       }
       TakeOpened(call->opened());
@@ -327,24 +333,27 @@ void Link::TakeCall() {
         return;
       }
     } else {
-      ended = facts_->log.Settle();
+      summary = call->ended();
+      ended = Settle(&summary);
       wants_export_ = wants_export_ || (facts_->has_local && facts_->shares_head);
     }
     Succeeded();
   }
-  if (ended.has_value()) ended->summary.set_value(call->ended());
+  if (ended.has_value()) ended->summary.set_value(std::move(summary));
 }
 
-void Link::CallFailed(Kind kind, const absl::Status& error) {
+void Link::CallFailed(Kind kind, const Replica* replica, const absl::Status& error) {
   if (kind == Kind::kExport && !MayExportAgain(error)) {
     wants_export_ = false;
     Log(absl::StrCat("the engine on the robot is not used: ", error.ToString()));
     return;
   }
   const auto expected = ExpectedDecision(error);
-  const bool is_kept = expected.has_value() && facts_->log.Rewind(*expected);
-  if (is_open_ && IsLost(error) && !is_kept) {
-    lost_ = std::string(error.message());
+  const bool is_kept =
+      expected.has_value() && facts_->log.Rewind(*expected, ExpectedEpisode(error));
+  const bool is_elsewhere = absl::IsNotFound(error) && MayBeElsewhere(replica);
+  if (is_open_ && IsLost(error) && !is_kept && !is_elsewhere) {
+    GiveUp(error);
   } else {
     LogFailure(error);
   }
@@ -355,6 +364,9 @@ void Link::CallFailed(Kind kind, const absl::Status& error) {
 void Link::TakeOpened(const v1::OpenSessionResponse& opened) {
   const bool is_stored = opened.durability() == v1::ASYNC || opened.durability() == v1::SYNC;
   replicas_->Pin(*route_, !is_stored);
+  is_stored_ = is_stored;
+  without_.clear();
+  denied_since_.reset();
   waits_for_merge_ = is_stored && facts_->shares_head;
   opening_.clear_session_id();  // the next session is another one
   facts_->session_id = opened.session_id();
@@ -369,12 +381,38 @@ void Link::StopLocal() {
   facts_->has_decision.notify_all();
 }
 
+void Link::ReplicaFailed() {
+  replicas_->Failed(*replica_);
+  without_.clear();
+}
+
 void Link::PauseTries() {
   next_try_ = SteadyNow() + pause_;
   pause_ = std::min(2 * pause_, kLongestPause);
 }
 
+bool Link::MayBeElsewhere(const Replica* replica) {
+  if (!is_stored_) return false;
+  const absl::Duration now = SteadyNow();
+  if (!denied_since_.has_value()) denied_since_ = now;
+  without_.insert(replica);
+  if (without_.size() == replicas_->size()) without_.clear();
+  return now - *denied_since_ < kDenied;
+}
+
+void Link::GiveUp(const absl::Status& error) {
+  lost_ = std::string(error.message());
+  keeps_beats_ = !absl::IsInvalidArgument(error);
+}
+
+Ending Link::Settle(v1::EndEpisodeResponse* summary) {
+  summary->set_lost_steps(static_cast<int64_t>(facts_->log.oldest().lost_steps));
+  return facts_->log.Settle(is_stored_);
+}
+
 void Link::Succeeded() {
+  without_.clear();
+  denied_since_.reset();
   pause_ = kFirstPause;
   next_try_ = -absl::InfiniteDuration();
 }

@@ -14,7 +14,8 @@
 //   queued      a beat waits for its request: send it
 //   behind      the engine on the robot lacks beats: let it play one
 //   no session  open one
-//   no stream   open one, after a pause that grows to 0.2 s
+//   no stream   open one, after a pause that grows to 0.2 s, at a server that has not denied the
+//               session
 //   no copy     bring the session to the engine on the robot
 //   ended       the oldest episode has ended: send the beats of it that the server may miss and
 //               its end, and the next episode may be asked for; if they are too many for one
@@ -29,6 +30,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -107,7 +109,7 @@ class Link : private ActionStream::Listener, private Crew::Member {
   ServerCall& NewCall(Kind kind, absl::Duration timeout);
   void TakeOpened(const v1::OpenSessionResponse& opened)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
-  void CallFailed(Kind kind, const absl::Status& error)
+  void CallFailed(Kind kind, const Replica* replica, const absl::Status& error)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
   // Gives the engine on the robot up until the next export.
   void StopLocal() ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
@@ -116,11 +118,24 @@ class Link : private ActionStream::Listener, private Crew::Member {
   // Tries a fresh connection, or another server, if requests wait for too long. Returns the time of
   // the next look.
   absl::Duration Doubt(absl::Duration now) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  // Notes that the server of the stream has failed.
+  void ReplicaFailed() ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
   void PauseTries() ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
   void Succeeded() ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
   void Log(std::string line) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
   // Logs the first one of several failures.
   void LogFailure(const absl::Status& error) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  // Notes that `replica` does not know the session. Returns whether the session may exist all the
+  // same: a server that takes it over, or whose store has lost it, may deny it while another one
+  // has it. A session that a store has is lost when those that answer have denied it for two
+  // seconds.
+  bool MayBeElsewhere(const Replica* replica) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  // Gives the session up because of an error. A beat that the server has refused as not valid would
+  // be refused again.
+  void GiveUp(const absl::Status& error) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
+  // Returns the ending of the oldest episode, whose end was answered by `summary`, which it
+  // completes.
+  Ending Settle(v1::EndEpisodeResponse* summary) ABSL_EXCLUSIVE_LOCKS_REQUIRED(facts_->mutex);
 
   Replicas* const replicas_;
   Route* const route_;
@@ -145,7 +160,11 @@ class Link : private ActionStream::Listener, private Crew::Member {
   std::vector<std::pair<Ending, v1::EndEpisodeResponse>> settled_ ABSL_GUARDED_BY(facts_->mutex);
   // EndEpisode waits for the head of a fleet that a store keeps, and the stream does not.
   bool waits_for_merge_ ABSL_GUARDED_BY(facts_->mutex) = false;
-  bool is_open_ ABSL_GUARDED_BY(facts_->mutex) = true;  // the server has the session
+  bool is_open_ ABSL_GUARDED_BY(facts_->mutex) = true;               // the server has the session
+  bool is_stored_ ABSL_GUARDED_BY(facts_->mutex) = false;            // a store may have it, too
+  std::set<const Replica*> without_ ABSL_GUARDED_BY(facts_->mutex);  // have denied it in a row
+  std::optional<absl::Duration> denied_since_ ABSL_GUARDED_BY(facts_->mutex);
+  bool keeps_beats_ ABSL_GUARDED_BY(facts_->mutex) = true;  // when the session is given up
   bool call_done_ ABSL_GUARDED_BY(facts_->mutex) = false;
   std::optional<std::string> lost_ ABSL_GUARDED_BY(facts_->mutex);  // why the session is given up
   std::optional<absl::Status> stream_end_ ABSL_GUARDED_BY(facts_->mutex);

@@ -10,9 +10,9 @@
 namespace spikeserve::piloting {
 
 void Link::OpenStream() {
-  replica_ = replicas_->Choose(*route_);
   {
     absl::MutexLock lock(&facts_->mutex);
+    replica_ = replicas_->Choose(*route_, without_);
     if (had_stream_) ++facts_->counters.counts().reconnects;
     had_stream_ = true;
     facts_->is_connected = true;
@@ -32,7 +32,7 @@ void Link::DropStream() {
     next_try_ = -absl::InfiniteDuration();
     return;
   }
-  replicas_->Failed(*replica_);
+  ReplicaFailed();
   LogFailure(end->ok() ? absl::UnavailableError("the server ended the stream") : *end);
   PauseTries();
 }
@@ -61,7 +61,8 @@ void Link::SendRequest() {
     facts_->under_way.Push({.episode = episode.index,
                             .number = episode.first + static_cast<uint64_t>(request.step()),
                             .sent = now,
-                            .ends = ends});
+                            .ends = ends,
+                            .asks = request.observation_size() > 0});
   }
   stream_->Send(std::move(request));
 }
@@ -82,6 +83,7 @@ void Link::OnReply(const v1::ActResponse& reply) {
     TakeError(StatusOfItem(reply.error()), request);
   } else if (request.episode == facts_->log.oldest().index) {
     Succeeded();
+    facts_->log.ForgetDurable(reply.durable_decision(), reply.durable_episode());
     if (request.ends) {
       TakeEnd(reply);
     } else {
@@ -94,7 +96,9 @@ void Link::OnReply(const v1::ActResponse& reply) {
 
 void Link::TakeEnd(const v1::ActResponse& reply) {
   if (reply.has_ended()) {
-    settled_.emplace_back(facts_->log.Settle(), reply.ended());
+    v1::EndEpisodeResponse summary = reply.ended();
+    Ending ending = Settle(&summary);
+    settled_.emplace_back(std::move(ending), std::move(summary));
     return;
   }
   // A server of an earlier release has taken the beats, and ignored the end.
@@ -110,7 +114,7 @@ void Link::TakeAnswer(const v1::ActResponse& reply, const SentRequest& request,
                            ? *facts_->round_trip + (took - *facts_->round_trip) / 8
                            : took;
   const absl::Duration observed_at = absl::Nanoseconds(reply.observed_at());
-  const absl::Duration age = now - observed_at;
+  const absl::Duration age = RobotNow() - observed_at;
   PilotStats& counts = facts_->counters.counts();
   if (age > options_.period) ++counts.late_answers;
   if (age > options_.oldest()) {
@@ -136,19 +140,24 @@ void Link::TakeError(const absl::Status& error, const SentRequest& request) {
   if (expected.has_value()) {
     // A request behind an end that failed, or one that was sent twice, fails without consequence.
     if (!is_oldest) return;
-    // The server has lost what it had acknowledged, and gets it again. If it has lost nothing, it
-    // has another end of the episode.
-    const bool is_kept = facts_->log.Rewind(*expected);
-    if (!is_kept || (is_end && facts_->log.is_complete())) lost_ = std::string(error.message());
+    // The server has lost what it had acknowledged, the ends of episodes, too, and gets it again.
+    // If it has lost nothing, it has another end of the episode.
+    const bool is_kept = facts_->log.Rewind(*expected, ExpectedEpisode(error));
+    const bool is_same = request.episode == facts_->log.oldest().index;
+    if (!is_kept || (is_end && is_same && facts_->log.is_complete())) GiveUp(error);
   } else if (const auto after = RetryAfter(error)) {
     facts_->paused_until = SteadyNow() + *after;
+  } else if (absl::IsNotFound(error) && MayBeElsewhere(replica_)) {
+    LogFailure(error);
+    PauseTries();
+    EndStream();
   } else if (absl::IsNotFound(error) || absl::IsFailedPrecondition(error) ||
              absl::IsInvalidArgument(error) || absl::IsDataLoss(error)) {
-    lost_ = std::string(error.message());
+    GiveUp(error);
   } else {
     LogFailure(error);
     PauseTries();
-    replicas_->Failed(*replica_);
+    ReplicaFailed();
     EndStream();
   }
 }

@@ -60,7 +60,7 @@ std::optional<uint64_t> LocalCopy::Commit() {
     return std::nullopt;
   }
   ++next_;
-  return work_.number;
+  return work_.observation.empty() ? std::nullopt : std::optional(work_.number);
 }
 
 }  // namespace spikeserve::piloting

@@ -42,7 +42,7 @@ class LocalCopy {
   // Plays it. Needs no lock of `log`.
   absl::Status Play();
   // Moves on, after Play has returned OK. Returns the number of the beat that action() is for;
-  // nothing after the end of an episode.
+  // nothing after the end of an episode, or a beat without an observation.
   std::optional<uint64_t> Commit();
   ActionView action() const { return action_; }
 

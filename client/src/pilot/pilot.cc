@@ -79,6 +79,8 @@ std::future<Pilot::Summary> Pilot::EndEpisode(const EpisodeOutcome& outcome) {
   return cockpit_->EndEpisode(outcome);
 }
 
+bool Pilot::WaitReady(absl::Duration timeout) { return cockpit_->WaitReady(timeout); }
+
 PilotStats Pilot::Stats() const { return cockpit_->Stats(); }
 
 std::string Pilot::session_id() const { return cockpit_->session_id(); }

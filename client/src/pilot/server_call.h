@@ -35,6 +35,8 @@ class ServerCall {
   // Waits for the end of the call. Returns its status, and tells the replicas about it.
   absl::Status Await() ABSL_LOCKS_EXCLUDED(mutex_);
 
+  const Replica* replica() const { return replica_; }
+
   // The response, after the call has ended with OK.
   const v1::OpenSessionResponse& opened() const { return opened_; }
   const v1::ExportSessionResponse& exported() const { return exported_; }

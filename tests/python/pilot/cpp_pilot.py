@@ -53,6 +53,8 @@ class CppPilot:
         if executed_action is not None:
             line["executed"] = [number(x) for x in executed_action]
         action = self._ask(do="beat", **line)
+        if "invalid" in action:
+            raise ValueError(action["invalid"])
         self.allocations.append(action.pop("allocations"))
         if isinstance(action["action"], list):
             action["action"] = np.float32(action["action"])
@@ -65,6 +67,13 @@ class CppPilot:
 
     def stats(self):
         return SimpleNamespace(**self._ask(do="stats"))
+
+    def wait_ready(self, timeout):
+        return self._ask(do="wait", timeout=timeout)
+
+    def suspend(self, seconds):
+        """Lets the clock that counts the sleep of a computer jump."""
+        self._ask(do="suspend", seconds=seconds)
 
     def value(self):
         """Returns the value of the session on the robot's engine."""

@@ -94,6 +94,49 @@ def test_the_history_alone_is_appended(service):
     assert ended.episode_return == pytest.approx(sum(0.1 * (t % 7) for t in range(1, STEPS)) + 1)
 
 
+def without_observation(beat):
+    return {key: value for key, value in beat.items() if key != "observation"}
+
+
+def test_steps_without_an_observation_count_as_rewards(service):
+    """In the middle of a history, before a decision, and before the end of the episode."""
+    robot = Robot(service, **KINDS["learning"])
+    robot.act()
+    for step in range(1, 12):
+        robot.execute({"discrete": step % 2})
+        if step in (3, 4, 10, 11):
+            robot.beats[-1] = without_observation(robot.beats[-1])
+    # Nothing follows the last two.
+    waiting = without_observation(robot.request(12))
+    answer = service.Act(**waiting)
+    assert (answer.appended, answer.dropped, answer.next_step) == (7, 2, 10)
+    answer = robot.act(12)
+    assert (answer.appended, answer.dropped, answer.next_step) == (0, 2, 13)
+    assert answer.HasField("action")
+    robot.execute({"discrete": 1})
+    robot.beats[-1] = without_observation(robot.beats[-1])
+    end = {"reward": 1.0, "terminated": True, "episode": 0, "steps": 14, "executed_action": {"discrete": 1}}
+    last = without_observation(robot.request(3, end_episode=end))
+    ended = [service.Act(**last).ended for _ in range(2)]
+    assert ended[0] == ended[1]
+    assert ended[0].steps == 14
+    rewards = sum(0.1 * (step % 7) for step in range(1, 14)) + 1.0
+    assert ended[0].episode_return == pytest.approx(rewards)
+
+
+def test_a_late_request_takes_no_step_without_an_observation(service):
+    robot = Robot(service, **KINDS["float"])
+    neutral = robot.opened.neutral_action
+    robot.act(observed_at=START, valid_until=START + 3600 * SECOND)
+    robot.execute(neutral)
+    robot.beats[-1] = without_observation(robot.beats[-1])
+    late = robot.request(2, observed_at=START - 5 * SECOND, valid_until=START - 4 * SECOND)
+    answer = service.Act(**late)
+    assert answer.expired and (answer.next_step, answer.dropped) == (1, 0)
+    answer = robot.act(2, observed_at=START, valid_until=START + 3600 * SECOND)
+    assert (answer.next_step, answer.dropped) == (3, 1)
+
+
 def test_an_expired_request_is_appended_and_not_decided(service):
     values, beats = undisturbed(service, **KINDS["greedy"])
     robot = Robot(service, **KINDS["greedy"])
@@ -259,12 +302,14 @@ def test_the_server_sees_its_robots():
         service = Service(channel, POLICY)
         robot = Robot(service, policy="pendulum", period_seconds=0.02, labels={"robot": "arm-7"})
         report = {"fresh": 10, "held": 5, "local": 3, "safe": 2, "late_answers": 4, "oldest_age_seconds": 0.3}
+        report["invalid_observations"] = 1
         answer = robot.act(report=report)
         assert answer.next_step == 1
         service.Act(**robot.request(0, step=0, decision=0, report=report))  # sent again
         for source, beats in (("fresh", 10), ("held", 5), ("local", 3), ("safe", 2)):
             assert metric(addresses, "spikeserve_beats_total", policy="pendulum", source=source) == beats
         assert metric(addresses, "spikeserve_late_answers_total") == 4
+        assert metric(addresses, "spikeserve_invalid_observations_total") == 1
         assert metric(addresses, "spikeserve_action_age_seconds_count") == 1
         assert metric(addresses, "spikeserve_repeated_requests_total") == 1
         for _ in range(3):

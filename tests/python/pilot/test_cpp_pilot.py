@@ -26,6 +26,15 @@ from test_pilot import (  # noqa: F401
     test_the_next_episode_does_not_wait_for_the_answer_to_the_end,
     test_what_a_safety_layer_executes_is_what_the_server_remembers,
 )
+from test_pilot_faults import (  # noqa: F401
+    test_a_blind_robot_is_not_reported_fresh,
+    test_a_robot_may_wait_until_an_answer_is_there,
+    test_a_robot_that_is_wired_wrong_hears_it_at_its_first_step,
+    test_a_robot_that_slept_executes_nothing_from_before,
+    test_a_server_hears_of_a_robot_that_stays_blind,
+    test_a_server_that_denies_the_session_has_not_the_last_word,
+    test_episodes_begin_and_end_without_an_observation,
+)
 from traces import collecting, environment
 
 WARM = 20  # beats after which nothing is allocated
@@ -36,6 +45,9 @@ class CppFlight(test_pilot.Flight):
 
     def local_value(self):
         return self.pilot.value()
+
+    def suspend(self, seconds):
+        self.pilot.suspend(seconds)
 
 
 @pytest.fixture
@@ -64,6 +76,10 @@ def test_with_an_engine_a_pulled_cable_costs_nothing(client, link, policy, optio
 
 def test_with_an_engine_five_seconds_without_a_cable_cost_no_action(client, link, fly):
     test_pilot_engine.test_five_seconds_without_a_cable_cost_no_action(client, link, fly)
+
+
+def test_the_engine_on_the_robot_skips_what_the_robot_did_not_see(client, link, fly):
+    test_pilot_engine.test_the_engine_on_the_robot_skips_what_the_robot_did_not_see(client, link, fly)
 
 
 def test_the_engine_on_the_robot_plays_the_same_session(client, link, fly):

@@ -1,14 +1,18 @@
 """A pilot gives every beat an action, and the server's session is what happened on the robot."""
 
+import contextlib
 import logging
 import math
+import tempfile
 import time
+from unittest import mock
 
 import numpy as np
 import pytest
 import spikeserve
 import spikeserve.piloting.link
 from restartable_server import RestartableServer, restartable_server
+from spikeserve.piloting import robot_clock
 from spikeserve.wire import METHODS
 
 PERIOD = 0.01
@@ -35,6 +39,7 @@ class Flight:
         self.actions = []
         self.ages = []  # of the observations that the actions were chosen for, when their beats began
         self.due = time.monotonic()
+        self.asleep, self.clock = 0.0, None  # seconds of sleep, and what adds them
 
     make_pilot = spikeserve.Pilot
 
@@ -43,11 +48,29 @@ class Flight:
 
     def __exit__(self, *_):
         self.pilot.close()
+        if self.clock:
+            self.clock.stop()
 
-    def beat(self):
+    def suspend(self, seconds):
+        """Does to the robot's clocks what its computer does when it sleeps for a while."""
+        self.asleep += seconds
+        if not self.clock:
+            self.clock = mock.patch.object(robot_clock.time, "clock_gettime_ns", self.clock_gettime_ns)
+            self.clock.start()
+
+    def clock_gettime_ns(self, clock, read=time.clock_gettime_ns):
+        return read(clock) + (int(self.asleep * 1e9) if clock == time.CLOCK_BOOTTIME else 0)
+
+    def blind(self, beats, observation=None):
+        """Plays beats without a valid observation. Returns their actions."""
+        observation = [math.nan] * SIZES[self.policy] if observation is None else observation
+        return [self.beat(observation) for _ in range(beats)]
+
+    def beat(self, observation=None):
         """Plays one beat at its time."""
         t = len(self.actions)
-        observation = [0.3 * math.sin(0.7 * t + k) for k in range(SIZES[self.policy])]
+        if observation is None:
+            observation = [0.3 * math.sin(0.7 * t + k) for k in range(SIZES[self.policy])]
         reward = 0.1 * (t % 7)
         began = time.monotonic()
         action = self.pilot.beat(observation, reward)
@@ -92,7 +115,13 @@ class Flight:
     def check_session(self, client):
         """Checks that the session at the server equals one that was never disturbed, bit for bit."""
         self.check_summaries()
-        with restartable_server() as server, spikeserve.Client(server.address) as other:
+        with contextlib.ExitStack() as stack:
+            flags = []
+            if self.session.durability:
+                folder = stack.enter_context(tempfile.TemporaryDirectory())
+                flags.append(f"--session_store=file:{folder}")
+            server = stack.enter_context(restartable_server(*flags))
+            other = stack.enter_context(spikeserve.Client(server.address))
             opening = self.session.to_wire(self.policy)
             opening.session_id, opening.period_seconds = self.pilot.session_id, self.period
             other.call("OpenSession", opening)
@@ -348,8 +377,11 @@ def test_a_server_that_loses_its_sessions_gets_a_new_one(tmp_path, fly):
             with pytest.raises(spikeserve.UnavailableError):
                 flight.summaries[1].result(WAIT)
             assert flight.pilot.stats().reopened == 1
-            ended = flight.pilot.end_episode(1.0)
-            assert ended.result(WAIT).steps > 0
+            # The new session has the running episode from its first beat on.
+            ended = flight.pilot.end_episode(1.0).result(WAIT)
+            assert (ended.steps, ended.lost_steps) == (len(flight.episodes[-1]), 0)
+            rewards = sum(reward for _, reward, _ in flight.episodes[-1][1:]) + 1.0
+            assert ended.episode_return == pytest.approx(rewards)
 
 
 def test_a_stored_session_goes_on_after_its_server_was_killed(tmp_path, fly):

@@ -36,6 +36,29 @@ def test_the_engine_on_the_robot_plays_the_same_session(client, link, fly):
         until(lambda: flight.local_value() == exported(client, flight.pilot.session_id))
 
 
+def test_the_engine_on_the_robot_skips_what_the_robot_did_not_see(client, link, fly):
+    with fly(client, "cartpole", session=LEARNING) as flight:
+        flight.until("fresh")
+        flight.blind(3)
+        flight.fly(5)
+        link.cut()
+        flight.until("local")
+        assert not any(action.source == "local" for action in flight.blind(10))
+        flight.until("local")
+        flight.blind(2)
+        flight.end()
+        flight.blind(2)
+        flight.until("local")
+        flight.blind(1)
+        flight.until("local")
+        link.heal()
+        flight.until("fresh")
+        assert flight.pilot.stats().failures == 0
+        until(lambda: flight.local_value() == exported(client, flight.pilot.session_id))
+        flight.end()
+        flight.check_summaries()
+
+
 def test_a_server_may_withhold_its_policies(fly):
     with running_server(flags=["--withhold_policies"]) as server, spikeserve.Client(server.grpc) as client:
         with fly(client) as flight:

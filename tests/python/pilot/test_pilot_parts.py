@@ -64,6 +64,15 @@ def test_the_fall_back_of_the_robot_follows_the_ramp():
     assert ladder.fallback_failures == 2
 
 
+def test_an_action_is_not_held_for_longer_than_its_beats_take():
+    """A robot's computer that was suspended has an old action, and few beats since."""
+    ladder = make_ladder(hold_beats=2, max_age=1.0)
+    choose(ladder, fresh=[1.0, 1.0])
+    limit = 7 + int(1.1e9)  # max_age and two periods after the observation
+    assert ladder.choose(None, lambda: None, OBSERVATION, limit).source == "held"
+    assert ladder.choose(None, lambda: None, OBSERVATION, limit + 1).source == "safe"
+
+
 def test_an_index_has_no_ramp():
     ladder = make_ladder(spikeserve.Discrete(3), neutral=2, hold_beats=1)
     assert choose(ladder) == ("safe", 2, 0)
@@ -74,18 +83,19 @@ def test_an_index_has_no_ramp():
 class Robot:
     """Adds beats to a log, and does with its requests what the server does."""
 
-    def __init__(self, kept=100, size=3):
+    def __init__(self, kept=100, size=3, is_stored=False):
         self.log = BeatLog(kept, size)
+        self.log.is_stored = is_stored
         self.numbers = itertools.count()
         self.session = []  # (observation, reward) of the running episode at the server
         self.rewards = []
 
-    def beat(self):
+    def beat(self, sees=True):
         n = next(self.numbers)
         beats = self.log.running.beats
         if beats and self.log.running.ending is None:
             beats[-1].executed = np.float32([n])
-        self.log.add(Beat(np.full(3, n, np.float32), float(n), n))
+        self.log.add(Beat(np.full(3, n, np.float32) if sees else None, float(n), n))
 
     def end(self):
         self.log.running.beats[-1].executed = np.float32([-1])
@@ -106,10 +116,10 @@ class Robot:
             assert beat.HasField("executed")
             if beat.step >= len(self.session):
                 assert beat.step == len(self.session)
-                self.session.append((beat.observation[0], beat.reward))
+                self.session.append((beat.observation[0] if beat.observation else None, beat.reward))
         if request.observation:
             self.session.append((request.observation[0], request.reward))
-        episode.acknowledge(len(self.session), self.log.retained)
+        episode.acknowledge(len(self.session))
         return bool(request.observation)
 
 
@@ -171,17 +181,110 @@ def test_of_beats_that_are_not_kept_the_rewards_travel():
 
 def test_a_server_that_lost_beats_gets_them_again():
     robot = Robot()
-    robot.log.retained = 5
     for _ in range(20):
         robot.beat()
         robot.ask()
     del robot.session[16:]
-    assert robot.log.oldest.rewind(16)
+    assert robot.log.rewind(16, None)
     robot.beat()
     robot.ask()
     assert robot.session == [(n, n) for n in range(21)]
-    assert not robot.log.oldest.rewind(3)
-    assert not robot.log.oldest.rewind(22)
+    assert robot.log.rewind(3, 0)
+    assert not robot.log.rewind(22, None)
+
+
+def test_a_step_without_an_observation_is_sent_as_one():
+    robot = Robot()
+    for sees in (True, True, False, False):
+        robot.beat(sees)
+        assert robot.ask() == sees
+    robot.end()
+    assert not robot.ask()
+    assert robot.session == [(0, 0), (1, 1), (None, 2), (None, 3)]
+
+
+def test_more_blind_steps_than_a_history_has_count_as_rewards():
+    robot = Robot(kept=1000)
+    robot.log.history_limit = 10
+    robot.beat()
+    assert robot.ask()
+    for _ in range(50):
+        robot.beat(sees=False)
+    robot.beat()
+    assert robot.ask()
+    assert robot.session == [(0, 0)] + [(None, n) for n in range(1, 51)] + [(51, 51)]
+    for _ in range(50):
+        robot.beat(sees=False)
+    robot.end()
+    assert not robot.ask()
+    assert robot.session[52:] == [(None, n) for n in range(52, 102)]
+
+
+def end_and_settle(robot, beats):
+    """Plays an episode that the server answers wholly."""
+    for _ in range(beats):
+        robot.beat()
+    ending = robot.end()
+    robot.ask()
+    assert robot.log.settle() is ending
+    robot.session = []
+    ending.complete(spikeserve.EpisodeSummary(0.0, beats, 0, 0.0))
+
+
+def test_the_end_of_an_episode_is_kept_until_the_store_has_it():
+    robot = Robot(is_stored=True)
+    for beats in (3, 2, 4):
+        end_and_settle(robot, beats)
+    robot.beat()
+    assert robot.ask()
+    log = robot.log
+    assert [e.index for e in log.settled] == [0, 1, 2]
+    log.forget_durable(decisions=3, episodes=1)
+    assert [e.index for e in log.settled] == [1, 2]
+    log.forget_durable(decisions=6, episodes=0)  # an older server: a decision behind the second end
+    assert [e.index for e in log.settled] == [2]
+    # The server has lost the last end, and two beats before it.
+    assert log.rewind(7, 2)
+    assert [e.index for e in log.episodes] == [2, 3] and not log.settled
+    robot.session = [(5, 5), (6, 6)]
+    assert not robot.ask()
+    assert robot.session == [(n, n) for n in range(5, 9)]
+    assert log.oldest.is_complete and log.oldest.end_request("id").steps == 4
+    log.settle().complete(spikeserve.EpisodeSummary(0.0, 4, 0, 0.0))  # nobody waits for it
+    robot.session = []
+    assert robot.ask() and robot.session == [(9, 9)]
+    # It has lost the end alone: the decision that it expects is the same.
+    assert log.rewind(9, 2) and log.oldest.index == 2 and log.oldest.is_complete
+
+
+def test_a_session_that_no_store_has_keeps_no_ended_episode():
+    robot = Robot()
+    end_and_settle(robot, 3)
+    assert not robot.log.settled
+
+
+def test_a_new_session_has_the_whole_running_episode():
+    """As far as its beats are kept; of older ones, their rewards. What is missing is counted."""
+    robot = Robot(kept=10)
+    for _ in range(30):
+        robot.beat()
+        robot.ask()
+    assert robot.log.dropped == 0
+    robot.session = []
+    assert robot.log.begin_again() == []
+    robot.beat()
+    assert robot.ask()
+    assert robot.session == [(None, n) for n in range(21)] + [(n, n) for n in range(21, 31)]
+    assert robot.log.running.lost_steps == 0
+    # Beats that the server has refused are not sent to the next session.
+    assert robot.log.begin_again(keeps_beats=False) == []
+    robot.session = []
+    robot.beat()
+    assert robot.ask() and robot.session == [(31, 31)]
+    ending = robot.end()
+    robot.ask()
+    robot.log.settle().complete(spikeserve.EpisodeSummary(0.0, 1, 0, 0.0))
+    assert ending.summary.result(0).lost_steps == 31
 
 
 def test_episodes_wait_for_the_end_of_older_ones():

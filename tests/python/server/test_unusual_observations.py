@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import spikeserve
 from policy_file import read_policy, write_policy
-from serving import DEPLOY, RELEASED_POLICIES, page_of, running_server
+from serving import DEPLOY, RELEASED_POLICIES, metric, page_of, running_server
 
 CARTPOLE = DEPLOY / "policies/cartpole/2/policy.safetensors"
 LONG = 200  # elements, more than there are time series
@@ -50,6 +50,17 @@ def test_elements_far_from_the_training_data_are_counted(moments):
         assert series == {"0": "1", "1": "2", "2": "1", "3": "2"}
 
 
+def test_a_return_to_go_far_from_the_training_data_is_counted(moments):
+    """CartPole's policy has target_return 500, return_offset 250 and return_scale 250."""
+    mean, _ = moments
+    with running_server() as server, spikeserve.Client(server.grpc) as client:
+        for target, unusual in ((1249.0, 0), (1251.0, 1), (-499.0, 0), (-501.0, 1)):
+            options = spikeserve.SessionOptions(target_return=target)
+            with client.open_session("cartpole", options) as session:
+                assert session.act(mean).stats.unusual_observations == unusual
+        assert metric(server, "spikeserve_unusual_observations_total", element="return_to_go") == 2
+
+
 def test_the_limit_is_a_flag(moments):
     mean, deviation = moments
     for flag, expected in (("2.5", 4), ("0", 0)):
@@ -77,6 +88,7 @@ def test_a_long_observation_has_a_bounded_number_of_series(tmp_path):
         with client.open_session("long") as session:
             assert session.act(observation).stats.unusual_observations == 4
         series = counted(server, "long")
+    assert series.pop("return_to_go") == 0
     assert len(series) == 64
     assert {name: count for name, count in series.items() if count} == {"0-3": 2, "4-6": 1, "197-199": 1}
     covered = []

@@ -9,6 +9,7 @@
 #include <random>
 
 #include "absl/strings/str_cat.h"
+#include "core/agent/blind_steps.h"
 #include "core/journal/journal_entry.h"
 #include "core/journal/session_bytes.h"
 #include "core/journal/session_export.h"
@@ -252,6 +253,103 @@ TEST_P(BeatsTest, SkippedRewardsCount) {
   EXPECT_EQ(ExportSession(agent), ExportSession(next));
 }
 
+// Steps without an observation count as skipped rewards, once something follows that begins the
+// context again, or ends the episode.
+TEST_P(BeatsTest, StepsWithoutAnObservationCountAsRewards) {
+  AgentSession agent = NewAgent();
+  AgentSession expected = NewAgent();
+  MemoryWriter writer;
+  const auto journal = std::make_shared<SessionJournal>(
+      SessionJournal::Key{.id = "id", .tenant = ""}, Durability::kAsync, 0, &writer);
+  journal->OnOpen(agent.session());
+  agent.AddListener(journal);
+  const ActionSpace& space = GetParam().action_space;
+  const Action held = space.is_discrete() ? Action{.discrete = 1, .continuous = {}}
+                                          : Action{.discrete = 0, .continuous = {0.5f, 0.25f}};
+  std::vector<DoneBeat> done;
+  for (int64_t t = 0; t < 9; ++t) {
+    const bool sees = t < 3 || t == 5 || t == 6;
+    done.push_back({sees ? ObservationAt(t) : std::vector<float>(), RewardAt(t), held});
+  }
+  for (int64_t t = 0; t < 3; ++t) {
+    const auto told = t == 0 ? std::nullopt : std::optional<ReportedAction>(Reported(held, space));
+    ASSERT_TRUE(expected.Act(t, ObservationAt(t), RewardAt(t), told).ok());
+  }
+  const auto append = [&](std::optional<double> end_reward) {
+    AgentSession behind = NewAgent();
+    const auto result = WithHistory(behind, done, 9, [&](BeatHistory history) {
+      history.decision = 9;
+      history.end_reward = end_reward;
+      return AppendBeats(history, &agent);
+    });
+    EXPECT_TRUE(result.ok()) << result.status();
+    return *result;
+  };
+  // Steps 3 and 4 are skipped; 7 and 8 wait.
+  const AppendedBeats first = append(std::nullopt);
+  EXPECT_EQ(first.appended, 5);
+  EXPECT_EQ(first.dropped, 2);
+  expected.ReportExecuted(held);
+  expected.SkipSteps({RewardAt(3), RewardAt(4)});
+  ASSERT_TRUE(expected.Act(5, ObservationAt(5), RewardAt(5)).ok());
+  ASSERT_TRUE(expected.Act(6, ObservationAt(6), RewardAt(6), Reported(held, space)).ok());
+  EXPECT_EQ(ExportSession(agent), ExportSession(expected));
+  const auto restored = RestoreSession(*ParseJournal(writer.records_), served_->policy());
+  ASSERT_TRUE(restored.ok()) << restored.status();
+  EXPECT_EQ(SerializeSession(*restored), SerializeSession(agent.session()));
+  EXPECT_EQ(append(std::nullopt).dropped, 0);  // again
+  // The end of the episode takes the last ones.
+  EXPECT_EQ(append(2.0).dropped, 2);
+  expected.ReportExecuted(held);
+  expected.SkipSteps({RewardAt(7), RewardAt(8)});
+  const EpisodeEnd end = {.reward = 2.0, .terminated = true, .executed_action = held};
+  const auto summary = agent.EndEpisode(end);
+  ASSERT_TRUE(summary.ok()) << summary.status();
+  EXPECT_EQ(summary->steps, 9);
+  ASSERT_TRUE(expected.EndEpisode(end).ok());
+  EXPECT_EQ(ExportSession(agent), ExportSession(expected));
+  const auto ended = RestoreSession(*ParseJournal(writer.records_), served_->policy());
+  ASSERT_TRUE(ended.ok()) << ended.status();
+  EXPECT_EQ(SerializeSession(*ended), SerializeSession(agent.session()));
+}
+
+// An engine on the robot that plays step by step does the same.
+TEST_P(BeatsTest, BlindStepsEqualAHistory) {
+  AgentSession agent = NewAgent();
+  AgentSession local = NewAgent();
+  BlindSteps blind;
+  const ActionSpace& space = GetParam().action_space;
+  const Action held = space.is_discrete() ? Action{.discrete = 1, .continuous = {}}
+                                          : Action{.discrete = 0, .continuous = {0.5f, 0.25f}};
+  std::vector<DoneBeat> done;
+  for (int64_t t = 0; t < 6; ++t) {
+    const bool sees = t < 2 || t == 5;
+    done.push_back({sees ? ObservationAt(t) : std::vector<float>(), RewardAt(t), held});
+    auto told = t == 0 ? std::nullopt : std::optional<ReportedAction>(Reported(held, space));
+    if (!sees) {
+      ASSERT_TRUE(blind.Add(RewardAt(t), told, &local).ok());
+      continue;
+    }
+    if (blind.Skip(&local)) told.reset();
+    ASSERT_TRUE(local.Act(t, ObservationAt(t), RewardAt(t), told).ok());
+    blind.Taken();
+  }
+  AgentSession behind = NewAgent();
+  const auto result = WithHistory(behind, done, 6, [&](BeatHistory history) {
+    history.decision = 6;
+    return AppendBeats(history, &agent);
+  });
+  ASSERT_TRUE(result.ok()) << result.status();
+  EXPECT_EQ(ExportSession(agent), ExportSession(local));
+  // A step that is refused leaves the session as it was before the steps without an observation.
+  const std::string before = ExportSession(local);
+  ASSERT_TRUE(blind.Add(1.0, Reported(held, space), &agent).ok());
+  const std::string reported = ExportSession(agent);
+  EXPECT_TRUE(blind.Skip(&agent));
+  EXPECT_FALSE(agent.Act(7, {1.0f}, 1.0).ok());
+  EXPECT_EQ(ExportSession(agent), reported);
+}
+
 // The action of the newest beat counts, too, if nothing is asked.
 TEST_P(BeatsTest, TheLastActionIsTakenWithoutADecision) {
   AgentSession steady = NewAgent();
@@ -370,34 +468,6 @@ TEST(SessionExportTest, ADamagedValueIsRefused) {
   for (const size_t size : {size_t{0}, size_t{5}, value.size() - 1}) {
     EXPECT_FALSE(ImportSession(value.substr(0, size)).ok()) << size;
   }
-}
-
-TEST(RobotLinkTest, AnObservationIsAsOldAsTheFastestRequestProves) {
-  RobotLink link;
-  const auto at = [](double seconds) { return absl::Seconds(seconds); };
-  // The robot's clock is 1,000 s ahead; the fastest request takes an unknown time.
-  link.OnRequest(at(5.0), at(1004.98));
-  EXPECT_EQ(link.LeastAge(at(5.0), at(1004.98)), absl::ZeroDuration());
-  link.OnRequest(at(5.02), at(1005.01));  // 10 ms faster
-  EXPECT_EQ(link.LeastAge(at(5.02), at(1005.01)), absl::ZeroDuration());
-  EXPECT_EQ(link.LeastAge(at(5.02), at(1004.98)), absl::Milliseconds(30));
-  // Requests that waited in a cut link, and arrive together.
-  link.OnRequest(at(25.0), at(1010.0));
-  EXPECT_EQ(link.LeastAge(at(25.0), at(1010.0)), at(14.99));
-  // A robot that has restarted.
-  link.OnRequest(at(26.0), at(3.0));
-  EXPECT_EQ(link.LeastAge(at(26.0), at(3.0)), absl::ZeroDuration());
-}
-
-TEST(RobotLinkTest, AReportCountsWhatItAdds) {
-  RobotLink link;
-  EXPECT_EQ(link.OnReport({.fresh = 5, .held = 1}, /*is_new_session=*/true).fresh, 5u);
-  EXPECT_EQ(link.OnReport({.fresh = 5, .held = 1}, true).fresh, 0u);
-  EXPECT_EQ(link.OnReport({.fresh = 9, .held = 3}, true).held, 2u);
-  EXPECT_EQ(link.OnReport({.fresh = 7, .held = 3}, true).fresh, 0u);
-  RobotLink taken_over;
-  EXPECT_EQ(taken_over.OnReport({.fresh = 9}, /*is_new_session=*/false).fresh, 0u);
-  EXPECT_EQ(taken_over.OnReport({.fresh = 12}, false).fresh, 3u);
 }
 
 }  // namespace

@@ -5,6 +5,7 @@
 #include "client/src/pilot/beat_log.h"
 #include "client/src/pilot/counters.h"
 #include "client/src/pilot/ladder.h"
+#include "client/src/pilot/sight.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 
@@ -25,19 +26,21 @@ ActionShape Box() {
 ActionValue Values(float first, float second) { return {0, {first, second}}; }
 
 TEST(LadderTest, TheRungsFollowEachOther) {
-  Ladder ladder(Box(), Values(0, 0), /*hold_beats=*/2, /*ramp_beats=*/4, absl::ZeroDuration());
-  EXPECT_FALSE(ladder.Hold());  // there is nothing to hold
+  Ladder ladder(Box(), Values(0, 0), /*hold_beats=*/2, /*oldest_held=*/absl::Seconds(1),
+                /*ramp_beats=*/4, absl::ZeroDuration());
+  const absl::Duration now = absl::Seconds(8);
+  EXPECT_FALSE(ladder.Hold(now));  // there is nothing to hold
   EXPECT_FALSE(ladder.Ramp());
   ladder.TakeSafe(ladder.neutral().view());
   const ActionValue answer = Values(1, 1);
   ladder.TakeFresh(answer.view(), absl::Seconds(7));
-  EXPECT_TRUE(ladder.Hold() && ladder.Hold());
-  EXPECT_FALSE(ladder.Hold());
+  EXPECT_TRUE(ladder.Hold(now) && ladder.Hold(now));
+  EXPECT_FALSE(ladder.Hold(now));
   EXPECT_THAT(ladder.action().continuous, ElementsAre(1.0f, 1.0f));
   EXPECT_EQ(ladder.observed_at(), absl::Seconds(7));
   const ActionValue own = Values(0.5f, -0.5f);
   ladder.TakeLocal(own.view(), absl::Seconds(9));
-  EXPECT_FALSE(ladder.Hold());
+  EXPECT_FALSE(ladder.Hold(now));
   EXPECT_TRUE(ladder.Ramp());
   EXPECT_THAT(ladder.action().continuous, ElementsAre(0.375f, -0.375f));
   EXPECT_TRUE(ladder.Ramp() && ladder.Ramp() && ladder.Ramp());
@@ -47,19 +50,28 @@ TEST(LadderTest, TheRungsFollowEachOther) {
 }
 
 TEST(LadderTest, NothingIsHeldOverTheEndOfAnEpisode) {
-  Ladder ladder(Box(), Values(0, 0), 3, 4, absl::ZeroDuration());
+  Ladder ladder(Box(), Values(0, 0), 3, absl::Seconds(1), 4, absl::ZeroDuration());
   const ActionValue answer = Values(1, 1);
   ladder.TakeFresh(answer.view(), absl::ZeroDuration());
   ladder.BeginEpisode();
-  EXPECT_FALSE(ladder.Hold());
+  EXPECT_FALSE(ladder.Hold(absl::ZeroDuration()));
+}
+
+// A robot's computer that was suspended has an old action, and few beats since.
+TEST(LadderTest, AnActionIsNotHeldForLongerThanItsBeatsTake) {
+  Ladder ladder(Box(), Values(0, 0), 3, absl::Seconds(1), 4, absl::ZeroDuration());
+  const ActionValue answer = Values(1, 1);
+  ladder.TakeFresh(answer.view(), absl::Seconds(7));
+  EXPECT_TRUE(ladder.Hold(absl::Seconds(8)));
+  EXPECT_FALSE(ladder.Hold(absl::Seconds(8) + absl::Nanoseconds(1)));
 }
 
 TEST(LadderTest, ChangesAreToldOnceAndOnlyThoseThatMatter) {
-  Ladder ladder(Box(), Values(0, 0), 1, 0, absl::ZeroDuration());
+  Ladder ladder(Box(), Values(0, 0), 1, absl::Seconds(1), 0, absl::ZeroDuration());
   const ActionValue answer = Values(1, 1);
   for (int i = 0; i < 3; ++i) {
     ladder.TakeFresh(answer.view(), absl::ZeroDuration());
-    ladder.Hold();
+    ladder.Hold(absl::ZeroDuration());
   }
   EXPECT_FALSE(ladder.has_change());
   ladder.TakeSafe(answer.view());
@@ -75,9 +87,9 @@ class Robot {
  public:
   explicit Robot(size_t kept) : log(kept, 1, Box()) { log.set_history_limit(100); }
 
-  void Beat() {
+  void Beat(bool sees = true) {
     const float number = static_cast<float>(beats_++);
-    log.Add({&number, 1}, number, beats_);
+    log.Add({&number, sees ? 1u : 0u}, number, beats_);
     log.SetExecuted(Values(number, number).view());
   }
 
@@ -97,7 +109,7 @@ class Robot {
       EXPECT_TRUE(beat.has_executed());
       if (beat.step() < static_cast<int64_t>(session.size())) continue;
       EXPECT_EQ(beat.step(), static_cast<int64_t>(session.size()));
-      session.push_back(beat.observation(0));
+      session.push_back(beat.observation().empty() ? NAN : beat.observation(0));
       rewards += beat.reward();
     }
     const bool asks = request.observation_size() > 0;
@@ -136,7 +148,7 @@ TEST(BeatLogTest, EveryBeatTravelsOnce) {
   robot.log.FillEnd(&end);
   EXPECT_EQ(end.steps(), 8);
   EXPECT_EQ(end.executed_action().continuous().values(0), 7.0f);
-  robot.log.Settle().summary.set_value(v1::EndEpisodeResponse());
+  robot.log.Settle(/*is_stored=*/false).summary.set_value(v1::EndEpisodeResponse());
   EXPECT_TRUE(summary.get().ok());
   EXPECT_TRUE(robot.log.is_current());
   EXPECT_EQ(robot.log.running().index, 1);
@@ -160,7 +172,7 @@ TEST(BeatLogTest, TheNextEpisodeIsAskedForWhileTheEndIsUnderWay) {
   robot.log.End({.reward = 1.0});
   robot.Beat();
   EXPECT_FALSE(robot.log.is_current());  // two ends are never under way
-  robot.log.Settle();
+  robot.log.Settle(/*is_stored=*/false);
   EXPECT_FALSE(robot.log.is_ending() || robot.log.is_current());
   robot.log.Acknowledge(1);
   EXPECT_TRUE(robot.log.is_complete());
@@ -204,11 +216,123 @@ TEST(BeatLogTest, AServerThatLostBeatsGetsThemAgain) {
     robot.Ask();
   }
   robot.session.resize(16);
-  EXPECT_TRUE(robot.log.Rewind(16));
+  EXPECT_TRUE(robot.log.Rewind(16, std::nullopt));
   robot.Beat();
   EXPECT_TRUE(robot.Ask());
   EXPECT_EQ(robot.session.size(), 21);
-  EXPECT_FALSE(robot.log.Rewind(22));
+  EXPECT_FALSE(robot.log.Rewind(22, std::nullopt));
+}
+
+TEST(BeatLogTest, AStepWithoutAnObservationIsSentAsOne) {
+  Robot robot(100);
+  for (const bool sees : {true, true, false, false}) {
+    robot.Beat(sees);
+    EXPECT_EQ(robot.Ask(), sees);
+  }
+  robot.log.End({.reward = 1.0});
+  EXPECT_FALSE(robot.Ask());
+  EXPECT_EQ(robot.session.size(), 4);
+  EXPECT_EQ(robot.session[1], 1.0f);
+  EXPECT_TRUE(std::isnan(robot.session[2]) && std::isnan(robot.session[3]));
+  EXPECT_EQ(robot.rewards, 6.0);
+}
+
+TEST(BeatLogTest, MoreBlindStepsThanAHistoryHasCountAsRewards) {
+  Robot robot(1000);
+  robot.log.set_history_limit(10);
+  robot.Beat();
+  EXPECT_TRUE(robot.Ask());
+  for (int i = 0; i < 50; ++i) robot.Beat(/*sees=*/false);
+  robot.Beat();
+  EXPECT_TRUE(robot.Ask());
+  EXPECT_EQ(robot.session.size(), 52);
+  EXPECT_TRUE(std::isnan(robot.session[50]));
+  EXPECT_EQ(robot.session[51], 51.0f);
+  for (int i = 0; i < 50; ++i) robot.Beat(/*sees=*/false);
+  robot.log.End({.reward = 1.0});
+  EXPECT_FALSE(robot.Ask());
+  EXPECT_EQ(robot.session.size(), 102);
+  EXPECT_EQ(robot.rewards, 101.0 * 102.0 / 2.0);
+}
+
+// Plays an episode that the server answers wholly.
+void EndAndSettle(int beats, Robot* robot, bool is_stored) {
+  for (int i = 0; i < beats; ++i) robot->Beat();
+  auto summary = robot->log.End({.reward = 1.0});
+  robot->Ask();
+  robot->session.clear();
+  robot->log.Settle(is_stored).summary.set_value(v1::EndEpisodeResponse());
+  EXPECT_TRUE(summary.get().ok());
+}
+
+TEST(BeatLogTest, TheEndOfAnEpisodeIsKeptUntilTheStoreHasIt) {
+  Robot robot(100);
+  for (const int beats : {3, 2, 4}) EndAndSettle(beats, &robot, /*is_stored=*/true);
+  robot.Beat();
+  EXPECT_TRUE(robot.Ask());
+  robot.log.ForgetDurable(/*decisions=*/3, /*episodes=*/1);
+  robot.log.ForgetDurable(6, 0);  // an older server: a decision behind the second end
+  EXPECT_FALSE(robot.log.Rewind(4, 1));
+  // The server has lost the last end, and two beats before it.
+  EXPECT_TRUE(robot.log.Rewind(7, 2));
+  EXPECT_EQ(robot.log.oldest().index, 2);
+  robot.session = {5, 6};
+  EXPECT_FALSE(robot.Ask());
+  EXPECT_THAT(robot.session, ElementsAre(5, 6, 7, 8));
+  EXPECT_TRUE(robot.log.is_complete());
+  v1::EndEpisodeRequest end;
+  robot.log.FillEnd(&end);
+  EXPECT_EQ(end.steps(), 4);
+  robot.log.Settle(true);
+  robot.session.clear();
+  EXPECT_TRUE(robot.Ask());
+  EXPECT_THAT(robot.session, ElementsAre(9));
+  // It has lost the end alone: the decision that it expects is the same.
+  EXPECT_TRUE(robot.log.Rewind(9, 2));
+  EXPECT_EQ(robot.log.oldest().index, 2);
+  EXPECT_TRUE(robot.log.is_complete());
+}
+
+TEST(BeatLogTest, ASessionThatNoStoreHasKeepsNoEndedEpisode) {
+  Robot robot(100);
+  EndAndSettle(3, &robot, /*is_stored=*/false);
+  robot.Beat();
+  EXPECT_FALSE(robot.log.Rewind(2, 0));
+}
+
+// As far as its beats are kept; of older ones, their rewards. What is missing is counted.
+TEST(BeatLogTest, ANewSessionHasTheWholeRunningEpisode) {
+  Robot robot(10);
+  for (int i = 0; i < 30; ++i) {
+    robot.Beat();
+    robot.Ask();
+  }
+  EXPECT_EQ(robot.log.dropped(), 0);
+  robot.session.clear();
+  robot.rewards = 0.0;
+  EXPECT_TRUE(robot.log.BeginAgain().empty());
+  robot.Beat();
+  EXPECT_TRUE(robot.Ask());
+  EXPECT_EQ(robot.session.size(), 31);
+  EXPECT_EQ(robot.rewards, 465.0);
+  EXPECT_EQ(robot.log.running().lost_steps, 0);
+  // Beats that the server has refused are not sent to the next session.
+  EXPECT_TRUE(robot.log.BeginAgain(/*keeps_beats=*/false).empty());
+  robot.session.clear();
+  robot.Beat();
+  EXPECT_TRUE(robot.Ask());
+  EXPECT_THAT(robot.session, ElementsAre(31));
+  EXPECT_EQ(robot.log.running().lost_steps, 31);
+}
+
+TEST(SightTest, AnObservationHasItsSizeAndFiniteNumbers) {
+  Blindness why;
+  const float nan = NAN;
+  EXPECT_TRUE(IsObservation({1.0f, 2.0f}, 2, &why));
+  EXPECT_FALSE(IsObservation({1.0f}, 2, &why));
+  EXPECT_EQ(why.ToString(), "observation: expected 2 numbers, received 1");
+  EXPECT_FALSE(IsObservation({1.0f, nan}, 2, &why));
+  EXPECT_EQ(why.ToString(), "observation[1]: expected a finite number, received nan");
 }
 
 TEST(BeatLogTest, ANewSessionGoesOnWithTheBeatsThatAreKept) {

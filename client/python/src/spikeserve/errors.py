@@ -55,11 +55,12 @@ class SessionLostError(NotFoundError):
 class FailedPreconditionError(SpikeserveError):
     """The step is not the expected one, or the episode to end has no decision yet.
 
-    `expected_decision` is the number of the decision that the session expects; None: the server did
-    not say.
+    `expected_decision` is the number of the decision that the session expects, and
+    `expected_episode` the index of its running episode; None: the server did not say.
     """
 
     expected_decision: int | None = None
+    expected_episode: int | None = None
 
 
 class DivergedError(SpikeserveError):
@@ -129,11 +130,13 @@ def make_error(
     message: str,
     retry_after: float | None = None,
     expected_decision: int | None = None,
+    expected_episode: int | None = None,
 ) -> SpikeserveError:
     """Returns the exception for a status."""
     error = _CLASSES.get(code, SpikeserveError)(call, code, message, retry_after)
     if isinstance(error, FailedPreconditionError):
         error.expected_decision = expected_decision
+        error.expected_episode = expected_episode
     return error
 
 
@@ -141,7 +144,8 @@ def error_of_call(call: str, error: grpc.RpcError) -> SpikeserveError:
     """Returns the exception for an error of grpc or grpc.aio."""
     details, message = details_of(error), error.details() or ""
     code = code_of_end(error.code(), message)
-    return make_error(call, code, message, details.retry_delay, details.expected_decision)
+    place = details.expected_decision, details.expected_episode
+    return make_error(call, code, message, details.retry_delay, *place)
 
 
 def code_of_end(code: grpc.StatusCode, message: str) -> grpc.StatusCode:
@@ -162,12 +166,18 @@ def error_of_item(call: str, item: Any) -> SpikeserveError:
         item.message,
         item.retry_after_seconds if item.HasField("retry_after_seconds") else None,
         item.expected_decision if item.HasField("expected_decision") else None,
+        item.expected_episode if item.HasField("expected_episode") else None,
     )
 
 
 def expected_decision(error: SpikeserveError) -> int | None:
     """Returns the decision that the session expects if the request of `error` was out of order."""
     return error.expected_decision if isinstance(error, FailedPreconditionError) else None
+
+
+def expected_episode(error: SpikeserveError) -> int | None:
+    """Returns the episode of that decision, if the server has named it."""
+    return error.expected_episode if isinstance(error, FailedPreconditionError) else None
 
 
 def for_session(error: SpikeserveError, session_id: str) -> SpikeserveError:

@@ -29,6 +29,7 @@ class Details:
 
     retry_delay: float | None = None  # seconds
     expected_decision: int | None = None
+    expected_episode: int | None = None
 
 
 def _message_classes() -> tuple[Any, Any, Any]:
@@ -99,8 +100,9 @@ def details_of(error: Any) -> Details:
                 elif name == _ERROR_INFO_NAME:
                     pairs = _ERROR_INFO.FromString(detail.value).metadata
                     known = {pair.key: pair.value for pair in pairs}
-                    if known.get("expected_decision", "").isdecimal():
-                        found = replace(found, expected_decision=int(known["expected_decision"]))
+                    for field in ("expected_decision", "expected_episode"):
+                        if known.get(field, "").isdecimal():
+                            found = replace(found, **{field: int(known[field])})
         except message.DecodeError:
             return found
     return found

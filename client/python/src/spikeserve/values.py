@@ -245,6 +245,9 @@ class EpisodeSummary:
     energy_joules: float  # an estimate by horowitz_45nm
     learning: LearningSummary | None = None  # None: the session does not learn
     recording: str = "NOT_RECORDED"  # or QUEUED (in memory), or STORED (on the disk)
+    # Steps at the begin of the episode that the summary does not have. Only a pilot knows them: its
+    # session was lost, and a new one took its place.
+    lost_steps: int = 0
 
     @classmethod
     def from_wire(cls, message: Message) -> EpisodeSummary:

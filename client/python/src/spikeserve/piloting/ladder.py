@@ -24,13 +24,13 @@ class Chosen:
 
     action: Action
     source: str
-    observed_at: int  # of time.monotonic_ns()
+    observed_at: int  # of robot_clock.now_ns()
 
 
 class Ladder:
     """Chooses an action for each beat. Counts and logs when a rung is entered and left.
 
-    Not thread-safe. `began_at` (time.monotonic_ns()) stands for the observation of safe actions
+    Not thread-safe. `began_at` (robot_clock.now_ns()) stands for the observation of safe actions
     before the first one that an action was chosen for.
     """
 
@@ -75,13 +75,14 @@ class Ladder:
         """Returns the action of a beat.
 
         `fresh` is a new answer that is not stale, and when its observation was made. `local` asks
-        the engine on the robot.
+        the engine on the robot. `observation` was made at `observed_at`.
         """
         if fresh is not None:
             action, self._observed_at = fresh
             self._held, self._can_hold = 0, True
             return self._take(action, "fresh")
-        if self._can_hold and self._held < self._options.hold_beats:
+        is_recent = observed_at - self._observed_at <= self._options.oldest_held * 1e9
+        if self._can_hold and is_recent and self._held < self._options.hold_beats:
             self._held += 1
             return self._take(self._last, "held")
         self._can_hold = False

@@ -16,7 +16,7 @@ that no event can be lost:
 
 Beats and ends of episodes send their requests by themselves, while there is a stream. What fails
 changes the facts: the end of a stream is "no stream", a lost session "no session", a server that
-has lost beats misses them again.
+has lost beats, or the ends of episodes, misses them again.
 """
 
 from __future__ import annotations
@@ -34,12 +34,16 @@ import numpy as np
 from spikeserve.calls import Call
 from spikeserve.connection import Connection
 from spikeserve.errors import (
+    InvalidArgumentError,
+    NotFoundError,
     SpikeserveError,
     error_of_item,
     expected_decision,
+    expected_episode,
     make_error,
 )
 from spikeserve.lines import SILENCE_SECONDS
+from spikeserve.piloting import robot_clock
 from spikeserve.piloting.beat_log import BeatLog, Ending, Episode
 from spikeserve.piloting.pilot_options import PilotOptions
 from spikeserve.piloting.pilot_stats import Counters
@@ -49,6 +53,9 @@ from spikeserve.values import Action, EpisodeSummary
 from spikeserve.wire import Message
 
 LOGGER = logging.getLogger("spikeserve.pilot")
+# A server that takes a session over, or whose store has lost it, may deny it while another one has
+# it. A session that a store has is lost when those that answer have denied it for this time.
+DENIED_SECONDS = 2.0
 FIRST_PAUSE, LONGEST_PAUSE = 0.05, 0.2  # seconds before the next stream or call
 GIVE_UP_SECONDS = 1.0  # without an answer, before another server is asked
 
@@ -60,7 +67,7 @@ class Answer:
     episode: Episode
     step: int
     action: Action
-    observed_at: int  # of time.monotonic_ns()
+    observed_at: int  # of robot_clock.now_ns()
 
 
 @dataclass(frozen=True)
@@ -71,6 +78,7 @@ class _Request:
     step: int
     sent: float  # time.monotonic()
     ends: bool  # it ends the episode
+    asks: bool  # for a decision
 
 
 class Link:
@@ -91,6 +99,7 @@ class Link:
         self._window = options.most_in_flight
         self._replied_at = 0.0  # time.monotonic() of the last reply
         self._doubted_at = 0.0
+        self._denied_since: float | None = None  # time.monotonic(); None: a server has the session
         self._paused_until = 0.0  # no requests before, as the server asked
         self._next_try = 0.0  # of a call or a stream
         self._pause = FIRST_PAUSE
@@ -116,11 +125,24 @@ class Link:
     # Called by beats, with `changed` held.
 
     def send_newest(self) -> None:
-        """Sends the request of the newest beat if it may be sent now."""
+        """Sends the request of the newest beat if it may be sent now.
+
+        A beat without an observation asks for nothing: it only reports, and brings what was before.
+        """
         now = time.monotonic()
         self._send_end(now)
-        if self.log.is_current and self._may_send(now) and len(self._under_way) < self._window:
-            self._send(self.log.running, now)
+        running = self.log.running
+        is_news = running.beats[-1].observation is not None or (
+            len(running.beats) > 1 and self.counters.is_report_due(now)
+        )
+        has_room = len(self._under_way) < self._window
+        if is_news and self.log.is_current and self._may_send(now) and has_room:
+            self._send(running, now)
+
+    @property
+    def is_asking(self) -> bool:
+        """Returns whether a request waits for its answer."""
+        return len(self._under_way) > 0
 
     def expected_answer(self, deadline: float) -> int | None:
         """Returns the newest step whose answer should arrive before `deadline`; None: none should.
@@ -130,6 +152,8 @@ class Link:
         for request in reversed(self._under_way):
             if request.episode is not self.log.running:
                 return None
+            if not request.asks:
+                continue
             if self.round_trip is None or request.sent + self.round_trip <= deadline:
                 return request.step
         return None
@@ -243,7 +267,7 @@ class Link:
         with self.changed:
             ended = self._settle()
             self._succeeded()
-        ended.summary.set_result(summary)
+        ended.complete(summary)
 
     def _stop(self) -> None:
         with self.changed:
@@ -257,7 +281,7 @@ class Link:
     # Replies, on the thread of the stream.
 
     def _on_reply(self, call: StreamCall, reply: Message) -> None:
-        now, now_ns = time.monotonic(), time.monotonic_ns()
+        now, now_ns = time.monotonic(), robot_clock.now_ns()
         ended: Ending | None = None
         with self.changed:
             if call is not self._call or not self._under_way:
@@ -270,18 +294,19 @@ class Link:
                 self._refused(error_of_item("ActStream", reply.error), request)
             elif request.episode is self.log.oldest:
                 self._succeeded()
+                self.log.forget_durable(reply.durable_decision, reply.durable_episode)
                 if request.ends and reply.HasField("ended"):
                     ended = self._settle()
                 else:
                     self._acknowledged(reply, request, now, now_ns)
             self.changed.notify_all()
         if ended is not None:
-            ended.summary.set_result(EpisodeSummary.from_wire(reply.ended))
+            ended.complete(EpisodeSummary.from_wire(reply.ended))
 
     def _acknowledged(self, reply: Message, request: _Request, now: float, now_ns: int) -> None:
         if request.ends:  # a server of an earlier release has taken the beats, not the end
             self._ends_on_stream = self.log.is_ending = False
-        request.episode.acknowledge(reply.next_step, self.log.retained)
+        request.episode.acknowledge(reply.next_step)
         if reply.HasField("action"):
             self._take(reply, request, now, now_ns)
 
@@ -320,15 +345,19 @@ class Link:
             # consequence.
             if not is_oldest:
                 return
-            # The server has lost what it had acknowledged, and gets it again. If it has lost
-            # nothing, it has another end of the episode.
-            is_kept = oldest.rewind(expected - oldest.first_decision)
-            if not is_kept or (request.ends and oldest.is_complete):
+            # The server has lost what it had acknowledged, the ends of episodes, too, and gets it
+            # again. If it has lost nothing, it has another end of the episode.
+            is_kept = self.log.rewind(expected, expected_episode(error))
+            if not is_kept or (request.ends and self.log.oldest is oldest and oldest.is_complete):
                 self._lose(error.message)
         elif error.retry_after is not None:
             self._paused_until = time.monotonic() + error.retry_after
+        elif isinstance(error, NotFoundError) and self._may_be_elsewhere():
+            self._log_failure(error)
+            self._pause_tries()
+            self._end_call()
         elif is_lost(error):
-            self._lose(error.message)
+            self._lose(error.message, error)
         else:
             self._log_failure(error)
             self._pause_tries()
@@ -375,12 +404,13 @@ class Link:
         report = self.counters.report(now)
         if report is not None:
             request.report.CopyFrom(report)
-        self._under_way.append(_Request(episode, request.step, now, ends))
+        asks = len(request.observation) > 0
+        self._under_way.append(_Request(episode, request.step, now, ends, asks))
         self._call.send(request)
 
     def _take_opening(self) -> None:
         self.log.history_limit = self.session.history_limit
-        self.log.retained = self.session.retained
+        self.log.is_stored = self.session.is_stored
 
     def _end_call(self) -> None:
         if self._call is not None:
@@ -397,23 +427,37 @@ class Link:
     def _failed(self, error: SpikeserveError) -> None:
         with self.changed:
             expected = expected_decision(error)
-            oldest = self.log.oldest
-            is_kept = expected is not None and oldest.rewind(expected - oldest.first_decision)
-            if is_lost(error) and self.session.is_open and not is_kept:
-                self._lose(error.message)
+            is_kept = expected is not None and self.log.rewind(expected, expected_episode(error))
+            is_elsewhere = isinstance(error, NotFoundError) and self._may_be_elsewhere()
+            if is_lost(error) and self.session.is_open and not (is_kept or is_elsewhere):
+                self._lose(error.message, error)
             else:
                 self._log_failure(error)
             self._pause_tries()
 
-    def _lose(self, reason: str) -> None:
-        """Gives the session up: a new one continues with the beats that are kept."""
+    def _may_be_elsewhere(self) -> bool:
+        """Notes that a server does not know the session. Returns whether to ask on."""
+        if not self.log.is_stored:
+            return False
+        now = time.monotonic()
+        if self._denied_since is None:
+            self._denied_since = now
+        self._opener.denied()
+        return now - self._denied_since < DENIED_SECONDS
+
+    def _lose(self, reason: str, error: SpikeserveError | None = None) -> None:
+        """Gives the session up: a new one continues with the beats that are kept.
+
+        A beat that the server has refused as not valid would be refused again.
+        """
         LOGGER.warning("the session is lost, and a new one is opened: %s", reason)
         self._end_call()
         self.session.lose()
         self.answer = None
-        self._fail(self.log.begin_again(), reason)
+        self._denied_since = None
+        self._fail(self.log.begin_again(not isinstance(error, InvalidArgumentError)), reason)
         if self.session.local is not None:
-            self.session.local.begin_again(self.log.running.beats)
+            self.session.local.begin_again(self.log.running)
 
     @staticmethod
     def _fail(endings: list[Ending], reason: str) -> None:
@@ -429,6 +473,8 @@ class Link:
         self._pause = min(2 * self._pause, LONGEST_PAUSE)
 
     def _succeeded(self) -> None:
+        self._denied_since = None
+        self._opener.knows_session()
         self._pause = FIRST_PAUSE
         self._next_try = 0.0
 

@@ -9,7 +9,6 @@ import logging
 import pathlib
 import tempfile
 import threading
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikeserve.check import check
-from spikeserve.piloting.beat_log import Beat, Ending
+from spikeserve.piloting.beat_log import Ending, Episode
 from spikeserve.piloting.pilot_options import PilotOptions
 from spikeserve.values import Action
 from spikeserve.wire import Message
@@ -38,7 +37,7 @@ def is_wanted(options: PilotOptions) -> bool:
 
 @dataclass
 class _Beat:
-    observation: NDArray[np.float32]
+    observation: NDArray[np.float32] | None
     reward: float
     executed_before: Action | None  # the action of the beat before
     position: tuple[int, int]  # episode and step in the server's session
@@ -114,7 +113,7 @@ class LocalCopy:
 
     def add(
         self,
-        observation: NDArray[np.float32],
+        observation: NDArray[np.float32] | None,
         reward: float,
         before: Action | None,
         position: tuple[int, int],
@@ -126,14 +125,14 @@ class LocalCopy:
             if len(self._pending) > self._most_pending:
                 self._pending.popleft()  # the session cannot be continued without it
 
-    def begin_again(self, beats: Iterable[Beat]) -> None:
-        """Waits for the value of a new session, whose first episode begins with `beats`."""
+    def begin_again(self, episode: Episode) -> None:
+        """Waits for the value of a new session, whose first episode is `episode`."""
         with self._lock, self._queue:
             self._session, self._answer = None, None
             self._played.clear()
             self._pending.clear()
             before = None
-            for step, beat in enumerate(beats):
+            for step, beat in enumerate(episode.beats, episode.first):
                 self._pending.append(_Beat(beat.observation, beat.reward, before, (0, step)))
                 before = beat.executed
 
@@ -178,5 +177,9 @@ class LocalCopy:
             executed = None
         step = self._session.step
         check(step == beat.position[1], "beat", f"step {step}", beat.position[1])
+        if beat.observation is None:
+            self._session.skip(beat.reward, executed_action=executed)
+            self._answer = None
+            return
         decision = self._session.act(beat.observation, beat.reward, executed_action=executed)
         self._answer = decision.action

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spikeserve.check import unmasked
 from spikeserve.connection import Connection
+from spikeserve.piloting import robot_clock
 from spikeserve.piloting.beat_log import Beat, Ending
 from spikeserve.piloting.ladder import Chosen, Ladder
 from spikeserve.piloting.link import Link
 from spikeserve.piloting.pilot_options import PilotAction, PilotOptions
 from spikeserve.piloting.pilot_stats import PilotStats
 from spikeserve.piloting.server_session import ServerSession
+from spikeserve.piloting.sight import observation_of
 from spikeserve.values import Action, ActionLike, EpisodeSummary
 
 if TYPE_CHECKING:
@@ -33,10 +34,10 @@ class Pilot:
             action = pilot.beat(observation, reward)
 
     The further arguments are the fields of PilotOptions. The constructor opens the session and
-    waits for the server, and raises SpikeserveError; `beat` never waits longer than the budget and
-    never raises. A background thread brings the server all beats, in order and once, whoever chose
-    their actions: the server's session is that of the robot. Answers that come too late are not
-    executed, and neither are those from before a reconnection.
+    waits for the server, and raises SpikeserveError; `beat` never waits longer than the budget, and
+    raises only before its first valid observation. A background thread brings the server all beats,
+    in order and once, whoever chose their actions: the server's session is that of the robot.
+    Answers that come too late are not executed, and neither are those from before a reconnection.
 
     For one thread; `stats` may be called from any.
     """
@@ -50,11 +51,15 @@ class Pilot:
             wire = self._session.neutral
             is_discrete = wire.WhichOneof("kind") != "continuous"
             neutral = wire.discrete if is_discrete else list(wire.continuous.values)
-        self._observation = np.zeros(opening.observation_size, np.float32)  # the last valid one
-        self._ladder = Ladder(self._options, opening.action_space, neutral, time.monotonic_ns())
+        self._no_observation = np.full(opening.observation_size, np.nan, np.float32)
+        self._has_seen = False  # whether there was a valid observation
+        self._last_invalid = ""  # what was wrong with the last one that was not
+        began_at = robot_clock.now_ns()
+        self._ladder = Ladder(self._options, opening.action_space, neutral, began_at)
         self._ladder.begin_episode()
         self._link = Link(client, self._options, self._session)
-        self._executed_step = -1  # of the running episode: the newest answer that was executed
+        self._executed_step = -1  # of `_executed_in`: the newest answer that was executed
+        self._executed_in = self._link.log.running
         self._beats = 0
         self._is_new_episode = True
         self._ending: Ending | None = None  # of the episode before
@@ -80,15 +85,23 @@ class Pilot:
         *,
         executed_action: ActionLike | None = None,
     ) -> PilotAction:
-        """Returns the action for an observation, at most `budget` seconds later. Never raises.
+        """Returns the action for an observation, at most `budget` seconds later.
 
         `reward` is for the action of the beat before; the first beat of an episode ignores it.
         `executed_action` is what the robot executed in the beat before, if it differs from the
         returned action, for example because a safety layer clipped it.
+
+        Raises ValueError as long as no observation was valid: the robot is not wired right. Later,
+        a beat whose observation has another size, or a number that is not finite, has a held or a
+        safe action, and nothing raises.
         """
         began = time.monotonic()
+        seen, wrong = observation_of(observation, self._no_observation.size)
+        if seen is None and not self._has_seen:
+            raise ValueError(wrong)
+        self._has_seen = True
         try:
-            return self._beat(observation, reward, executed_action, began)
+            return self._beat(seen, wrong, reward, executed_action, began)
         except Exception:
             self._complain("beat", "the pilot failed; the neutral action is taken", exc_info=True)
             with self._link.changed:
@@ -114,16 +127,35 @@ class Pilot:
         """
         with self._link.changed:
             self._note_executed(executed_action)
-            last = None if observation is None else self._valid(observation)
+            last = None if observation is None else self._last_observation(observation)
             target = None if target_return is None else self._finite("target_return", target_return)
             ending = Ending(self._number(reward), bool(terminated), bool(truncated), target, last)
             if self._is_new_episode:  # it has no beat
-                ending.summary.set_result(EpisodeSummary(0.0, 0, 0, 0.0))
+                ending.complete(EpisodeSummary(0.0, 0, 0, 0.0))
                 return ending.summary
             self._link.end_episode(ending)
         self._ending, self._is_new_episode, self._executed_step = ending, True, -1
         self._ladder.begin_episode()
         return ending.summary
+
+    def wait_ready(self, timeout: float) -> bool:
+        """Waits for an answer that the next beat may execute, for at most `timeout` seconds.
+
+        Returns whether there is one. The first beats of an episode have none on a slow link; a
+        robot that stands still calls this after its first beat. An answer that is older than
+        `max_age` then is not executed all the same.
+        """
+        link, ends = self._link, time.monotonic() + timeout
+        with link.changed:
+            while not self._has_answer():
+                left = ends - time.monotonic()
+                if left <= 0:
+                    return False
+                # No beat asks meanwhile: the stream may have opened, or broken, after the last one.
+                if link.log.running.beats and not link.is_asking:
+                    link.send_newest()
+                link.changed.wait(min(left, 0.05))
+        return True
 
     def stats(self) -> PilotStats:
         """Returns what the pilot has done so far."""
@@ -132,6 +164,7 @@ class Pilot:
                 entries=dict(self._ladder.entries),
                 dropped=self._link.log.dropped,
                 lost_episodes=self._link.log.lost_episodes,
+                last_invalid_observation=self._last_invalid,
                 has_local=self._session.has_local,
                 local_head_is_copy=self._session.has_local and self._session.shares_head,
             )
@@ -145,12 +178,20 @@ class Pilot:
         self._link.close(self._options.close_timeout)
 
     def _beat(
-        self, given: ArrayLike, reward: float, executed: ActionLike | None, began: float
+        self,
+        observation: NDArray[np.float32] | None,
+        wrong: str,
+        reward: float,
+        executed: ActionLike | None,
+        began: float,
     ) -> PilotAction:
-        link, now_ns = self._link, time.monotonic_ns()
+        link, now_ns = self._link, robot_clock.now_ns()
         with link.changed:
             self._note_executed(executed)
-            observation = self._valid(given)
+            if observation is None:
+                self._last_invalid = wrong
+                link.counters.count(invalid_observations=1)
+                self._not_valid("observation", wrong)
             earned = 0.0 if self._is_new_episode else self._number(reward)
             step = link.log.add(Beat(observation, earned, now_ns))
             episode = link.log.running
@@ -161,10 +202,15 @@ class Pilot:
                 link.changed.notify_all()
             self._is_new_episode, self._ending = False, None
             link.send_newest()
-            fresh = self._await_answer(began + self._options.wait)
-        chosen = self._ladder.choose(fresh, self._ask_local, observation, now_ns)
+            fresh = None
+            if observation is not None:
+                fresh = self._await_answer(began + self._options.wait)
+        if observation is None:  # nothing is decided without one
+            chosen = self._ladder.choose(None, lambda: None, self._no_observation, now_ns)
+        else:
+            chosen = self._ladder.choose(fresh, self._ask_local, observation, now_ns)
         with link.changed:
-            age = max(0.0, (time.monotonic_ns() - chosen.observed_at) / 1e9)
+            age = max(0.0, (robot_clock.now_ns() - chosen.observed_at) / 1e9)
             self._log_executed(chosen.action)
             link.counters.beat(chosen.source, age, time.monotonic())
         self._beats += 1
@@ -185,14 +231,21 @@ class Pilot:
             if wanted is None or wanted <= step or left <= 0:
                 break
             link.changed.wait(left)
-        if answer is None or answer.step <= self._executed_step:
+        if answer is None or not self._has_answer():
             return None
-        if time.monotonic_ns() - answer.observed_at > self._options.oldest * 1e9:
+        self._executed_in = answer.episode
+        if robot_clock.now_ns() - answer.observed_at > self._options.oldest * 1e9:
             link.counters.count(stale=1)
             self._executed_step = answer.step
             return None
         self._executed_step = answer.step
         return answer.action, answer.observed_at
+
+    def _has_answer(self) -> bool:
+        """Returns whether there is an answer for the running episode that was not executed."""
+        answer, running = self._link.answer, self._link.log.running
+        executed = self._executed_step if self._executed_in is running else -1
+        return answer is not None and answer.episode is running and answer.step > executed
 
     def _ask_local(self) -> Action | None:
         local = self._session.local
@@ -215,24 +268,17 @@ class Pilot:
         try:
             action = self._ladder.fitted(executed)
         except (TypeError, ValueError) as error:
-            self._replaced("executed_action", str(error))
+            self._not_valid("executed_action", f"executed_action: {error}")
             return
         self._ladder.executed(action)
         self._log_executed(action)
 
-    def _valid(self, given: ArrayLike) -> NDArray[np.float32]:
-        """Returns the observation, or the last valid one if it has a wrong size or NaN."""
-        try:
-            array = np.array(unmasked(given, "observation"), np.float32)
-        except (TypeError, ValueError) as error:
-            self._replaced("observation", str(error))
-            return self._observation
-        if array.shape == self._observation.shape and np.isfinite(array).all():
-            self._observation = array
-        else:
-            expected = f"{self._observation.size} finite values"
-            self._replaced("observation", f"expected {expected}, received {given!r}")
-        return self._observation
+    def _last_observation(self, given: ArrayLike) -> NDArray[np.float32] | None:
+        """Returns the observation behind an episode, which is only recorded; None: not valid."""
+        observation, wrong = observation_of(given, self._no_observation.size)
+        if observation is None:
+            self._not_valid("observation", wrong)
+        return observation
 
     def _number(self, reward: float) -> float:
         return self._finite("reward", reward) or 0.0
@@ -245,12 +291,12 @@ class Pilot:
             number = float("nan")
         if np.isfinite(number):
             return number
-        self._replaced(field, f"expected a finite number, received {given!r}")
+        self._not_valid(field, f"{field}: expected a finite number, received {given!r}")
         return None
 
-    def _replaced(self, field: str, message: str) -> None:
+    def _not_valid(self, field: str, message: str) -> None:
         self._link.counters.count(invalid=1)
-        self._complain(field, f"{field}: {message}")
+        self._complain(field, message)
 
     def _complain(self, kind: str, message: str, exc_info: bool = False) -> None:
         if kind not in self._logged:

@@ -45,7 +45,8 @@ class PilotOptions:
     local_policy: str | os.PathLike[str] | None = None
     neutral: ActionLike | None = None  # None: the neutral action of the policy
     ramp_beats: int | None = None  # None: those of 0.2 seconds; 0: no ramp
-    fallback: Callable[[NDArray[np.float32]], ActionLike] | None = None  # (observation) -> action
+    # (observation) -> action. Every element of an observation that is not valid is NaN.
+    fallback: Callable[[NDArray[np.float32]], ActionLike] | None = None
     in_flight: int | None = None  # most requests without an answer; None: those of `max_age`
     kept_beats: int = 8192  # that the server has not acknowledged; older ones become rewards only
     session: SessionOptions = field(default_factory=SessionOptions)
@@ -78,6 +79,11 @@ class PilotOptions:
         return max(LEAST_AGE, 3 * self.period) if self.max_age is None else self.max_age
 
     @property
+    def oldest_held(self) -> float:
+        """Returns the age of the oldest action that may be held, in seconds."""
+        return self.oldest + self.hold_beats * self.period
+
+    @property
     def ramp(self) -> int:
         """Returns the number of beats from the last action to the neutral one."""
         return math.ceil(0.2 / self.period) if self.ramp_beats is None else self.ramp_beats
@@ -95,8 +101,8 @@ class PilotAction:
     """The action of one beat.
 
     `age` is the time in seconds from the observation that the action was chosen for to the return
-    of `beat`; of a safe action, from the last observation that an action was chosen for. `beat`
-    counts the beats of the pilot from 0.
+    of `beat`, with the time in which the computer was suspended; of a safe action, from the last
+    observation that an action was chosen for. `beat` counts the beats of the pilot from 0.
     """
 
     action: Action

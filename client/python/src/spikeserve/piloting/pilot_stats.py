@@ -30,7 +30,9 @@ class PilotStats:
     reopened: int = 0  # sessions that were opened in the place of a lost one
     dropped: int = 0  # beats that the server got as rewards only
     lost_episodes: int = 0  # episodes whose end the server never learned
-    invalid: int = 0  # observations, rewards or executed actions that were replaced
+    invalid: int = 0  # observations, rewards or executed actions that were not valid
+    invalid_observations: int = 0  # beats without a valid observation
+    last_invalid_observation: str = ""  # what was expected and received; empty: all were valid
     failures: int = 0  # beats in which the pilot itself failed
     longest_gap: float = 0.0  # without a fresh action
     age_p50: float = 0.0  # of the actions, without the safe ones
@@ -94,9 +96,13 @@ class Counters:
         if source == "fresh":
             self._fresh_at = now
 
+    def is_report_due(self, now: float) -> bool:
+        """Returns whether a second has passed since the last report."""
+        return now - self._reported_at >= 1.0
+
     def report(self, now: float) -> Message | None:
         """Returns the BeatReport that is due, about once a second; None: none is."""
-        if now - self._reported_at < 1.0:
+        if not self.is_report_due(now):
             return None
         stats = self.stats
         report = message_class("BeatReport")(
@@ -109,6 +115,7 @@ class Counters:
             reconnects=stats.reconnects,
             longest_gap_seconds=self._reported_gap,
             oldest_age_seconds=self._oldest_age,
+            invalid_observations=stats.invalid_observations,
         )
         self._reported_at, self._reported_gap, self._oldest_age = now, 0.0, 0.0
         return report

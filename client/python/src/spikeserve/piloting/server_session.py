@@ -15,7 +15,6 @@ from spikeserve.errors import NotFoundError, SpikeserveError, make_error
 from spikeserve.piloting.local_copy import LocalCopy, is_wanted
 from spikeserve.piloting.pilot_options import PilotOptions
 from spikeserve.stream_opener import StreamOpener
-from spikeserve.unacknowledged import MOST_DECISIONS
 from spikeserve.values import Opening
 from spikeserve.wire import METHODS, Message
 
@@ -135,7 +134,7 @@ class ServerSession:
         self.session_id = opened.session_id
         self.history_limit = int(response.history_limit)
         is_stored = opened.opening.durability in ("ASYNC", "SYNC")
-        self.retained = MOST_DECISIONS if is_stored else 0
+        self.is_stored = is_stored
         # EndEpisode waits for the head of a fleet that a store keeps, and the stream does not.
         self.waits_for_merge = is_stored and self.shares_head
         self.opener.route.is_pinned = not is_stored
