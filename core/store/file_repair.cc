@@ -152,9 +152,8 @@ absl::Status Salvage::NameSessions() {
       std::string bytes;
       codec::Writer writer(&bytes);
       writer.Begin(kStoredSessionFormat);
-      writer.Write(StoredSession{.tenant = journal->snapshot.options.tenant,
-                                 .epoch = 1,
-                                 .written_seconds = absl::ToUnixSeconds(absl::Now())});
+      writer.Write(StoredSession{
+          .tenant = journal->snapshot.options.tenant, .epoch = 1, .written_seconds = 0});
       status = transaction_->Put(sessions_, id, bytes);
       continue;
     }

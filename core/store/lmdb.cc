@@ -1,8 +1,10 @@
 #include "core/store/lmdb.h"
 
+#include <algorithm>
 #include <cerrno>
 #include <csetjmp>
 #include <cstdint>
+#include <cstring>
 #include <filesystem>
 #include <system_error>
 
@@ -128,6 +130,21 @@ absl::StatusOr<LmdbEnvironment> OpenLmdbToRead(const std::string& directory) {
                                             ": its end is missing"));
   }
   return environment;
+}
+
+absl::StatusOr<size_t> FreeLmdbBytes(MDB_env* environment) {
+  constexpr MDB_dbi kFreePages = 0;  // LMDB's table of lists, each of which begins with its length
+  MDB_stat stat;
+  RETURN_IF_ERROR(LmdbStatus(mdb_env_stat(environment, &stat)));
+  ASSIGN_OR_RETURN(auto transaction, LmdbTransaction::BeginToRead(environment));
+  size_t pages = 0;
+  const auto add = [&](absl::string_view, absl::string_view list) {
+    size_t length = 0;
+    std::memcpy(&length, list.data(), std::min(sizeof(length), list.size()));
+    pages += length;
+  };
+  RETURN_IF_ERROR(transaction.Scan(kFreePages, "", add));
+  return pages * stat.ms_psize;
 }
 
 absl::StatusOr<LmdbTransaction> LmdbTransaction::Begin(MDB_env* environment) {

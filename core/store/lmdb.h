@@ -40,6 +40,9 @@ absl::StatusOr<LmdbEnvironment> OpenLmdbToRead(const std::string& directory);
 // missing, reading the lost pages returns UNAVAILABLE.
 absl::StatusOr<LmdbEnvironment> OpenLmdb(const std::string& directory, size_t most_bytes);
 
+// Returns the bytes of the file in pages that nothing uses any more, which further writes take.
+absl::StatusOr<size_t> FreeLmdbBytes(MDB_env* environment);
+
 // A transaction that is rolled back unless Commit() is called. An assertion of LMDB, which fails at
 // a damaged page, is DATA_LOSS; the transaction is of no further use then.
 class LmdbTransaction {

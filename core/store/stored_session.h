@@ -38,7 +38,9 @@ inline constexpr size_t kMostStoreBytes = size_t{64} << 30;
 struct StoredSession {
   std::string tenant;
   uint64_t epoch = 0;
-  int64_t written_seconds = 0;  // when a record was written, to within a minute; Unix time
+  // When a record was written, to within a minute, by the clock of the store, which passes while a
+  // server runs and begins at its time of day (Unix time); 0: unknown.
+  int64_t written_seconds = 0;
 };
 inline constexpr char kStoredSessionFormat[] = "spikeserve.stored.v1";
 

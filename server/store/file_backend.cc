@@ -3,9 +3,11 @@
 #include <fcntl.h>
 #include <sys/file.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
+#include <map>
 #include <set>
 #include <system_error>
 #include <utility>
@@ -31,6 +33,9 @@ namespace {
 // else.
 constexpr absl::Duration kWrittenStep = absl::Minutes(1);
 
+// A time of day that differs by more than this from what has passed has jumped.
+constexpr absl::Duration kJump = absl::Minutes(1);
+
 // Bytes of the disk that are kept for the ends of sessions, and the step in which more are taken.
 // One transaction writes the pages that it changes to another place.
 constexpr size_t kReserveBytes = 4 << 20;
@@ -47,11 +52,18 @@ struct FolderLocks {
 
 class FileBackend final : public JournalBackend {
  public:
-  FileBackend(std::string directory, FolderLocks locks, std::function<absl::Time()> now)
-      : directory_(std::move(directory)), locks_(std::move(locks)), now_(std::move(now)) {}
+  FileBackend(std::string directory, FolderLocks locks, std::function<absl::Time()> now,
+              const Clock* clock)
+      : directory_(std::move(directory)),
+        locks_(std::move(locks)),
+        now_(std::move(now)),
+        clock_(*clock),
+        opened_(clock->Now()),
+        opened_at_(now_()) {}
 
   // Opens the file, or what is left of it.
   absl::Status Open();
+  // Removes old sessions, and dates the others from now on.
   absl::Status RemoveOld(absl::Duration retention);
   absl::StatusOr<std::vector<absl::Status>> Write(absl::Span<const JournalRecord> records) override;
   std::vector<absl::StatusOr<ClaimedJournal>> Claim(absl::Span<const JournalClaim> claims) override;
@@ -80,11 +92,18 @@ class FileBackend final : public JournalBackend {
   absl::Status RemoveBefore(LmdbTransaction& transaction, const std::string& id,
                             uint64_t decisions);
   absl::Status Remove(LmdbTransaction& transaction, const std::string& id);
-  int64_t NowSeconds() const { return absl::ToUnixSeconds(now_()); }
+  // Returns the time of the store's clock.
+  absl::Time Now() const { return opened_at_ + (clock_.Now() - opened_); }
+  // Says that the time of day has jumped.
+  void NoteJump();
 
   const std::string directory_;
   const FolderLocks locks_;  // held so that no other server opens the folder
   const std::function<absl::Time()> now_;
+  const Clock& clock_;
+  const absl::Duration opened_;  // of `clock_`
+  absl::Time opened_at_;         // of the store's clock, at `opened_`
+  absl::Duration jumped_;        // time of day minus Now(), as far as it was said
   LmdbEnvironment environment_;
   size_t space_bytes_ = 0;  // that the file has on the disk, as far as is known
   MDB_dbi sessions_ = 0;
@@ -120,14 +139,43 @@ absl::Status FileBackend::RemoveOld(absl::Duration retention) {
   auto status = transaction.Scan(
       sessions_, "", [&](absl::string_view id, absl::string_view) { ids.emplace_back(id); });
   if (!status.ok()) return status;
-  const int64_t oldest = absl::ToUnixSeconds(now_() - retention);
+  std::map<std::string, StoredSession> sessions;
+  int64_t newest = 0;
   for (const std::string& id : ids) {
     const auto session = Read(transaction, id);
     // A session whose description is damaged cannot be claimed. It is left for inspection.
-    if (!session.ok() || (*session)->written_seconds >= oldest) continue;
-    if (status = Remove(transaction, id); !status.ok()) return status;
+    if (!session.ok() || !session->has_value()) continue;
+    sessions[id] = **session;
+    newest = std::max(newest, (*session)->written_seconds);
   }
-  return transaction.Commit();
+  if (sessions.empty() || newest == 0) return absl::OkStatus();
+  const absl::Time last = absl::FromUnixSeconds(newest);
+  const absl::Time now = std::exchange(opened_at_, last);  // unless the sessions are dated anew
+  const absl::Duration passed = now - last;
+  if (passed < -kJump || passed > retention) {
+    LogWarning(
+        "time of day differs from that of the last record in the session store; sessions "
+        "do not get older by it",
+        {{"last_record", absl::FormatTime(last)}, {"now", absl::FormatTime(now)}});
+  }
+  for (auto& [id, session] : sessions) {
+    const int64_t written = session.written_seconds == 0 ? newest : session.written_seconds;
+    session.written_seconds = written + absl::ToInt64Seconds(passed);
+    status.Update(absl::Seconds(newest - written) > retention ? Remove(transaction, id)
+                                                              : Put(transaction, id, session));
+  }
+  if (status.ok()) status = transaction.Commit();
+  if (status.ok()) opened_at_ = now;
+  // Without room for that, they keep their dates.
+  return absl::IsUnavailable(status) ? absl::OkStatus() : status;
+}
+
+void FileBackend::NoteJump() {
+  const absl::Duration jumped = now_() - Now();
+  if (absl::AbsDuration(jumped - jumped_) < kJump) return;
+  jumped_ = jumped;
+  LogWarning("time of day has jumped; sessions in the store do not get older by it",
+             {{"from_what_has_passed", absl::FormatDuration(jumped)}});
 }
 
 absl::Status FileBackend::Contain(const absl::Status& status) {
@@ -146,15 +194,22 @@ absl::Status FileBackend::TakeSpace(size_t bytes) {
         mdb_env_get_fd(environment_.get(), &file)}) {
     RETURN_IF_ERROR(LmdbStatus(error));
   }
-  const size_t needed = (info.me_last_pgno + 1) * stat.ms_psize + bytes + kReserveBytes;
+  const size_t more = bytes + kReserveBytes;
+  const size_t needed = (info.me_last_pgno + 1) * stat.ms_psize + more;
   if (needed <= space_bytes_) return absl::OkStatus();
-  const size_t taken = needed + kSpaceStep;
-  if (fallocate(file, FALLOC_FL_KEEP_SIZE, 0, static_cast<off_t>(taken)) != 0 &&
-      (errno == ENOSPC || errno == EDQUOT)) {
-    return absl::UnavailableError(absl::StrCat("session store: ", std::strerror(errno)));
+  for (const size_t taken : {needed + kSpaceStep, needed}) {
+    if (taken > info.me_mapsize) continue;
+    if (fallocate(file, FALLOC_FL_KEEP_SIZE, 0, static_cast<off_t>(taken)) != 0 &&
+        (errno == ENOSPC || errno == EDQUOT)) {
+      continue;
+    }
+    space_bytes_ = taken;  // also where the file system cannot reserve anything
+    return absl::OkStatus();
   }
-  space_bytes_ = taken;  // also where the file system cannot reserve anything
-  return absl::OkStatus();
+  // The end of the file is where it was when most was stored.
+  ASSIGN_OR_RETURN(const size_t free, FreeLmdbBytes(environment_.get()));
+  if (free >= more) return absl::OkStatus();
+  return absl::UnavailableError(absl::StrCat("session store: ", std::strerror(ENOSPC)));
 }
 
 absl::StatusOr<std::vector<absl::Status>> FileBackend::Write(
@@ -191,6 +246,7 @@ absl::StatusOr<std::vector<absl::Status>> FileBackend::WriteAll(
     absl::Span<const JournalRecord> records) {
   size_t bytes = 0;
   for (const JournalRecord& record : records) bytes += record.bytes.size();
+  NoteJump();
   RETURN_IF_ERROR(TakeSpace(bytes));
   ASSIGN_OR_RETURN(auto transaction, LmdbTransaction::Begin(environment_.get()));
   std::vector<absl::Status> outcomes;
@@ -227,7 +283,7 @@ absl::Status FileBackend::WriteRecord(LmdbTransaction& transaction, const Journa
   }
 
   StoredSession& session = **found;
-  const int64_t now = NowSeconds();
+  const int64_t now = absl::ToUnixSeconds(Now());
   if (now - session.written_seconds >= absl::ToInt64Seconds(kWrittenStep)) {
     session.written_seconds = now;
     RETURN_IF_ERROR(Put(transaction, key.id, session));
@@ -273,7 +329,7 @@ absl::StatusOr<ClaimedJournal> FileBackend::ClaimOne(LmdbTransaction& transactio
   if (!session.has_value() || session->tenant != claim.tenant) return NoSuchSession(id);
   const uint64_t former = session->epoch++;
   ClaimedJournal journal = {.epoch = session->epoch, .records = {}, .claimed_from = former};
-  session->written_seconds = NowSeconds();
+  session->written_seconds = absl::ToUnixSeconds(Now());
   RETURN_IF_ERROR(Put(transaction, id, *session));
   RETURN_IF_ERROR(transaction.Scan(records_, id, [&](absl::string_view, absl::string_view bytes) {
     journal.records.push_back(OpenRecord(bytes));
@@ -346,7 +402,9 @@ absl::StatusOr<FolderLocks> LockFolder(const std::string& directory) {
 
 absl::StatusOr<std::unique_ptr<JournalBackend>> OpenFileBackend(const std::string& directory,
                                                                 absl::Duration retention,
-                                                                std::function<absl::Time()> now) {
+                                                                std::function<absl::Time()> now,
+                                                                const Clock* clock) {
+  static const SteadyClock steady;
   std::error_code error;
   std::filesystem::create_directories(directory, error);
   if (error) {
@@ -354,7 +412,8 @@ absl::StatusOr<std::unique_ptr<JournalBackend>> OpenFileBackend(const std::strin
         absl::StrCat("expected a writable folder, received ", directory, ": ", error.message()));
   }
   ASSIGN_OR_RETURN(auto locks, LockFolder(directory));
-  auto backend = std::make_unique<FileBackend>(directory, std::move(locks), std::move(now));
+  auto backend = std::make_unique<FileBackend>(directory, std::move(locks), std::move(now),
+                                               clock == nullptr ? &steady : clock);
   RETURN_IF_ERROR(backend->Open());
   RETURN_IF_ERROR(backend->RemoveOld(retention));
   return backend;

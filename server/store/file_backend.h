@@ -3,7 +3,11 @@
 //
 // A damaged file is replaced by what can be read of it, when it is opened and when LMDB meets the
 // damage later (core/store/file_repair.h). Some room on the disk is kept in reserve: if the disk is
-// full, Write() still ends sessions, which frees room, and refuses the other records.
+// full, Write() still ends sessions, and refuses the other records. The file does not shrink, but
+// what has ended makes room in it for others.
+//
+// The age of a session is time that a server runs: neither a time of day that jumps nor the time
+// between two servers makes a session older.
 //
 // Not thread-safe.
 #ifndef SERVER_STORE_FILE_BACKEND_H_
@@ -17,17 +21,19 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
+#include "core/base/clock.h"
 #include "server/store/journal_backend.h"
 
 namespace spikeserve {
 
 // Opens the store in `directory`, which is created if it does not exist, and removes the sessions
-// that nothing was written to for `retention`. `now` returns the time of day. INVALID_ARGUMENT if
+// that nothing was written to for `retention`. `now` returns the time of day; `clock`, which must
+// outlive the backend, that which passes. INVALID_ARGUMENT if
 // the folder cannot be used, or if another server uses it. DATA_LOSS if nothing of a damaged file
 // can be read.
 absl::StatusOr<std::unique_ptr<JournalBackend>> OpenFileBackend(
     const std::string& directory, absl::Duration retention,
-    std::function<absl::Time()> now = absl::Now);
+    std::function<absl::Time()> now = absl::Now, const Clock* clock = nullptr);
 
 }  // namespace spikeserve
 

@@ -76,8 +76,9 @@ def comparable(response):
 class Restartable:
     """A server that can be killed and started again on the same store."""
 
-    def __init__(self, store, flags=(), policies=SHIPPED_POLICIES, log=None):
+    def __init__(self, store, flags=(), policies=SHIPPED_POLICIES, log=None, prefix=()):
         self.log = log
+        self.prefix = prefix
         self.flags = [f"--session_store={store}", *flags]
         self.policies = policies
         self.stack = contextlib.ExitStack()
@@ -93,7 +94,7 @@ class Restartable:
 
     def start(self):
         self.addresses = self.stack.enter_context(
-            running_server(self.policies, flags=self.flags, log=self.log, status=-signal.SIGKILL)
+            running_server(self.policies, self.flags, self.log, self.prefix, status=-signal.SIGKILL)
         )
         self.channel = self.stack.enter_context(grpc.insecure_channel(self.addresses.grpc))
         self.service = Service(self.channel, "spikeserve.v1.PolicyService")

@@ -8,7 +8,7 @@ import subprocess
 
 import grpc
 import pytest
-from security import code_of
+from security import code_of, until
 from serving import SHIPPED_POLICIES, Service, running_server
 from stored_sessions import Restartable, acting, comparable, expected_decision, opening
 
@@ -18,7 +18,7 @@ PAGE = 4096
 BRANCH, LEAF = 1, 2  # flags of pages
 TRIES = 20
 META_PAGES = 2
-DISK = 24 << 20  # bytes
+DISK = 16 << 20  # bytes
 MOST_SESSIONS = 20_000  # more than the disk has room for
 
 
@@ -246,6 +246,25 @@ def test_a_full_disk_refuses_sessions_and_lets_others_end(disk):
             assert code_of(server.GetSession, session_id=name(i)) == grpc.StatusCode.NOT_FOUND
         for i in left:
             assert server.Act(**acting(i, 0, 1)).durable_decision == 2
+        server.close()
+
+
+def test_a_store_that_has_filled_its_disk_has_room_again_when_its_sessions_end(disk):
+    with Restartable(f"file:{disk}/store") as server:
+        for restarts in (False, True, False):
+            opened = []
+            while code_of(server.OpenSession, **opening(len(opened))) == grpc.StatusCode.OK:
+                opened.append(len(opened))
+                assert len(opened) < MOST_SESSIONS
+            assert len(opened) > SESSIONS
+            # The one that was refused is stored as soon as there is room.
+            for i in (*opened, len(opened)):
+                until(lambda i=i: code_of(server.CloseSession, session_id=name(i)) != grpc.StatusCode.UNAVAILABLE)
+            if restarts:
+                server.restart()
+        i = SESSIONS
+        until(lambda: code_of(server.OpenSession, **opening(i)) == grpc.StatusCode.OK)
+        assert server.Act(**acting(i, 0, 0)).durable_decision == 1
         server.close()
 
 

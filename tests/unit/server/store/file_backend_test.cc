@@ -27,13 +27,21 @@ class NoWriter final : public JournalWriter {
   absl::Status CheckBacklog() const override { return absl::OkStatus(); }
 };
 
+class TestClock final : public Clock {
+ public:
+  absl::Duration Now() const override { return now; }
+
+  absl::Duration now;
+};
+
 class FileBackendTest : public ::testing::Test {
  protected:
   FileBackendTest() { Open(); }
 
   void Open(absl::Duration retention = absl::Hours(1)) {
     backend_ = nullptr;
-    auto opened = OpenFileBackend(Folder(), retention, [this] { return now_; });
+    auto opened = OpenFileBackend(
+        Folder(), retention, [this] { return now_; }, &clock_);
     ASSERT_TRUE(opened.ok()) << opened.status();
     backend_ = *std::move(opened);
   }
@@ -74,7 +82,14 @@ class FileBackendTest : public ::testing::Test {
   static constexpr absl::StatusCode kAborted = absl::StatusCode::kAborted;
 
   TemporaryDirectory folder_;
+  // Lets time pass while the store is open.
+  void Pass(absl::Duration time) {
+    now_ += time;
+    clock_.now += time;
+  }
+
   absl::Time now_ = absl::FromUnixSeconds(1'000'000);
+  TestClock clock_;
   NoWriter writer_;
   std::unique_ptr<JournalBackend> backend_;
 };
@@ -126,11 +141,27 @@ TEST_F(FileBackendTest, OtherTenantsDoNotSeeTheSession) {
 
 TEST_F(FileBackendTest, SessionsThatNothingWasWrittenToAreRemovedAtTheNextStart) {
   Write({Record(Kind::kOpen, "old", 0), Record(Kind::kOpen, "used", 0, 1, kOtherId)});
-  now_ += absl::Minutes(40);
+  Pass(absl::Minutes(40));
   Write({Record(Kind::kEntry, "1", 1, 1, kOtherId)});
-  now_ += absl::Minutes(40);
+  Open();
+  Pass(absl::Minutes(40));
+  Write({Record(Kind::kEntry, "2", 2, 1, kOtherId)});
   Open();
   EXPECT_EQ(Claim(kId).status().code(), absl::StatusCode::kNotFound);
+  EXPECT_THAT(Claimed(kOtherId), ElementsAre("used", "1", "2"));
+}
+
+TEST_F(FileBackendTest, ATimeOfDayThatJumpsRemovesNothing) {
+  Write({Record(Kind::kOpen, "idle", 0), Record(Kind::kOpen, "used", 0, 1, kOtherId)});
+  for (const absl::Duration jump : {absl::Hours(25), -absl::Hours(500'000), absl::Hours(500'000)}) {
+    now_ += jump;
+    Open();
+    now_ += jump;
+    Pass(absl::Minutes(2));
+    Write({Record(Kind::kEntry, "1", 1, 1, kOtherId)});
+    Open();
+  }
+  EXPECT_THAT(Claimed(), ElementsAre("idle"));
   EXPECT_THAT(Claimed(kOtherId), ElementsAre("used", "1"));
 }
 
