@@ -139,6 +139,7 @@ absl::StatusOr<HeadReplica::Folded> HeadReplica::Fold(const LoggedEntry& entry) 
         absl::StrCat("delta: expected ", size, " numbers, received ", parsed.delta.size()));
   }
   position_ = entry.position;
+  Remember(position_);
   last_.push_back({.position = position_,
                    .session = parsed.session,
                    .episode = parsed.episode,
@@ -187,9 +188,14 @@ std::optional<MergeOutcome> HeadReplica::Find(const std::string& session, int64_
 }
 
 bool HeadReplica::HasPassed(const HeadPosition& position) const {
-  if (position == position_ || position.number == 0) return true;
-  return std::any_of(last_.begin(), last_.end(),
-                     [&](const Folded& folded) { return folded.position == position; });
+  if (position.number == 0) return true;
+  const auto found = passed_.find(position.number);
+  return found != passed_.end() && found->second == position.digest;
+}
+
+void HeadReplica::Remember(const HeadPosition& position) {
+  passed_.insert_or_assign(position.number, position.digest);
+  if (passed_.size() > kDigestsRemembered) passed_.erase(passed_.begin());
 }
 
 std::string HeadReplica::Serialize() const {
@@ -223,6 +229,9 @@ absl::Status HeadReplica::Restore(const HeadPosition& position, const std::strin
   position_ = position;
   paused_ = stored.paused;
   last_ = {stored.last.begin(), stored.last.end()};
+  passed_.clear();
+  for (const Folded& folded : last_) Remember(folded.position);
+  Remember(position);
   return absl::OkStatus();
 }
 
@@ -232,6 +241,10 @@ void HeadReplica::TakeOver(const HeadReplica& other) {
   for (const std::string& tenant : other.heads_->Tenants()) {
     heads_->Of(tenant)->Restore(other.heads_->Of(tenant)->state());
   }
+  // What came before stays known if the other one continues it.
+  if (!other.HasPassed(position_)) passed_.clear();
+  for (const auto& [number, digest] : other.passed_) passed_.insert_or_assign(number, digest);
+  while (passed_.size() > kDigestsRemembered) passed_.erase(passed_.begin());
   position_ = other.position_;
   paused_ = other.paused_;
   last_ = other.last_;

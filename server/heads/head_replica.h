@@ -12,6 +12,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -26,8 +27,9 @@ namespace spikeserve {
 
 class HeadReplica {
  public:
-  // The outcomes and digests of this many entries are remembered.
+  // The outcomes of this many entries are remembered, and the digests of this many.
   static constexpr size_t kRemembered = 256;
+  static constexpr size_t kDigestsRemembered = 1 << 14;
 
   // Starts before the first entry, with heads that have learned nothing.
   explicit HeadReplica(std::shared_ptr<TenantHeads> heads) : heads_(std::move(heads)) {}
@@ -51,7 +53,7 @@ class HeadReplica {
   std::optional<MergeOutcome> Find(const std::string& session, int64_t episode) const;
   // Returns the last entries, oldest first.
   const std::deque<Folded>& last() const { return last_; }
-  // Returns true if `position` is one of the last that this replica was at.
+  // Returns true if this replica remembers that it was at `position`.
   bool HasPassed(const HeadPosition& position) const;
 
   // Converts everything but the position to a binary form.
@@ -64,11 +66,13 @@ class HeadReplica {
 
  private:
   MergeOutcome Apply(const HeadEntry& entry, const LoggedEntry& logged);
+  void Remember(const HeadPosition& position);
 
   const std::shared_ptr<TenantHeads> heads_;
   HeadPosition position_;
   bool paused_ = false;
-  std::deque<Folded> last_;  // entries, oldest first
+  std::deque<Folded> last_;                // entries, oldest first
+  std::map<int64_t, std::string> passed_;  // digests of positions, by their numbers
 };
 
 }  // namespace spikeserve

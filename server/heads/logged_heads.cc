@@ -69,10 +69,8 @@ absl::StatusOr<bool> LoggedHeads::AppendAndRead(RedisClient& client,
     if (!request.IsToBeAppended()) continue;
     const bool was_sent = std::exchange(request.is_sent, true);
     ASSIGN_OR_RETURN(const auto outcome, ReadHeadAppend(client));
-    if (outcome == AppendOutcome::kStale) {
-      is_stale = true;
-      continue;
-    }
+    is_stale = is_stale || outcome == AppendOutcome::kStale;
+    if (outcome == AppendOutcome::kStale || outcome == AppendOutcome::kSettling) continue;
     request.is_in_log = true;
     request.is_new = outcome == AppendOutcome::kAppended || was_sent;
     (request.is_new ? metrics.appended : metrics.known).Increment();
@@ -144,6 +142,10 @@ absl::Status LoggedHeads::Reload(RedisClient& client, absl::string_view reason) 
   if (store_is_behind) return Rewrite(client, replica_, end, reason);
   replica_.TakeOver(whole);
   snapshot_number_ = stored.snapshot.number;
+  // Entries are appended behind others: a log that is gone begins again behind its snapshot.
+  if (stored.entries.empty() && end.number > 0) {
+    return Rewrite(client, replica_, end, "the log is gone, and its snapshot is not");
+  }
   if (reason.empty()) return absl::OkStatus();
   settings_.metrics->reloaded.Increment();
   LogWarning("shared heads reloaded from their log", {{"policy", name_}, {"reason", reason}});

@@ -22,7 +22,20 @@ constexpr char kMarkerGrace[] = "600000";  // milliseconds
 // A server that has not read this many entries reads before it appends.
 constexpr char kMostUnread[] = "64";
 
+// How long a log takes no entries after it was written again, or after Redis has started again or
+// another one has taken its place, whose files may be older: in this time every server that is
+// alive reads it, and one that has taken more of the entries writes its own copy.
+constexpr char kSettling[] = "3000";  // milliseconds
+
 constexpr size_t kDigits = 12;  // of a file's SHA-256 in the name of a key
+
+// What names the run of the Redis server, if it tells, and the milliseconds of its clock.
+constexpr char kRunAndTime[] = R"(
+local info = redis.pcall('INFO', 'server')
+local run = type(info) == 'string' and string.match(info, 'run_id:(%x+)') or ''
+local time = redis.call('TIME')
+local now = string.format('%d', time[1] * 1000 + math.floor(time[2] / 1000))
+)";
 
 // Keeps the contributors ARGV[first] to ARGV[first + kMostMembers - 1] in the sorted set `key`.
 constexpr char kKeepMembers[] = R"(
@@ -42,7 +55,8 @@ end
 // log, snapshot, marker, marker of the episode before, contributors. ARGV: id, number and digest of
 // the caller's position, entry, retention, grace, time that a contributor counts (all in
 // milliseconds), what all entries of the session and the episode begin with, most entries that are
-// searched, contributors.
+// searched, time that a log takes no entries, contributors. Returns 1, 0 if the log has the entry,
+// -1 if it does not have the caller's position, or -2 if it takes no entries now.
 constexpr char kAppend[] = R"(
 local unread = '-'
 if tonumber(ARGV[2]) > 0 then
@@ -50,13 +64,20 @@ if tonumber(ARGV[2]) > 0 then
   if not mine or mine[2][6] ~= ARGV[3] then return -1 end
   unread = '(' .. ARGV[1]
 end
+local settled = redis.call('HMGET', KEYS[2], 'run', 'since')
+if settled[1] ~= run then
+  settled[2] = settled[1] and now or 0
+  redis.call('HSET', KEYS[2], 'run', run, 'since', settled[2])
+end
+local age = now - (settled[2] or 0)
+if age >= 0 and age < tonumber(ARGV[10]) then return -2 end
 if redis.call('EXISTS', KEYS[3]) == 1 then return 0 end
 local entries = redis.call('XRANGE', KEYS[1], unread, '+', 'COUNT', ARGV[9])
 if #entries == tonumber(ARGV[9]) then return -1 end
 for _, entry in ipairs(entries) do
   if string.sub(entry[2][8], 1, #ARGV[8]) == ARGV[8] then return 0 end
 end
-keep_members(KEYS[5], 10, ARGV[7])
+keep_members(KEYS[5], 11, ARGV[7])
 local members = redis.call('ZCARD', KEYS[5])
 local number, digest = 0, ''
 local last = redis.call('XREVRANGE', KEYS[1], '+', '-', 'COUNT', 1)[1]
@@ -98,16 +119,24 @@ redis.call('XTRIM', KEYS[1], 'MINID', ARGV[1])
 return 1)";
 
 // Returns 0 if the log does not end as expected. The empty entry at the position keeps the ids of
-// later ones above it, whatever the clock says, and lets servers at this position continue.
-// KEYS: log, snapshot. ARGV: expected digest, id, number, digest, snapshot.
+// later ones above it, whatever the clock says, and lets servers at this position continue. Until
+// the new log takes the place of the old one, the snapshot stands for it: see redis_scripts.h.
+// KEYS: log, snapshot, new log. ARGV: expected digest, id, number, digest, snapshot.
 constexpr char kReplace[] = R"(
 local last = redis.call('XREVRANGE', KEYS[1], '+', '-', 'COUNT', 1)[1]
 local digest = last and last[2][6] or redis.call('HGET', KEYS[2], 'c') or ''
 if digest ~= ARGV[1] then return 0 end
-redis.call('DEL', KEYS[1], KEYS[2])
-redis.call('HSET', KEYS[2], 'id', ARGV[2], 'n', ARGV[3], 'c', ARGV[4], 's', ARGV[5])
+redis.call('DEL', KEYS[3])
 if ARGV[2] ~= '0-0' then
-  redis.call('XADD', KEYS[1], ARGV[2], 'n', ARGV[3], 'm', '0', 'c', ARGV[4], 'e', '')
+  redis.call('XADD', KEYS[3], ARGV[2], 'n', ARGV[3], 'm', '0', 'c', ARGV[4], 'e', '')
+end
+redis.call('HSET', KEYS[2], 'id', ARGV[2], 'n', ARGV[3], 'c', ARGV[4], 's', ARGV[5],
+           'run', run, 'since', now)
+redis.call('HDEL', KEYS[2], 'wanted')
+if ARGV[2] ~= '0-0' then
+  redis.call('RENAME', KEYS[3], KEYS[1])
+else
+  redis.call('DEL', KEYS[1])
 end
 return 1)";
 
@@ -153,7 +182,8 @@ std::array<absl::string_view, kMostMembers> Padded(const std::vector<std::string
 }
 
 const std::string& AppendScript() {
-  static const auto* const script = new std::string(absl::StrCat(kKeepMembers, kAppend));
+  static const auto* const script =
+      new std::string(absl::StrCat(kRunAndTime, kKeepMembers, kAppend));
   return *script;
 }
 
@@ -198,6 +228,7 @@ void SendHeadAppend(RedisClient& client, const HeadLogKeys& keys, const HeadPosi
                  absl::StrCat(kAliveMilliseconds),
                  append.identity,
                  kMostUnread,
+                 kSettling,
                  members[0],
                  members[1],
                  members[2],
@@ -208,6 +239,7 @@ void SendHeadAppend(RedisClient& client, const HeadLogKeys& keys, const HeadPosi
 absl::StatusOr<AppendOutcome> ReadHeadAppend(RedisClient& client) {
   ASSIGN_OR_RETURN(const auto reply, client.Read());
   if (reply->type != REDIS_REPLY_INTEGER) return Unexpected("the outcome of an entry");
+  if (reply->integer < -1) return AppendOutcome::kSettling;
   if (reply->integer < 0) return AppendOutcome::kStale;
   return reply->integer == 0 ? AppendOutcome::kKnown : AppendOutcome::kAppended;
 }
@@ -256,7 +288,8 @@ absl::Status ReplaceHeadLog(RedisClient& client, const HeadLogKeys& keys,
                             absl::string_view bytes) {
   ASSIGN_OR_RETURN(
       const auto reply,
-      client.Run({"EVAL", kReplace, "2", keys.log, keys.snapshot, expected_digest, position.id,
+      client.Run({"EVAL", absl::StrCat(kRunAndTime, kReplace), "3", keys.log, keys.snapshot,
+                  absl::StrCat(keys.log, ":new"), expected_digest, position.id,
                   absl::StrCat(position.number), position.digest, bytes}));
   if (reply->integer == 1) return absl::OkStatus();
   return absl::AbortedError("another server has changed the log");

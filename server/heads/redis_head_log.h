@@ -4,7 +4,8 @@
 // is the beginning of the SHA-256 of the policy's file: servers with other bytes learn other heads.
 // - fl:{policy@version}:<file>, a stream: the entries.
 // - fs:{policy@version}:<file>, a hash: a snapshot of the heads with the position that it stands
-//   for, and whether a server has asked for a newer one.
+//   for, whether a server has asked for a newer one, which run of Redis had the log last, and since
+//   when the servers look whether they have more than it.
 // - fc:{policy@version}:<session>:<episode>: the entry is in the log.
 // - fm:{policy@version}:<file>:<tenant>, a sorted set: contributors with a session, by the time at
 //   which a server has said so last.
@@ -50,8 +51,9 @@ struct HeadAppend {
 
 enum class AppendOutcome {
   kAppended,
-  kKnown,  // the log has had the entry before
-  kStale,  // the log does not have the position that the caller is at: nothing was appended
+  kKnown,     // the log has had the entry before
+  kStale,     // the log does not have the position that the caller is at: nothing was appended
+  kSettling,  // the log was written again just now, and takes entries a few seconds later
 };
 
 // Sends the command that appends an entry after whatever the log has. The log remembers the entry
@@ -86,7 +88,8 @@ absl::StatusOr<StoredLog> LoadHeadLog(RedisClient& client, const HeadLogKeys& ke
 absl::Status StoreHeadSnapshot(RedisClient& client, const HeadLogKeys& keys,
                                const HeadPosition& position, absl::string_view bytes);
 
-// Replaces the log and its snapshot by this one. Returns ABORTED if the log does not end with
+// Replaces the log and its snapshot by this one. For some seconds the log then takes no entries, in
+// which a server that has more replaces it again. Returns ABORTED if the log does not end with
 // `expected_digest` any more.
 absl::Status ReplaceHeadLog(RedisClient& client, const HeadLogKeys& keys,
                             absl::string_view expected_digest, const HeadPosition& position,

@@ -121,8 +121,17 @@ void VersionLog::Finish(absl::Duration pause) {
   failures_ = 0;
   retry_delay_ = kFirstRetry;
   read_at_ = settings_.clock->Now() + pause;
-  for (const HeadRequest& request : taken_) request.OnMerged(logged_.OutcomeOf(request));
+  std::vector<HeadRequest> again;
+  for (HeadRequest& request : taken_) {
+    if (request.IsToBeAppended()) {
+      again.push_back(std::move(request));
+    } else {
+      request.OnMerged(logged_.OutcomeOf(request));
+    }
+  }
   taken_.clear();
+  if (!again.empty()) retry_at_ = settings_.clock->Now() + kFirstRetry;
+  requests_.PutBack(std::move(again));
 }
 
 void VersionLog::Fail(const absl::Status& status, bool is_connected) {

@@ -50,8 +50,8 @@ class VersionLog final : public HeadLog {
   absl::Status Exchange(RedisClient& client) {
     return logged_.Exchange(client, absl::MakeSpan(taken_));
   }
-  // The last Exchange() returned OK. Reports the outcomes. Without requests the log is due again
-  // after `pause`.
+  // The last Exchange() returned OK. Reports the outcomes. What a log does not take now that was
+  // written again is tried again later. Without requests the log is due again after `pause`.
   void Finish(absl::Duration pause);
   // The log could not be served, because of `status`. Requests without an operation are tried again
   // later. `is_connected`: Redis could be reached before.

@@ -1,6 +1,8 @@
 """Replicas learn shared heads through an ordered log in Redis: each contribution once, and equal heads everywhere."""
 
+import pathlib
 import shutil
+import signal
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -8,7 +10,7 @@ import grpc
 import pytest
 import spikeserve
 from fleet_roles import new_session_id
-from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, start_cluster, stopping
+from redis_servers import DURABLE, PASSWORD, WITHOUT_REDIS, Redis, start_cluster, stopping
 from replicated import running_fleet
 from security import ADMIN, HEALTH, SERVING, code_of, until
 from serving import SHIPPED_POLICIES, Service, metric
@@ -33,6 +35,14 @@ def redis():
 def start(redis, tmp_path):
     """Returns a function that starts a replica on one Redis server."""
     yield from replicas_on(redis.port, tmp_path)
+
+
+@pytest.fixture
+def start_on_durable(tmp_path):
+    """Returns a Redis server that keeps its files, and a function that starts a replica on it."""
+    with stopping([Redis(*DURABLE)]) as [started]:
+        for start in replicas_on(started.port, tmp_path):
+            yield started, start
 
 
 @pytest.fixture
@@ -305,6 +315,102 @@ def test_redis_loses_everything(redis, start):
     other = open_learner(second, seed=3)
     play(second, other)
     assert head_of(first).updates == 2 and weights(first) == weights(second) == weights(start())
+
+
+def contributions(replica):
+    head = head_of(replica)
+    return head.updates + head.rejected_updates
+
+
+@pytest.mark.parametrize("more", [1, 300])  # contributions after the snapshot: also more than a snapshot remembers
+def test_a_log_that_is_gone_behind_its_snapshot(redis, start, more):
+    """Redis has evicted it. Both replicas have all of it, and go on."""
+    first, second = start(), start()
+    session = open_learner(first)
+    play(first, session, steps=1)
+    snapshot = key_of(redis, "fs")
+    redis.command(f"HSET {snapshot} wanted 1")
+    until(lambda: redis.command(f"HGET {snapshot} n") == b"1")
+    for _ in range(more):
+        play(first, session, steps=1)
+    until(lambda: contributions(second) == 1 + more)
+    redis.command(f"DEL {key_of(redis, 'fl')}")
+    play(second, open_learner(second, seed=2), steps=1)
+    play(first, session, steps=1)
+    assert contributions(first) == contributions(second) == 3 + more
+    admin(second).PauseLearning(policy="cartpole")
+    until(lambda: head_of(first).paused)
+    assert weights(first) == weights(second) == weights(start())
+
+
+def test_a_log_that_is_gone_when_no_server_has_more_than_its_snapshot(redis, start):
+    first = start()
+    session = open_learner(first)
+    play(first, session)
+    snapshot = key_of(redis, "fs")
+    redis.command(f"HSET {snapshot} wanted 1")
+    until(lambda: redis.command(f"HGET {snapshot} n") == b"1")
+    first.kill()
+    redis.command(f"DEL {key_of(redis, 'fl')}")
+    second = start()
+    play(second, open_learner(second, seed=2))
+    assert contributions(second) == 2 and weights(start()) == weights(second)
+
+
+def at_the_first_entry(first, second):
+    """Returns the session of the first replica, and what ends one of the second. Both have taken one entry."""
+    session, other = open_learner(first), open_learner(second, seed=2)
+    act(second, other, steps=1)
+    play(first, session, steps=1)
+    until(lambda: contributions(second) == 1)
+    return session, {"session_id": other, "reward": 1.0, "terminated": True, "episode": 0, "steps": 1}
+
+
+def go_on_alone(first, second, session):
+    """The first replica appends more, and both stop."""
+    second.addresses.process.send_signal(signal.SIGSTOP)
+    for _ in range(4):
+        play(first, session, steps=1)
+    first.addresses.process.send_signal(signal.SIGSTOP)
+
+
+def end_before_the_other_looks(redis, first, second, end, log):
+    """The second replica is ready to append. The first one, which has more, comes back meanwhile."""
+    second.addresses.process.send_signal(signal.SIGCONT)
+    ok = grpc.StatusCode.OK
+    with ThreadPoolExecutor() as pool:
+        ended = pool.submit(until, lambda: code_of(second.EndEpisode, **end) == ok)
+        since = f"HGET fs{log[2:]} since"
+        until(lambda: ended.done() or (redis.command(since) or b"0") != b"0")
+        first.addresses.process.send_signal(signal.SIGCONT)
+        ended.result()
+    assert contributions(first) == contributions(second) == 6
+    assert weights(first) == weights(second)
+
+
+def test_the_fullest_copy_is_written_when_the_log_is_gone(redis, start):
+    first, second = start(), start()
+    session, end = at_the_first_entry(first, second)
+    go_on_alone(first, second, session)
+    log = key_of(redis, "fl")
+    redis.command(f"DEL {log}")
+    end_before_the_other_looks(redis, first, second, end, log)
+
+
+def test_a_redis_that_comes_back_with_older_files(start_on_durable):
+    """The second replica is where the files are, so that it misses nothing."""
+    redis, start = start_on_durable
+    first, second = start(), start()
+    session, end = at_the_first_entry(first, second)
+    files = pathlib.Path(redis.folder.name) / "appendonlydir"
+    shutil.copytree(files, files.with_name("before"))
+    go_on_alone(first, second, session)
+    log = key_of(redis, "fl")
+    redis.kill()
+    shutil.rmtree(files)
+    files.with_name("before").rename(files)
+    redis.start()
+    end_before_the_other_looks(redis, first, second, end, log)
 
 
 def test_redis_is_away(redis, start):
