@@ -3,13 +3,11 @@
 #include <memory>
 #include <string>
 
-#include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/strip.h"
 #include "client/spikectl/commands.h"
-#include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
@@ -47,11 +45,8 @@ absl::StatusOr<StoreReport> Check(const StoreFlags& flags) {
   RedisOptions options = {
       .address = *std::move(address), .timeout = flags.timeout, .tls_files = flags.tls_files};
   if (!flags.user.empty()) options.address.user = flags.user;
-  if (!flags.password_file.empty()) {
-    const auto password = ReadFile(flags.password_file);
-    if (!password.ok()) return Annotate(password.status(), "--store_password_file");
-    options.password = std::string(absl::StripAsciiWhitespace(*password));
-  }
+  options.password_file = flags.password_file;
+  RETURN_IF_ERROR(ReadRedisPassword(flags.password_file).status());
   return CheckRedisStore(options);
 }
 

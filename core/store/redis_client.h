@@ -52,6 +52,8 @@ class RedisClient {
   // were read, and each server has answered. Otherwise the client is of no further use.
   bool is_usable() const;
 
+  bool is_cluster() const { return !slots_.empty(); }
+
   absl::StatusOr<RedisReply> Run(std::initializer_list<absl::string_view> arguments);
 
   // Calls `visit` for every key that matches the pattern, once or more. REQUIRES: is_usable().
@@ -91,7 +93,6 @@ class RedisClient {
   // Fills the table of slots from the reply to CLUSTER SLOTS. `asked` sent it. Returns UNAVAILABLE
   // if it names slots or ports that there are not.
   absl::Status ReadSlots(const redisReply& reply, const RedisEndpoint& asked);
-  bool is_cluster() const { return !slots_.empty(); }
   Node& NodeAt(const RedisEndpoint& endpoint);
   Node& NodeOf(absl::string_view key);
   // Connects if `connection` is null, one of `node`.

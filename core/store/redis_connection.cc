@@ -99,9 +99,10 @@ absl::StatusOr<std::unique_ptr<RedisConnection>> RedisConnection::Connect(
 
 absl::Status RedisConnection::Authenticate(const RedisOptions& options, RedisPeer peer) {
   const std::string& user = options.address.user;
-  if (options.password.empty() && user.empty()) return absl::OkStatus();
-  const auto reply =
-      user.empty() ? Run({"AUTH", options.password}) : Run({"AUTH", user, options.password});
+  const auto password = ReadRedisPassword(options.password_file);
+  if (!password.ok()) return absl::UnavailableError(password.status().message());
+  if (password->empty() && user.empty()) return absl::OkStatus();
+  const auto reply = user.empty() ? Run({"AUTH", *password}) : Run({"AUTH", user, *password});
   if (reply.ok() || peer == RedisPeer::kRedis) return reply.status();
   // Sentinels often have neither password nor user, although the Redis servers have them.
   const absl::string_view error = reply.status().message();

@@ -1,10 +1,13 @@
 #include "core/store/redis_options.h"
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
+#include "core/base/file.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
@@ -76,6 +79,13 @@ absl::Status CheckNoRedisPassword(absl::string_view text) {
   return absl::InvalidArgumentError(
       "expected the password of Redis in the file of --store_password_file, received one in the "
       "address");
+}
+
+absl::StatusOr<std::string> ReadRedisPassword(const std::string& file) {
+  if (file.empty()) return "";
+  const auto password = ReadFile(file);
+  if (!password.ok()) return Annotate(password.status(), "--store_password_file");
+  return std::string(absl::StripAsciiWhitespace(*password));
 }
 
 }  // namespace spikeserve

@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 
@@ -63,9 +64,15 @@ struct RedisTlsFiles {
   std::string key = "";          // of `certificate`
 };
 
+// Returns the password in a file, without white space around it, or empty if `file` is. NOT_FOUND,
+// which names the flag, if it cannot be read.
+absl::StatusOr<std::string> ReadRedisPassword(const std::string& file);
+
 struct RedisOptions {
   RedisAddress address;
-  std::string password = "";  // of Redis, and of Sentinels that want one; empty: none
+  // With the password of Redis, and of Sentinels that want one; read at each connection, so that it
+  // can be renewed. Empty: none.
+  std::string password_file = "";
   // The longest time without a byte of an answer. A whole reply may take
   // RedisConnection::kTimeoutsOfReply times as long.
   absl::Duration timeout = kDefaultRedisTimeout;

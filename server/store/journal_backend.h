@@ -57,8 +57,8 @@ class JournalBackend {
   virtual absl::Status CheckKeepsRecords() const { return absl::OkStatus(); }
 
   // Compares journals with SessionJournal::stored(), and prolongs the time that the store keeps
-  // those that are used. Returns their outcomes: OK, ABORTED or NOT_FOUND, as for Write().
-  // UNAVAILABLE: the store cannot be reached.
+  // those that are used. Returns their outcomes: OK, ABORTED or NOT_FOUND, as for Write(), or
+  // UNAVAILABLE if the store does not tell now. Returns UNAVAILABLE if it cannot be reached.
   virtual absl::StatusOr<std::vector<absl::Status>> Check(absl::Span<const HeldJournal> journals) {
     return std::vector<absl::Status>(journals.size());
   }
@@ -67,8 +67,8 @@ class JournalBackend {
   // the journal any more, ALREADY_EXISTS, or NOT_FOUND if the store has lost the journal or a part
   // of it. Returns UNAVAILABLE if the store cannot be reached. Then some of the records may have
   // been written, or may be written later, and all are to be passed to the next call again. The
-  // outcome UNAVAILABLE of single records: the store takes no more of their kind at present, and
-  // they are to be passed again.
+  // outcome UNAVAILABLE of single records: the store does not take them at present, and they are to
+  // be passed again, before later ones of their journals.
   virtual absl::StatusOr<std::vector<absl::Status>> Write(
       absl::Span<const JournalRecord> records) = 0;
 

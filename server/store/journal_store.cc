@@ -23,6 +23,9 @@ constexpr size_t kMostRecords = 512;
 // How often a connection without work is tried.
 constexpr absl::Duration kIdleInterval = absl::Seconds(1);
 
+// When journals are compared again of some of which the store has not told anything.
+constexpr absl::Duration kUntoldInterval = absl::Seconds(5);
+
 // What a record without bytes counts in the backlog.
 constexpr size_t kRecordBytes = 256;
 
@@ -80,10 +83,11 @@ JournalStore::JournalStore(std::unique_ptr<JournalBackend> backend, const Clock*
                            "Decisions that were read from journals to restore sessions.")),
       reachable_gauge_(prometheus::BuildGauge()
                            .Name("spikeserve_store_reachable")
-                           .Help("1 while the store answers, 0 while it does not.")
+                           .Help("1 while the store answers and refuses no records, otherwise 0.")
                            .Register(*registry)
                            .Add({})),
-      retry_delay_(kFirstRetry) {
+      retry_delay_(kFirstRetry),
+      refused_delay_(kRefusedRetry) {
   reachable_gauge_.Set(1.0);
   KeepJournals();  // so that the first sessions find out what the store does not keep
   thread_ = std::thread([this] { Run(); });
@@ -156,6 +160,11 @@ bool JournalStore::IsUrgent() const {
   return hurried_ || queue_.records.size() >= kGatherRecords || !queue_.claims.empty() || stopping_;
 }
 
+absl::Duration JournalStore::IdleInterval() const {
+  if (waiting_.records.empty()) return kIdleInterval;
+  return std::clamp(try_refused_at_ - clock_->Now(), absl::ZeroDuration(), kIdleInterval);
+}
+
 std::optional<JournalStore::Work> JournalStore::Next() {
   absl::MutexLock lock(&mutex_);
   // While there are records all the time, the thread wakes once for all that gather.
@@ -163,11 +172,15 @@ std::optional<JournalStore::Work> JournalStore::Next() {
   const auto any = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return HasWork(); };
   if (!changed_.Wait(&mutex_, kGatherTime, urgent) && !HasWork()) {
     idle_ = true;
-    const bool has_work = changed_.Wait(&mutex_, kIdleInterval, any);
+    const bool has_work = changed_.Wait(&mutex_, IdleInterval(), any);
     idle_ = false;
     if (has_work) changed_.Wait(&mutex_, kGatherTime, urgent);
   }
-  if (stopping_ && queue_.records.empty() && queue_.claims.empty()) return std::nullopt;
+  if (stopping_ && queue_.records.empty() && queue_.claims.empty()) {
+    const absl::Duration now = clock_->Now();
+    if (waiting_.records.empty() || now >= stop_by_) return std::nullopt;
+    changed_.Wait(&mutex_, std::min(try_refused_at_, stop_by_) - now, [] { return false; });
+  }
   Work work = std::exchange(queue_, {});
   hurried_ = false;
   return work;
@@ -209,17 +222,19 @@ absl::Status JournalStore::CheckJournals() {
   };
   if (sessions != nullptr && is_shared_) sessions->ForEach(is_stored, add);
   std::vector<std::shared_ptr<SessionJournal>> missing;
+  bool all_told = true;
   for (size_t first = 0; first < held.size(); first += kMostRecords) {
     const auto part = absl::MakeConstSpan(held).subspan(first, kMostRecords);
     ASSIGN_OR_RETURN(const auto outcomes, backend_->Check(part));
     for (size_t i = 0; i < part.size(); ++i) {
       if (absl::IsAborted(outcomes[i]) && !part[i].journal->lost()) fences_.Increment();
       part[i].journal->OnChecked(outcomes[i]);
+      all_told = all_told && !absl::IsUnavailable(outcomes[i]);
       if (part[i].journal->missing()) missing.push_back(part[i].journal);
     }
   }
   must_check_ = false;
-  next_check_ = clock_->Now() + check_interval_;
+  next_check_ = clock_->Now() + (all_told ? check_interval_ : kUntoldInterval);
   WriteAgain(missing);
   return absl::OkStatus();
 }
@@ -273,68 +288,97 @@ size_t JournalStore::SkipReplaced(size_t first, size_t end, Work* work) {
   return kept;
 }
 
+bool JournalStore::TryRefusedAgain(Work* work) {
+  // The end of a session makes its other records superfluous.
+  const auto ends = [this](const JournalRecord& record) {
+    return record.kind == JournalRecord::Kind::kClose &&
+           waiting_journals_.contains(record.journal.get());
+  };
+  const bool is_due = clock_->Now() >= try_refused_at_;
+  if (!is_due && std::ranges::none_of(work->records, ends)) return waiting_.records.empty();
+  std::ranges::move(work->records, std::back_inserter(waiting_.records));
+  std::ranges::move(work->queued, std::back_inserter(waiting_.queued));
+  work->records = std::exchange(waiting_.records, {});
+  work->queued = std::exchange(waiting_.queued, {});
+  waiting_journals_.clear();
+  return true;
+}
+
 bool JournalStore::WriteRecords(Work* work) {
-  if (work->records.empty()) {
-    SetReachable(absl::OkStatus());
-    return true;
-  }
+  const bool tried = TryRefusedAgain(work);
   size_t first = 0;
   absl::Status failure;
-  Work refused;
-  absl::Status refusal;
-  while (first < work->records.size()) {
+  while (first < work->records.size() && failure.ok()) {
     const size_t end = std::min(first + kMostRecords, work->records.size());
-    first = SkipReplaced(first, end, work);
-    const auto batch = absl::MakeConstSpan(work->records).subspan(first, end - first);
-    const auto outcomes = backend_->Write(batch);
-    failure = outcomes.status();
-    if (!failure.ok()) break;
-    const absl::Status taken = PutAside(first, *outcomes, work, &refused);
-    if (!taken.ok()) refusal = taken;
-    SetReachable(absl::OkStatus());
+    Work batch = TakeBatch(SkipReplaced(first, end, work), end, work);
     first = end;
+    const auto outcomes = backend_->Write(batch.records);
+    failure = outcomes.status();
+    if (failure.ok()) {
+      TakeBatchOutcomes(std::move(batch), *outcomes);
+    } else {
+      first -= batch.records.size();
+      std::ranges::move(batch.records, work->records.begin() + static_cast<ptrdiff_t>(first));
+      std::ranges::move(batch.queued, work->queued.begin() + static_cast<ptrdiff_t>(first));
+    }
   }
   backlog_gauge_.Set(static_cast<double>(backlog_bytes_.load(std::memory_order_relaxed)));
   const auto done = static_cast<ptrdiff_t>(first);
   work->records.erase(work->records.begin(), work->records.begin() + done);
   work->queued.erase(work->queued.begin(), work->queued.begin() + done);
-  std::ranges::move(refused.records, std::inserter(work->records, work->records.begin()));
-  std::ranges::move(refused.queued, std::inserter(work->queued, work->queued.begin()));
-  if (failure.ok()) SetRefusal(refusal);
-  if (failure.ok()) return refusal.ok();
+  if (failure.ok()) NoteRefusals(tried);
   SetReachable(failure);
-  return false;
+  return failure.ok();
 }
 
-absl::Status JournalStore::PutAside(size_t first, const std::vector<absl::Status>& outcomes,
-                                    Work* work, Work* refused) {
-  std::vector<JournalRecord> records;
-  std::vector<absl::Duration> queued;
+JournalStore::Work JournalStore::TakeBatch(size_t first, size_t end, Work* work) {
+  Work batch;
+  for (size_t i = first; i < end; ++i) {
+    JournalRecord& record = work->records[i];
+    if (waiting_journals_.contains(record.journal.get())) {
+      Refuse(std::move(record), work->queued[i]);
+    } else {
+      batch.records.push_back(std::move(record));
+      batch.queued.push_back(work->queued[i]);
+    }
+  }
+  return batch;
+}
+
+void JournalStore::TakeBatchOutcomes(Work batch, const std::vector<absl::Status>& outcomes) {
+  Work taken;
   std::vector<absl::Status> others;
-  absl::Status refusal;
   for (size_t i = 0; i < outcomes.size(); ++i) {
-    const bool is_refused = absl::IsUnavailable(outcomes[i]);
-    if (is_refused) refusal = outcomes[i];
-    if (!is_refused) others.push_back(outcomes[i]);
-    (is_refused ? refused->records : records).push_back(std::move(work->records[first + i]));
-    (is_refused ? refused->queued : queued).push_back(work->queued[first + i]);
+    if (absl::IsUnavailable(outcomes[i])) {
+      refusal_ = outcomes[i];
+      Refuse(std::move(batch.records[i]), batch.queued[i]);
+    } else {
+      taken.records.push_back(std::move(batch.records[i]));
+      taken.queued.push_back(batch.queued[i]);
+      others.push_back(outcomes[i]);
+    }
   }
-  TakeOutcomes(records, queued, others);
-  return refusal;
+  TakeOutcomes(taken.records, taken.queued, others);
 }
 
-void JournalStore::SetRefusal(const absl::Status& refusal) {
-  const bool was_refused = !refusal_.ok();
-  refusal_ = refusal;
-  if (!refusal.ok()) {
-    reachable_gauge_.Set(0.0);
-    retry_delay_ = std::max(retry_delay_, kRefusedRetry);
-  }
-  if (was_refused == !refusal.ok()) return;
-  if (refusal.ok()) {
-    LogInfo("session store takes records again");
+void JournalStore::Refuse(JournalRecord record, absl::Duration queued) {
+  const auto journal = record.journal;
+  waiting_.records.push_back(std::move(record));
+  waiting_.queued.push_back(queued);
+  waiting_journals_.insert(journal.get());
+  journal->OnUnreachable(WithRetryDelay(refusal_, kLongestRetry));
+}
+
+void JournalStore::NoteRefusals(bool tried) {
+  const bool refuses = !waiting_.records.empty();
+  if (tried && refuses) try_refused_at_ = clock_->Now() + refused_delay_;
+  if (tried) refused_delay_ = refuses ? std::min(2 * refused_delay_, kLongestRetry) : kRefusedRetry;
+  if (refuses == std::exchange(said_refusal_, refuses)) return;
+  if (refuses) {
+    LogError("session store refuses records of some sessions; tries again",
+             {{"sessions", absl::StrCat(waiting_journals_.size())}, {"error", refusal_.message()}});
   } else {
-    LogError("session store takes no records; tries again", {{"error", refusal.message()}});
+    LogInfo("session store takes all records again");
   }
 }
 
@@ -386,7 +430,7 @@ void JournalStore::RunClaims(std::vector<ClaimRequest> requests) {
 
 void JournalStore::SetReachable(const absl::Status& status) {
   const bool was_reachable = reachable_.exchange(status.ok(), std::memory_order_acq_rel);
-  reachable_gauge_.Set(status.ok() ? 1.0 : 0.0);
+  reachable_gauge_.Set(status.ok() && !said_refusal_ ? 1.0 : 0.0);
   if (status.ok()) retry_delay_ = kFirstRetry;
   if (was_reachable == status.ok()) return;
   if (status.ok()) {
@@ -397,20 +441,16 @@ void JournalStore::SetReachable(const absl::Status& status) {
 }
 
 bool JournalStore::WaitToRetry(Work work) {
-  const absl::Status reachable = CheckReachable();
   std::vector<std::shared_ptr<SessionJournal>> journals;
   {
     absl::MutexLock lock(&mutex_);
-    const size_t tried = work.records.size();
     std::move(queue_.records.begin(), queue_.records.end(), std::back_inserter(work.records));
     std::move(queue_.queued.begin(), queue_.queued.end(), std::back_inserter(work.queued));
     queue_.records = std::move(work.records);
     queue_.queued = std::move(work.queued);
-    // A store that takes no records may still take the ends of sessions that came meanwhile.
-    const size_t told = reachable.ok() ? tried : queue_.records.size();
-    for (size_t i = 0; i < told; ++i) journals.push_back(queue_.records[i].journal);
+    for (const JournalRecord& record : queue_.records) journals.push_back(record.journal);
   }
-  const absl::Status away = reachable.ok() ? WithRetryDelay(refusal_, kLongestRetry) : reachable;
+  const absl::Status away = CheckReachable();
   for (const auto& journal : journals) journal->OnUnreachable(away);
   absl::MutexLock lock(&mutex_);
   const auto gave_up = [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {

@@ -4,7 +4,8 @@
 // no answer waits for gather for some milliseconds longer, because most of what a write costs is
 // the waking of the thread. Neither a decision nor an event loop waits for the backend: outcomes
 // are reported to SessionJournal on this thread. If the backend cannot be reached, the records stay
-// in the queue and the thread tries again after a growing delay.
+// in the queue and the thread tries again after a growing delay. If it refuses single records, they
+// and the later ones of their sessions are tried again in the same way, and all others are written.
 //
 // A store may lose what it has acknowledged: when it starts again from older files, or a copy takes
 // its place. After each new connection, and now and then, the thread compares the journals of all
@@ -20,6 +21,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <thread>
 #include <vector>
@@ -100,6 +102,7 @@ class JournalStore final : public JournalWriter {
   // Waits for work, but not long, so that a connection that breaks is noticed without any. Returns
   // nullopt when the store stops and the queue is empty.
   std::optional<Work> Next() ABSL_LOCKS_EXCLUDED(mutex_);
+  absl::Duration IdleInterval() const;
   bool HasWork() const ABSL_SHARED_LOCKS_REQUIRED(mutex_);
   bool IsUrgent() const ABSL_SHARED_LOCKS_REQUIRED(mutex_);
   // Connects, and compares the journals if that is due. Returns false if the store is away.
@@ -110,14 +113,18 @@ class JournalStore final : public JournalWriter {
   // Moves those of the records [first, end) that a later snapshot replaces to the front, leaves
   // them out, and returns the index of the first other one.
   size_t SkipReplaced(size_t first, size_t end, Work* work);
-  // Returns true if all records were written.
+  // Returns true if all records were written or refused.
   bool WriteRecords(Work* work);
-  // Takes the outcomes of the records from `first` on, and moves those that are to be written again
-  // to `refused`. Returns why, or OK if there is none.
-  absl::Status PutAside(size_t first, const std::vector<absl::Status>& outcomes, Work* work,
-                        Work* refused);
-  // Says whether the store takes no records but the ends of sessions.
-  void SetRefusal(const absl::Status& refusal);
+  // Takes the records [first, end), except those of sessions in `waiting_`, which get behind them.
+  Work TakeBatch(size_t first, size_t end, Work* work);
+  // Takes the outcomes of a batch, and puts those that are to be written again into `waiting_`.
+  void TakeBatchOutcomes(Work batch, const std::vector<absl::Status>& outcomes);
+  void Refuse(JournalRecord record, absl::Duration queued);
+  // Moves what was refused to the front of `work`, if it is to be tried again now. Returns false if
+  // it is to be tried later.
+  bool TryRefusedAgain(Work* work);
+  // Says whether the store refuses records, and sets when they are tried again if they were now.
+  void NoteRefusals(bool tried);
   void TakeOutcomes(absl::Span<const JournalRecord> batch, absl::Span<const absl::Duration> queued,
                     const std::vector<absl::Status>& outcomes);
   void Count(const JournalRecord& record, const absl::Status& outcome, absl::Duration latency);
@@ -151,7 +158,12 @@ class JournalStore final : public JournalWriter {
 
   // Of the thread:
   absl::Duration retry_delay_;
-  absl::Status refusal_;       // of the last records that the store did not take
+  Work waiting_;                                      // records that the store did not take
+  std::set<const SessionJournal*> waiting_journals_;  // their journals
+  absl::Status refusal_;                              // of the last one of them
+  bool said_refusal_ = false;
+  absl::Duration refused_delay_;
+  absl::Duration try_refused_at_;
   bool must_check_ = false;    // the store may have lost something
   absl::Duration next_check_;  // time of the clock
 

@@ -3,11 +3,9 @@
 #include <algorithm>
 #include <utility>
 
-#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "core/base/clock.h"
-#include "core/base/file.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
@@ -74,10 +72,9 @@ absl::StatusOr<RedisOptions> ReadRedisOptions(RedisAddress address, const StoreO
                         .tls_files = options.tls_files,
                         .replicas = options.replicas};
   if (!options.user.empty()) redis.address.user = options.user;
-  if (options.password_file.empty()) return redis;
-  auto password = ReadFile(options.password_file);
-  if (!password.ok()) return Annotate(password.status(), kPasswordFlag);
-  redis.password = std::string(absl::StripAsciiWhitespace(*password));
+  redis.password_file = options.password_file;
+  RETURN_IF_ERROR(
+      ReadRedisPassword(redis.password_file).status());  // what is wrong now is an error
   return redis;
 }
 

@@ -99,6 +99,14 @@ class RedisBackend final : public JournalBackend {
   // replicas.
   template <typename Exchange>
   absl::StatusOr<Outcomes> OnClient(Exchange exchange);
+  // Returns `error`, which Redis has answered, unless it is one of single keys: a Cluster refuses
+  // commands on keys that are under way from one node to another, while all connections work.
+  absl::Status FailureOf(const absl::Status& error) const {
+    return client_->is_cluster() && client_->is_usable() ? absl::OkStatus() : error;
+  }
+  // Returns OK if all `errors` are those of single keys, which a Cluster answers while it moves
+  // their slots, and the connections work; otherwise the first one.
+  absl::Status FailureOf(absl::Span<const absl::Status> errors) const;
   absl::Status EnsureClient();
   // Connects, reads the settings of Redis, and moves the journals whose records are uncertain.
   absl::Status NewClient();
@@ -108,7 +116,7 @@ class RedisBackend final : public JournalBackend {
   absl::Status LookAtSettings();
   // Notes that some of `records` may have been written, or may be written later.
   void OnUncertain(absl::Span<const JournalRecord> records);
-  // Moves the journals whose records are uncertain.
+  // Moves the journals whose records are uncertain. They stay uncertain where Redis refuses that.
   absl::Status MoveUncertain();
   absl::StatusOr<Outcomes> CheckAll(absl::Span<const HeldJournal> journals);
   absl::StatusOr<Outcomes> WriteAll(absl::Span<const JournalRecord> records);
@@ -117,8 +125,11 @@ class RedisBackend final : public JournalBackend {
   // Reads the replies to Append(). Returns false if the record was refused, or stands behind a gap.
   absl::StatusOr<bool> ReadReplies(const JournalRecord& record);
   absl::StatusOr<bool> ReadPut(const JournalRecord& record);
+  // Finds the outcome of a record that the store has not taken; see FindReason().
+  absl::Status FindOutcome(const JournalRecord& record, absl::Status* outcome);
   // Finds why the store does not have what the owner of the journal expects: ABORTED if another
-  // owner has it, otherwise NOT_FOUND. Returns UNAVAILABLE if the store does not answer.
+  // owner has it, otherwise NOT_FOUND. Returns UNAVAILABLE, as the reason too, if the store does
+  // not answer.
   absl::Status FindReason(SessionJournal& journal, absl::Status* reason);
   const RedisOptions options_;
   const bool may_evict_;
@@ -208,7 +219,7 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::CheckAll(
   // The others are being written again, or for the first time.
   const auto is_known = [&](const HeldJournal& held, const SessionJournal::Stored& stored) {
     return stored.records > 0 && !held.journal->lost() &&
-           !of_unknown_length_.contains(held.journal);
+           !of_unknown_length_.contains(held.journal) && !uncertain_.contains(held.journal);
   };
   std::vector<size_t> asked;
   for (size_t i = 0; i < journals.size(); ++i) {
@@ -223,14 +234,16 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::CheckAll(
                      journals[i].is_used ? retention_ : ""});
   }
   std::vector<size_t> others;
-  for (const size_t i : asked) {
-    ASSIGN_OR_RETURN(const auto reply, client_->Read());
-    if (reply->integer != 1) others.push_back(i);
-  }
   Outcomes outcomes(journals.size());
-  for (const size_t i : others) {
-    RETURN_IF_ERROR(FindReason(*journals[i].journal, &outcomes[i]));
+  absl::Status error;
+  for (const size_t i : asked) {
+    const auto reply = client_->Read();
+    outcomes[i] = reply.status();
+    error.Update(reply.status());
+    if (reply.ok() && (*reply)->integer != 1) others.push_back(i);
   }
+  for (const size_t i : others) error.Update(FindReason(*journals[i].journal, &outcomes[i]));
+  RETURN_IF_ERROR(FailureOf(error));
   return outcomes;
 }
 
@@ -266,43 +279,72 @@ absl::Status RedisBackend::MoveUncertain() {
                      absl::StrCat(move.kept)});
   }
   Journals moved;
+  Journals refused;
+  absl::Status error;
   for (const auto& [journal, move] : uncertain_) {
-    ASSIGN_OR_RETURN(const auto reply, client_->Read());
-    if (reply->integer == 1) moved.insert(journal);
+    const auto reply = client_->Read();
+    error.Update(reply.status());
+    if (!reply.ok()) {
+      refused.insert(journal);
+    } else if ((*reply)->integer == 1) {
+      moved.insert(journal);
+    }
   }
+  RETURN_IF_ERROR(FailureOf(error));
   // An owner whose move is lost would take its own former epoch for one that the store has lost.
   if (options_.replicas > 0 && !moved.empty()) {
     RETURN_IF_ERROR(client_->WaitForReplicas());
   }
   for (const auto& [journal, move] : uncertain_) {
     if (moved.contains(journal)) journal->OnMoved(move.epoch);
-    if (move.kept == 0) of_unknown_length_.insert(journal);
+    if (move.kept == 0 && !refused.contains(journal)) of_unknown_length_.insert(journal);
   }
-  uncertain_.clear();
+  std::erase_if(uncertain_, [&](const auto& item) { return !refused.contains(item.first); });
   return absl::OkStatus();
 }
 
 absl::StatusOr<RedisBackend::Outcomes> RedisBackend::WriteAll(
     absl::Span<const JournalRecord> records) {
-  for (const JournalRecord& record : records) Append(record);
+  RETURN_IF_ERROR(MoveUncertain());
   Outcomes outcomes(records.size());
-  std::vector<size_t> refused;
+  std::vector<size_t> sent;
   for (size_t i = 0; i < records.size(); ++i) {
-    ASSIGN_OR_RETURN(const auto is_written, ReadReplies(records[i]));
-    if (!is_written) refused.push_back(i);
-  }
-  for (const std::string& list : std::exchange(left_over_, {})) {
-    if (const auto reply = client_->Run({"DEL", list}); !reply.ok()) return reply.status();
-  }
-  for (const size_t i : refused) {
-    const bool is_new = records[i].journal->is_new() && records[i].position == 1;
-    if (is_new && records[i].kind == JournalRecord::Kind::kOpen) {
-      outcomes[i] = absl::AlreadyExistsError("session_id: expected one that is not open");
+    if (uncertain_.contains(records[i].journal)) {
+      outcomes[i] = UnexpectedReply("a journal that Redis moves to another epoch");
       continue;
     }
-    RETURN_IF_ERROR(FindReason(*records[i].journal, &outcomes[i]));
+    Append(records[i]);
+    sent.push_back(i);
   }
+  std::map<std::shared_ptr<SessionJournal>, absl::Status> waiting;  // what comes later waits, too
+  std::vector<size_t> refused;
+  absl::Status error;
+  for (const size_t i : sent) {
+    const auto is_written = ReadReplies(records[i]);
+    error.Update(is_written.status());
+    if (!is_written.ok()) waiting.try_emplace(records[i].journal, is_written.status());
+    const auto found = waiting.find(records[i].journal);
+    if (found != waiting.end()) {
+      outcomes[i] = found->second;
+    } else if (!*is_written) {
+      refused.push_back(i);
+    }
+  }
+  for (const std::string& list : std::exchange(left_over_, {})) {
+    error.Update(client_->Run({"DEL", list}).status());
+  }
+  for (const size_t i : refused) error.Update(FindOutcome(records[i], &outcomes[i]));
+  RETURN_IF_ERROR(FailureOf(error));
   return outcomes;
+}
+
+absl::Status RedisBackend::FindOutcome(const JournalRecord& record, absl::Status* outcome) {
+  const bool is_new = record.journal->is_new() && record.position == 1;
+  if (!is_new || record.kind != JournalRecord::Kind::kOpen) {
+    return FindReason(*record.journal, outcome);
+  }
+  *outcome = absl::AlreadyExistsError("session_id: expected one that is not open");
+  return absl::OkStatus();
 }
 
 void RedisBackend::AppendSnapshot(const JournalRecord& record) {
@@ -349,8 +391,10 @@ absl::StatusOr<bool> RedisBackend::ReadReplies(const JournalRecord& record) {
   if (record.kind != JournalRecord::Kind::kEntry && record.kind != JournalRecord::Kind::kConfirm) {
     return ReadPut(record);
   }
-  ASSIGN_OR_RETURN(const auto base, client_->Read());
-  ASSIGN_OR_RETURN(const auto length, client_->Read());
+  auto base_or = client_->Read();
+  auto length_or = client_->Read();
+  ASSIGN_OR_RETURN(const auto base, std::move(base_or));
+  ASSIGN_OR_RETURN(const auto length, std::move(length_or));
   if (length->integer == 0 || base->type != REDIS_REPLY_STRING) return false;
   if (of_unknown_length_.contains(record.journal)) return true;
   return TextOf(*base) == BaseOf(*record.journal, record.base) &&
@@ -373,6 +417,7 @@ absl::StatusOr<bool> RedisBackend::ReadPut(const JournalRecord& record) {
 
 absl::Status RedisBackend::FindReason(SessionJournal& journal, absl::Status* reason) {
   const std::string& id = journal.key().id;
+  *reason = UnexpectedReply("the owner of the session");
   ASSIGN_OR_RETURN(const auto reply,
                    client_->Run({"HMGET", RedisHashKey(id), "epoch", "owner", "state", "changes"}));
   if (!IsArray(*reply, 4)) return UnexpectedReply("four fields");
@@ -384,10 +429,10 @@ absl::Status RedisBackend::FindReason(SessionJournal& journal, absl::Status* rea
   uint64_t number = 0;
   const bool is_mine = TextAt(*reply, 1) == owner_;
   const bool is_known = absl::SimpleAtoi(epoch, &number) && TextAt(*reply, 2) == "open";
-  *reason = absl::AbortedError("another owner has claimed the session");
-  if (!is_known) return absl::OkStatus();
-  if (!is_mine) {
+  const auto aborted = absl::AbortedError("another owner has claimed the session");
+  if (is_known && !is_mine) {
     ASSIGN_OR_RETURN(const auto length, client_->Run({"LLEN", RedisListKey(id, epoch)}));
+    *reason = aborted;
     int64_t changes = 0;
     absl::string_view text = TextOf(*reply->element[3]);
     const bool has_changes =
@@ -400,7 +445,8 @@ absl::Status RedisBackend::FindReason(SessionJournal& journal, absl::Status* rea
     if (number >= journal.epoch()) {
       journal.OnMoved(NextRedisEpoch(number, random_));
     }
-  } else if (number > journal.epoch()) {
+  } else if (!is_known || number > journal.epoch()) {
+    *reason = aborted;
     return absl::OkStatus();
   }
   *reason = absl::NotFoundError("the store has lost records of the session");

@@ -4,8 +4,13 @@
 // often the session had changed by then. Both begin with the epoch, without which a server of an
 // older release has written the hash.
 //
-// All scripts name all of their keys, so that a Cluster that moves them says so, and write first
-// what takes memory, so that a server whose memory is full refuses the whole script.
+// Redis does not take back what a script has written when it refuses a later command. In a slot
+// that a Cluster moves it refuses commands on keys that it does not have any more. Therefore
+// nothing is removed before what replaces it is written, and a script that stops before any of its
+// commands leaves the journal of before or the one of afterwards, which begins at its last snapshot
+// (ParseJournal). All scripts name all of their keys, so that Redis refuses a script before its
+// first command if one of them has moved. A first write that takes memory makes Redis whose memory
+// is full refuse the whole script; one that takes none lets all of it run.
 #ifndef SERVER_STORE_REDIS_SCRIPTS_H_
 #define SERVER_STORE_REDIS_SCRIPTS_H_
 
@@ -33,22 +38,24 @@ if is_older and found[2] ~= ARGV[2] then
   local changes = string.match(redis.call('HGET', KEYS[1], 'changes') or '', found[1] .. ':(%d+)') or 0
   if changes + math.max(redis.call('LLEN', KEYS[3]), 1) - 1 > tonumber(ARGV[11]) then return 0 end
 end
+redis.call('RPUSH', KEYS[2], ARGV[6])
+redis.call('PEXPIRE', KEYS[2], ARGV[7])
 redis.call('HSET', KEYS[1], 'epoch', ARGV[1], 'owner', ARGV[4], 'tenant', ARGV[5], 'state', 'open',
            'policy', ARGV[8], 'base', ARGV[9], 'changes', ARGV[1] .. ':' .. ARGV[10])
-redis.call('DEL', KEYS[2])
-if is_older and KEYS[3] ~= KEYS[2] then redis.call('DEL', KEYS[3]) end
-redis.call('RPUSH', KEYS[2], ARGV[6])
 redis.call('PEXPIRE', KEYS[1], ARGV[7])
-redis.call('PEXPIRE', KEYS[2], ARGV[7])
+redis.call('LTRIM', KEYS[2], -1, -1)
+if is_older and KEYS[3] ~= KEYS[2] then redis.call('DEL', KEYS[3]) end
 return is_older and found[1] or 1)";
 
 // Ends a journal and leaves a tombstone, also when the memory is full. Returns as kPut.
 // KEYS: hash, list. ARGV: as for kIsMine, milliseconds of the tombstone.
 inline constexpr char kClose[] = R"(
 if found[1] and not (is_same or is_older) then return 0 end
-redis.call('DEL', KEYS[1], KEYS[2])
+redis.call('HDEL', KEYS[1], '')
 redis.call('HSET', KEYS[1], 'epoch', ARGV[1], 'state', 'closed')
 redis.call('PEXPIRE', KEYS[1], ARGV[4])
+redis.call('HDEL', KEYS[1], 'owner', 'tenant', 'policy', 'base', 'changes')
+redis.call('DEL', KEYS[2])
 return is_older and found[1] or 1)";
 
 // Makes the caller the owner. Returns the journal, nothing if there is none, or 0 if the session
@@ -57,14 +64,17 @@ return is_older and found[1] or 1)";
 inline constexpr char kClaim[] = R"(
 local found = redis.call('HMGET', KEYS[1], 'epoch', 'state', 'changes')
 if found[1] ~= ARGV[1] or found[2] ~= 'open' then return 0 end
-if redis.call('EXISTS', KEYS[2]) == 0 then return false end
-redis.call('RENAME', KEYS[2], KEYS[3])
+local records = redis.call('LRANGE', KEYS[2], 0, -1)
+if #records == 0 then return false end
 local changes = string.match(found[3] or '', ARGV[1] .. ':(%d+)') or ''
+redis.call('DEL', KEYS[3])
+redis.call('RPUSH', KEYS[3], unpack(records))
+redis.call('PEXPIRE', KEYS[3], ARGV[4])
 redis.call('HSET', KEYS[1], 'epoch', ARGV[2], 'owner', ARGV[3], 'base', ARGV[2] .. ':0',
            'changes', ARGV[2] .. ':' .. changes)
 redis.call('PEXPIRE', KEYS[1], ARGV[4])
-redis.call('PEXPIRE', KEYS[3], ARGV[4])
-return redis.call('LRANGE', KEYS[3], 0, -1))";
+redis.call('DEL', KEYS[2])
+return records)";
 
 // Moves the journal of the caller to another epoch, without the records after the first ones, which
 // were sent and not acknowledged. Returns 1 if that was done, now or before, or if the store does
@@ -75,12 +85,16 @@ local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state', 'base', 'c
 if not found[1] or found[1] == ARGV[2] then return 1 end
 if tonumber(found[1]) < tonumber(ARGV[1]) then return 1 end
 if found[1] ~= ARGV[1] or found[2] ~= ARGV[3] or found[3] ~= 'open' then return 0 end
-if redis.call('EXISTS', KEYS[2]) == 0 then return 1 end
-if ARGV[4] ~= '0' then redis.call('LTRIM', KEYS[2], 0, ARGV[4] - 1) end
-redis.call('RENAME', KEYS[2], KEYS[3])
+local records = redis.call('LRANGE', KEYS[2], 0, ARGV[4] - 1)
+if #records == 0 then return 1 end
+redis.call('DEL', KEYS[3])
+redis.call('RPUSH', KEYS[3], unpack(records))
+local expiry = redis.call('PTTL', KEYS[2])
+if expiry > 0 then redis.call('PEXPIRE', KEYS[3], expiry) end
 redis.call('HSET', KEYS[1], 'epoch', ARGV[2],
            'base', ARGV[2] .. ':' .. string.match(found[4] or '', '%d*$'),
            'changes', ARGV[2] .. ':' .. string.match(found[5] or '', '%d*$'))
+redis.call('DEL', KEYS[2])
 return 1)";
 
 // Compares a journal, and sets its expiry. Returns 1 if it is as expected, and 0 otherwise.

@@ -1,5 +1,6 @@
 /* Models what Redis holds of one session: a hash and a list as two keys, each command by itself, and what happens when
- * Redis refuses memory, loses its last writes, or removes a key (docs/guides/fleet.md). Durability SYNC.
+ * Redis refuses memory, loses its last writes, removes a key, or stops in the middle of a script because another node has
+ * got the key of its next command (docs/guides/fleet.md). Durability SYNC.
  *
  * One replica owns the session and decides. Another one may claim it at any time, which ends the first one's ownership.
  * The client goes on at either, and sends its last requests again where a replica expects an older decision.
@@ -16,6 +17,8 @@
  * -DNO_HASH       an append does not look at the hash
  * -DLENGTH_ONLY   an append looks at the length of the list, and not at its base
  * -DFORGETFUL     the client keeps only the requests that the store does not have
+ * -DDEL_FIRST     a snapshot removes the list before it writes the new one
+ * -DRENAME_FIRST  a claim renames the list before it writes the hash
  *
  * run_model.py runs SPIN on this file. Behind each transition stands the function that implements it. */
 
@@ -24,13 +27,16 @@
 #define MOST_LOSSES 1
 #define MOST_REFUSALS 1
 #define MOST_EVICTIONS 1
+#define MOST_STOPS 1
+#define NONE 99
 
 /* The list: a snapshot of the first `snapshot` decisions, and entries. */
 typedef List {
-  bool exists;
+  bool exists = true;
   byte snapshot;
   byte length;           /* entries */
-  byte entry[4]          /* number of the decision after each entry */
+  byte entry[4];         /* number of the decision after each entry */
+  byte last = NONE       /* a snapshot behind the entries, whose script has stopped; or NONE */
 };
 
 List list;
@@ -47,6 +53,7 @@ byte old_epoch = 1;
 byte losses = 0;
 byte refusals = 0;
 byte evictions = 0;
+byte stops = 0;
 bool is_full = false;
 bool reconnected = false;  /* since the owner has compared its journal */
 bool lost = false;         /* the store has lost something that the owner has not written again */
@@ -60,7 +67,7 @@ bool owns = true;
 byte restored = 0;
 
 inline copy_list(to, from) {
-  to.exists = from.exists; to.snapshot = from.snapshot; to.length = from.length;
+  to.exists = from.exists; to.snapshot = from.snapshot; to.length = from.length; to.last = from.last;
   to.entry[0] = from.entry[0]; to.entry[1] = from.entry[1]; to.entry[2] = from.entry[2]; to.entry[3] = from.entry[3]
 }
 
@@ -82,16 +89,34 @@ inline read_list() {
     i++
   :: else -> break
   od;
-  i = 0
+  i = 0;
+  restored = (list.last != NONE -> list.last : restored)
 }
 
-/* RedisBackend::AppendSnapshot(): kPut, whole or not at all. */
+/* What a script that has stopped leaves, unless the store had lost something before. */
+inline check_stopped() {
+  stops++; written = false;
+  if
+  :: !lost -> check_acknowledged()
+  :: else
+  fi
+}
+
+/* RedisBackend::AppendSnapshot(): kPut, RPUSH, HSET and LTRIM. It may stop before each of them. */
 inline put_snapshot() {
   if
   :: is_full -> written = false
-  :: else ->
+#ifdef DEL_FIRST
+  :: !is_full && stops < MOST_STOPS ->
+    hash = true; base = decided; list.exists = false; list.length = 0; check_stopped()
+#else
+  :: !is_full && stops < MOST_STOPS -> list.exists = true; list.last = decided; check_stopped()
+  :: !is_full && stops < MOST_STOPS ->
+    list.exists = true; list.last = decided; hash = true; base = decided; check_stopped()
+#endif
+  :: !is_full ->
     hash = true; base = decided; list.exists = true; list.snapshot = decided; list.length = 0;
-    list.entry[0] = 0; list.entry[1] = 0; list.entry[2] = 0; list.entry[3] = 0;
+    list.entry[0] = 0; list.entry[1] = 0; list.entry[2] = 0; list.entry[3] = 0; list.last = NONE;
     my_base = decided; my_length = 0; lost = false; written = true
   fi
 }
@@ -111,7 +136,7 @@ inline put_snapshot_in_parts() {
 /* RedisBackend::Append(), ReadReplies(): HGET base and RPUSHX. */
 inline append_entry() {
   if
-  :: is_full || !list.exists -> written = false
+  :: is_full || !list.exists || list.last != NONE -> written = false  /* the snapshot is sent again first */
   :: else ->
     if
     :: list.length < 4 -> list.entry[list.length] = decided; list.length++
@@ -194,11 +219,15 @@ active proctype Owner() {
          :: is_full -> decided--  /* the record stays in the queue */
          :: else ->
            put_snapshot();
-           acknowledged = decided;
+           if
+           :: written ->
+             acknowledged = decided;
 #ifdef FORGETFUL
-           kept_from = decided;
+             kept_from = decided;
 #endif
-           check_acknowledged()
+             check_acknowledged()
+           :: else -> decided--
+           fi
          fi
 #endif
 #endif
@@ -211,7 +240,16 @@ active proctype Owner() {
 /* SessionRecovery::Restore(): another replica claims what is there. The client sends again what it misses. */
 active proctype Claimant() {
   byte i = 0;
+  bool written = false;
   do
+  /* kClaim: RPUSH of a copy and HSET, or once RENAME and HSET. It stops after the first one. */
+  :: atomic {
+       owns && hash && list.exists && stops < MOST_STOPS ->
+#ifdef RENAME_FIRST
+       list.exists = false; list.length = 0;  /* no hash names it any more */
+#endif
+       check_stopped()
+     }
   :: atomic {
        owns && hash && list.exists ->
        owns = false;
@@ -231,14 +269,12 @@ active proctype Redis() {
   /* It comes back with an older one, or a copy takes its place. */
   :: atomic {
        losses < MOST_LOSSES && owns && old_list.exists ->
-       losses++; copy_list(list, old_list); hash = old_hash; base = old_base; reconnected = true
+       losses++; copy_list(list, old_list); hash = old_hash; base = old_base; reconnected = true; lost = true
      }
   :: atomic { refusals < MOST_REFUSALS && owns && !is_full -> refusals++; is_full = true }
   :: atomic { is_full -> is_full = false }
   /* It evicts one of the keys. */
-  :: atomic { evictions < MOST_EVICTIONS && owns -> evictions++; hash = false }
-  :: atomic { evictions < MOST_EVICTIONS && owns -> evictions++; list.exists = false; list.length = 0 }
+  :: atomic { evictions < MOST_EVICTIONS && owns -> evictions++; hash = false; lost = true }
+  :: atomic { evictions < MOST_EVICTIONS && owns -> evictions++; list.exists = false; list.length = 0; list.last = NONE; lost = true }
   od
 }
-
-init { atomic { list.exists = true } }

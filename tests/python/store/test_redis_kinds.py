@@ -7,12 +7,14 @@ import threading
 import grpc
 import pytest
 from redis_servers import (
+    PASSWORD,
     WITHOUT_REDIS,
     Redis,
     Sentinel,
     is_watched,
     make_certificates,
     move_slot,
+    node_id,
     primary_port,
     start_cluster,
     stopping,
@@ -25,9 +27,11 @@ from stored_sessions import (
     Restartable,
     acting,
     comparable,
+    decisions,
     ending,
     opening,
     play,
+    undisturbed_answers,
     undisturbed_play,
     until_answered,
 )
@@ -271,6 +275,78 @@ def test_a_half_moved_slot_is_unavailable(password, which):
             move_slot(slot, source, target, servers)
             until(lambda: code_of(server.Act, **acting(0, 0, 1)) == grpc.StatusCode.OK)
             server.close()
+
+
+def test_a_snapshot_in_a_slot_that_is_about_to_move(password):
+    """All keys of the session are still at their node, which refuses those that it does not have."""
+    with stopping([]) as servers:
+        start_cluster(servers)
+        with Restartable(f"redis://127.0.0.1:{servers[0].port}", [password]) as server:
+            until(lambda: code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.OK)
+            answers = decisions(server, 0, 0, 12)
+            slot = slot_of(0, servers)
+            source = owner_of(slot, servers)
+            target = other_than(source, servers)
+            target.command(f"CLUSTER SETSLOT {slot} IMPORTING {node_id(source)}")
+            source.command(f"CLUSTER SETSLOT {slot} MIGRATING {node_id(target)}")
+            with contextlib.suppress(grpc.RpcError):
+                while len(answers) < 20:
+                    answers.append(comparable(server.Act(**acting(0, 0, len(answers)))))
+            server.kill()
+            for node in (source, target):
+                node.command(f"CLUSTER SETSLOT {slot} STABLE")
+            server.restart()
+            answers += decisions(server, 0, len(answers), 24)
+            assert answers == undisturbed_answers([0])[0][:24]
+            server.close()
+
+
+def test_a_half_moved_slot_holds_no_other_session(password):
+    """The snapshot of one session is refused. Others decide, open and are claimed, without a single refusal."""
+    others = range(2, 40, 2)
+    with stopping([]) as servers:
+        start_cluster(servers)
+        with Restartable(f"redis://127.0.0.1:{servers[0].port}", [password]) as server:
+            for i in (0, *others):
+                until(lambda i=i: code_of(server.OpenSession, **opening(i)) == grpc.StatusCode.OK)
+            answers = decisions(server, 0, 0, 12)
+            slot = slot_of(0, servers)
+            source = owner_of(slot, servers)
+            target = other_than(source, servers)
+            list_ = next(key for key in source.command(f"CLUSTER GETKEYSINSLOT {slot} 100") if not key.endswith(b":o"))
+            move_slot(slot, source, target, servers, finish=False, keys=[list_])
+            with contextlib.suppress(grpc.RpcError):
+                while True:
+                    answers.append(comparable(server.Act(**acting(0, 0, len(answers)))))
+            step = len(answers)
+            for other_step in range(STEPS):
+                for i in others:
+                    assert code_of(server.Act, **acting(i, 0, other_step)) == grpc.StatusCode.OK
+                if other_step == STEPS // 2:
+                    server.restart()
+                assert code_of(server.Act, **acting(0, 0, step)) == grpc.StatusCode.UNAVAILABLE
+            assert code_of(server.OpenSession, **opening(40)) == grpc.StatusCode.OK
+            move_slot(slot, source, target, servers)
+            answers += decisions(server, 0, step, 24)
+            assert answers == undisturbed_answers([0])[0][:24]
+            server.close()
+
+
+def test_a_renewed_password_is_read_again(tmp_path):
+    """Redis has another password from now on, and closes its connections."""
+    file = tmp_path / "password"
+    file.write_text(PASSWORD)
+    with stopping([Redis()]) as [redis], Restartable(
+        f"redis://127.0.0.1:{redis.port}", [f"--store_password_file={file}"]
+    ) as server:
+        server.OpenSession(**opening(0))
+        assert redis.command("CONFIG SET requirepass renewed") == b"OK"
+        redis.password = "renewed"
+        redis.command("CLIENT KILL TYPE normal SKIPME yes")
+        until(lambda: code_of(server.Act, **acting(0, 0, 0)) == grpc.StatusCode.UNAVAILABLE)
+        file.write_text("renewed")
+        until(lambda: code_of(server.Act, **acting(0, 0, 0)) == grpc.StatusCode.OK)
+        server.close()
 
 
 def holds(server):

@@ -11,7 +11,7 @@ import pytest
 from security import until
 from stored_sessions import Restartable, acting, comparable, opening, undisturbed_answers
 
-IDLE = range(2, 10)
+IDLE = range(8)
 DAY = 86400
 SHIM = """
 #define _GNU_SOURCE

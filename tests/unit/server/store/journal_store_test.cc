@@ -28,8 +28,9 @@ class FakeBackend final : public JournalBackend {
     if (!status_.ok()) return status_;
     std::vector<absl::Status> outcomes;
     for (const JournalRecord& record : records) {
-      outcomes.push_back(outcome_);
-      written_.push_back(record.bytes);
+      const bool is_refused = record.journal->key().id == refused_;
+      outcomes.push_back(is_refused ? absl::UnavailableError("moving") : outcome_);
+      if (!is_refused) written_.push_back(record.bytes);
     }
     return outcomes;
   }
@@ -57,6 +58,11 @@ class FakeBackend final : public JournalBackend {
     absl::MutexLock lock(&mutex_);
     outcome_ = outcome;
   }
+  // Refuses the records of a session.
+  void Refuse(const std::string& id) {
+    absl::MutexLock lock(&mutex_);
+    refused_ = id;
+  }
   // Waits until Write() has been called `tries` times.
   void AwaitTries(int tries) {
     absl::MutexLock lock(&mutex_);
@@ -72,6 +78,7 @@ class FakeBackend final : public JournalBackend {
   absl::Mutex mutex_;
   absl::Status status_ ABSL_GUARDED_BY(mutex_);
   absl::Status outcome_ ABSL_GUARDED_BY(mutex_);
+  std::string refused_ ABSL_GUARDED_BY(mutex_);
   int tries_ ABSL_GUARDED_BY(mutex_) = 0;
   std::vector<std::string> written_ ABSL_GUARDED_BY(mutex_);
 };
@@ -86,16 +93,26 @@ class JournalStoreTest : public ::testing::Test {
                                                 Durability::kSync, /*decisions=*/0, store_.get());
   }
 
-  void Write(const std::string& bytes, uint64_t position) {
-    store_->Write(
-        {.bytes = bytes, .decisions = position, .position = position, .journal = journal_});
+  void Write(const std::string& bytes, uint64_t position,
+             std::shared_ptr<SessionJournal> journal = nullptr) {
+    if (journal == nullptr) journal = journal_;
+    store_->Write({.bytes = bytes,
+                   .decisions = position,
+                   .position = position,
+                   .journal = std::move(journal)});
+  }
+
+  std::shared_ptr<SessionJournal> Other() {
+    return std::make_shared<SessionJournal>(SessionJournal::Key{.id = "other", .tenant = ""},
+                                            Durability::kSync, /*decisions=*/0, store_.get());
   }
 
   // Waits for the outcome of a position.
-  absl::Status Outcome(uint64_t position) {
+  absl::Status Outcome(uint64_t position) { return Outcome(position, *journal_); }
+  static absl::Status Outcome(uint64_t position, SessionJournal& journal) {
     absl::Notification done;
     absl::Status outcome;
-    journal_->WhenDurable(position, [&](const absl::Status& status) {
+    journal.WhenDurable(position, [&](const absl::Status& status) {
       outcome = status;
       done.Notify();
     });
@@ -169,6 +186,47 @@ TEST_F(JournalStoreTest, WhatCannotBeWrittenIsWrittenLater) {
   EXPECT_TRUE(Outcome(2).ok());
   EXPECT_THAT(backend_->written(), ElementsAre("a", "b"));
   EXPECT_TRUE(store_->CheckReachable().ok());
+}
+
+TEST_F(JournalStoreTest, ASessionWhoseRecordsAreRefusedHoldsNoOther) {
+  const auto other = Other();
+  backend_->Refuse("other");
+  Write("x", 1, other);
+  EXPECT_EQ(Outcome(1, *other).code(), absl::StatusCode::kUnavailable);
+  Write("y", 2, other);
+  for (uint64_t i = 1; i <= 20; ++i) {
+    Write("a", i);
+    EXPECT_TRUE(Outcome(i).ok());
+  }
+  EXPECT_TRUE(store_->CheckReachable().ok());
+  EXPECT_EQ(Claim("known")->records.size(), 20u);
+  EXPECT_THAT(Metrics(), HasSubstr("spikeserve_store_reachable 0"));
+  backend_->Refuse("");
+  const absl::Duration end = clock_.Now() + kDeadline;
+  while (other->durable_decisions() < 2 && clock_.Now() < end) std::this_thread::yield();
+  const auto written = backend_->written();
+  ASSERT_EQ(written.size(), 22u);
+  EXPECT_EQ(written[20], "x");
+  EXPECT_EQ(written[21], "y");
+}
+
+TEST_F(JournalStoreTest, StoppingTriesWhatWasRefusedAgain) {
+  const auto other = Other();
+  backend_->Refuse("other");
+  Write("x", 1, other);
+  EXPECT_EQ(Outcome(1, *other).code(), absl::StatusCode::kUnavailable);
+  backend_->Refuse("");
+  store_->Stop(kDeadline);
+  EXPECT_THAT(backend_->written(), ElementsAre("x"));
+}
+
+TEST_F(JournalStoreTest, StoppingGivesUpWhatIsRefused) {
+  const auto other = Other();
+  backend_->Refuse("other");
+  Write("x", 1, other);
+  EXPECT_EQ(Outcome(1, *other).code(), absl::StatusCode::kUnavailable);
+  store_->Stop(absl::Milliseconds(10));
+  EXPECT_THAT(backend_->written(), IsEmpty());
 }
 
 TEST_F(JournalStoreTest, TheBacklogIsBounded) {
