@@ -125,7 +125,7 @@ def test_steps_without_an_observation_count_as_rewards(service):
 
 
 def test_a_late_request_takes_no_step_without_an_observation(service):
-    robot = Robot(service, **KINDS["float"])
+    robot = Robot(service, **KINDS["greedy"])
     neutral = robot.opened.neutral_action
     robot.act(observed_at=START, valid_until=START + 3600 * SECOND)
     robot.execute(neutral)
