@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Starts a server with the shipped policies, lets a remote agent play CartPole with it, and stops the server. With PLAY=1 robots
-# play three tasks on the status page until Ctrl-C.
+# Serves the shipped policies, lets a remote agent play CartPole with them and prints the result. In a terminal the server
+# and its status page then stay until Enter or Ctrl-C; otherwise it stops, so that scripts end. With PLAY=1 robots play three
+# tasks on the status page until Ctrl-C.
 #
 # usage: [PLAY=1] deploy/demo.sh BIN_DIR
 set -euo pipefail
@@ -18,14 +19,14 @@ trap stop EXIT
 grpc='' http=''
 while [[ -z $grpc || -z $http ]]; do
   read -r -t 30 line <&"$server_out" || { echo "demo: the server did not start" >&2; exit 1; }
-  echo "$line"
   case $line in
     *'serving gRPC on '*) grpc=${line##* } ;;
     *'serving HTTP on '*) http=${line##* } ;;
   esac
 done
 
-"$bin/spikectl" policies --server="$grpc"
+mapfile -t served < <("$bin/spikectl" policies --server="$grpc" | awk 'NR > 1 && $1 ~ "/" { print $1, $2 }')
+fold -s -w 98 <<<"serving ${#served[@]} policies on $grpc: ${served[*]%% *}"
 
 # Prints the address of the page that shows a robot's session.
 print_page() {
@@ -54,15 +55,35 @@ if [[ ${PLAY:-0} != 0 ]]; then
   exit
 fi
 
-echo
-echo "The status page is http://$http/ while the robot plays; make demo PLAY=1 keeps playing."
+# Prints what a decision of the dense model of the same size costs, from the server's metrics: print_dense POLICY VERSION
+print_dense() {
+  curl -sf "http://$http/metrics" | awk -v policy="policy=\"$1\"" -v version="version=\"$2\"" -v model=int_sram_45nm '
+    !index($1, policy) || !index($1, version) { next }
+    /^spikeserve_decisions_total\{/ { decisions = $2 }
+    !index($1, "energy_model=\"" model "\"") { next }
+    /^spikeserve_dense_energy_joules\{/ { dense = $2 }
+    /^spikeserve_energy_joules_total\{/ { energy = $2 }
+    END { if (dense && energy && decisions)
+      printf "dense model %.2f nJ a decision by %s, for the same size: %.0f times as much\n",
+             dense * 1e9, model, dense * decisions / energy }'
+}
+
+for each in "${served[@]}"; do
+  [[ $each == *' CartPole-v1' ]] && policy=${each% *} && break
+done
 # A seed that training never uses: training draws seeds below 1,000,000, its evaluations below 2,000,000.
-"$bin/spikectl" run --server="$grpc" --env=CartPole-v1 --episodes=20 --seed=3000000
+"$bin/spikectl" run --server="$grpc" --env=CartPole-v1 --policy="${policy%/*}" --version="${policy#*/}" --episodes=20 \
+  --seed=3000000 --quiet
+print_dense "${policy%/*}" "${policy#*/}"
 
-echo
-echo "What the server counted (http://$http/metrics):"
-curl -sf "http://$http/metrics" | grep -E '^spikeserve_(decisions|spikes|energy_joules|episodes)_total'
-
+if [[ -t 0 && -t 1 ]]; then
+  trap : INT TERM
+  echo "status page http://$http/ until you press Enter"
+  echo "next        make demo PLAY=1 shows three robots live; README.md calls the server from Python and C++"
+  read -r || true
+else
+  echo "next        make demo PLAY=1 keeps the server and its status page; README.md calls it from Python and C++"
+fi
 stop
-wait "$server" && echo "The server stopped cleanly."
+wait "$server"  # fails if the server did not stop cleanly
 trap - EXIT

@@ -32,11 +32,13 @@ void AddLimitFlags(Command program, TransportLimits* limits) {
       .Add("max_resets_per_second", "N", &limits->max_resets_per_second,
            "Calls that a connection may cancel")
       .Add("max_control_frames_per_second", "N", &limits->max_control_frames_per_second,
-           "Frames without a purpose that a connection may send")
+           "Most PING, SETTINGS, PRIORITY and empty frames of a connection")
       .Add("max_connection_bytes", "BYTES", &limits->max_connection_bytes,
            "Requests and answers in flight on one connection")
-      .Add("max_tenant_bytes", "BYTES", &limits->max_tenant_bytes, "As above, of one tenant")
-      .Add("max_bytes_in_flight", "BYTES", &limits->max_bytes_in_flight, "As above, of all")
+      .Add("max_tenant_bytes", "BYTES", &limits->max_tenant_bytes,
+           "Requests and answers in flight for one tenant")
+      .Add("max_bytes_in_flight", "BYTES", &limits->max_bytes_in_flight,
+           "Requests and answers in flight for the whole server")
       .Add("max_connections", "N", &limits->max_connections, "Connections at a time")
       .Add("max_connections_per_address", "N", &limits->max_connections_per_address,
            "Connections of one IPv4 address or IPv6 /64")
@@ -68,7 +70,7 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("http_listen", "HOST:PORT", &options->http_listen,
            "Status page and /metrics; empty: none")
       .Add("http_origins", "ORIGINS", &options->http_origins,
-           "Whose web pages may call it; by commas; empty: none")
+           "Comma-separated origins that browsers may call from (CORS)")
       .Add("max_message_bytes", "BYTES", &options->max_message_bytes, "Largest gRPC request")
       .Add("drain_timeout", "DURATION", &options->drain_timeout,
            "Time for calls in flight to finish at shutdown")

@@ -214,9 +214,8 @@ constexpr int kMostPages = 1000;
 
 absl::Status Sessions(const AdminFlags& flags) {
   auto request = VersionRequest<v1::ListSessionsRequest>(flags);
-  std::string text = absl::StrFormat("%-32s %-20s %7s %-12s %8s %8s %10s %8s %-7s %8s", "SESSION",
-                                     "POLICY", "VERSION", "TENANT", "EPISODE", "STEP", "DECISIONS",
-                                     "IDLE_S", "STORED", "EPOCH");
+  std::string text = absl::StrFormat("%-32s %-17s %-9s %7s %6s %9s %7s %-6s", "SESSION", "POLICY",
+                                     "TENANT", "EPISODE", "STEP", "DECISIONS", "IDLE_S", "STORED");
   ordered_json sessions = ordered_json::array();
   std::string replica;
   int pages = 0;
@@ -225,11 +224,11 @@ absl::Status Sessions(const AdminFlags& flags) {
     ASSIGN_OR_RETURN(const auto page, CallAdmin(flags, &AdminStub::ListSessions, request));
     for (const v1::SessionInfo& session : page.sessions()) {
       sessions.push_back(ToJson(session));
-      absl::StrAppendFormat(&text, "\n%-32s %-20s %7d %-12s %8d %8d %10d %8.1f %-7s %8d",
-                            session.session_id(), session.policy(), session.version(),
-                            session.tenant(), session.episode(), session.step(),
-                            session.decisions(), session.idle_seconds(),
-                            v1::Durability_Name(session.durability()), session.epoch());
+      absl::StrAppendFormat(
+          &text, "\n%-32s %-17s %-9s %7d %6d %9d %7.1f %-6s", session.session_id(),
+          absl::StrCat(session.policy(), "/", session.version()), session.tenant(),
+          session.episode(), session.step(), session.decisions(), session.idle_seconds(),
+          v1::Durability_Name(session.durability()));
     }
     replica = page.replica();
     const bool goes_on = !page.next_page_token().empty();

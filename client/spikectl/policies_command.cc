@@ -1,6 +1,8 @@
-#include <cstdio>
+#include <algorithm>
 #include <iostream>
+#include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/strings/ascii.h"
@@ -83,27 +85,69 @@ std::string TrafficText(const v1::PolicyInfo& policy, const std::string& rollout
   return absl::StrJoin(parts, " ");
 }
 
-void PrintText(const v1::ListPoliciesResponse& response, const v1::ListRolloutsResponse& rollouts) {
-  absl::PrintF("%-20s %7s %7s  %-15s %-8s %11s  %-11s %7s %13s %15s  %s\n", "POLICY", "VERSION",
-               "DEFAULT", "ENVIRONMENT", "MODE", "OBSERVATION", "ACTION", "CONTEXT",
-               "TARGET_RETURN", "TRAINING_RETURN", "TRAFFIC");
-  for (const v1::PolicyInfo& policy : response.policies()) {
-    const std::string training_return =
-        policy.has_training_return() ? absl::StrFormat("%.1f", policy.training_return()) : "-";
-    absl::PrintF("%-20s %7d %7s  %-15s %-8s %11d  %-11s %7d %13.1f %15s  %s\n", policy.name(),
-                 policy.version(), policy.is_default() ? "yes" : "", policy.environment(),
-                 policy.mode(), policy.observation_size(), ToText(policy.action_space()),
-                 policy.context_length(), policy.target_return(), training_return,
-                 TrafficText(policy, RolloutOf(policy, rollouts)));
-  }
+// Returns whether operators or new sessions use the version: it is the default, has a share of the
+// traffic, a label, a roll-out, or shadows another one.
+bool IsInUse(const v1::PolicyInfo& policy, const std::string& rollout) {
+  return policy.is_default() || policy.traffic_percent() > 0 || policy.version_labels_size() > 0 ||
+         policy.is_shadow() || !rollout.empty();
 }
 
-absl::Status ListPolicies(const ServerFlags& flags) {
+constexpr size_t kTableWidth = 100;
+constexpr size_t kEnvironmentColumn = 1;
+constexpr size_t kNarrowestEnvironment = 12;
+
+// Returns lines whose columns are as wide as their widest cell. Cuts environments, which may have
+// names of any length, so that the lines fit kTableWidth.
+std::string ToTable(std::vector<std::vector<std::string>> rows) {
+  std::vector<size_t> widths(rows.front().size(), 0);
+  for (const auto& row : rows) {
+    for (size_t i = 0; i < row.size(); ++i) widths[i] = std::max(widths[i], row[i].size());
+  }
+  size_t others = 2 * (widths.size() - 1);  // the spaces between columns
+  for (const size_t width : widths) others += width;
+  size_t& environment = widths[kEnvironmentColumn];
+  others -= environment;
+  environment = std::min(
+      environment, std::max(kNarrowestEnvironment, kTableWidth - std::min(kTableWidth, others)));
+  std::string table;
+  for (auto& row : rows) {
+    if (row[kEnvironmentColumn].size() > environment) {
+      row[kEnvironmentColumn] =
+          absl::StrCat(row[kEnvironmentColumn].substr(0, environment - 3), "...");
+    }
+    std::string line;
+    for (size_t i = 0; i < row.size(); ++i) {
+      absl::StrAppendFormat(&line, "%-*s  ", static_cast<int>(widths[i]), row[i]);
+    }
+    absl::StrAppend(&table, absl::StripTrailingAsciiWhitespace(line), "\n");
+  }
+  return table;
+}
+
+void PrintText(const v1::ListPoliciesResponse& response, const v1::ListRolloutsResponse& rollouts,
+               bool all) {
+  std::vector<std::vector<std::string>> rows = {
+      {"POLICY", "ENVIRONMENT", "MODE", "INPUTS", "ACTION", "RETURN", "TRAFFIC"}};
+  for (const v1::PolicyInfo& policy : response.policies()) {
+    const std::string rollout = RolloutOf(policy, rollouts);
+    if (!all && !IsInUse(policy, rollout)) continue;
+    rows.push_back(
+        {absl::StrCat(policy.name(), "/", policy.version()), policy.environment(), policy.mode(),
+         absl::StrCat(policy.observation_size()), ToText(policy.action_space()),
+         policy.has_training_return() ? absl::StrFormat("%.1f", policy.training_return()) : "-",
+         TrafficText(policy, rollout)});
+  }
+  const size_t others = static_cast<size_t>(response.policies_size()) + 1 - rows.size();
+  std::cout << ToTable(std::move(rows));
+  if (others > 0) std::cout << others << " more that new sessions do not get: --all lists them\n";
+}
+
+absl::Status ListPolicies(const ServerFlags& flags, bool all) {
   ASSIGN_OR_RETURN(const auto client, Connect(flags));
   ASSIGN_OR_RETURN(const auto response, client->ListPolicies());
   const v1::ListRolloutsResponse rollouts = ListRollouts(*client);
   if (!flags.json) {
-    PrintText(response, rollouts);
+    PrintText(response, rollouts, all);
     return absl::OkStatus();
   }
   ordered_json json = {{"policies", ordered_json::array()}};
@@ -119,8 +163,12 @@ absl::Status ListPolicies(const ServerFlags& flags) {
 }  // namespace
 
 void AddPoliciesCommand(Command program, const ServerFlags& server) {
-  program.AddCommand("policies", "Lists the policy versions that the server serves")
-      .SetAction([&server] { return ListPolicies(server); });
+  const Command command = program.AddCommand(
+      "policies", "Lists the policy versions that new sessions get, and those with labels");
+  const auto all = std::make_shared<bool>(false);
+  command.Flags("Listing").AddSwitch("all", all.get(),
+                                     "List every version that the server has; --json always does");
+  command.SetAction([all, &server] { return ListPolicies(server, *all); });
 }
 
 }  // namespace spikeserve

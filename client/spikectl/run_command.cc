@@ -18,12 +18,14 @@ namespace spikeserve {
 namespace {
 
 constexpr int kTries = 3;  // of an episode whose session is lost
+constexpr int kProgressDots = 60;
 
 struct RunFlags {
   AgentFlags agent;
   SessionFlags session;
   PlayOptions play;
   int episodes = 1;
+  bool quiet = false;
   bool reopen = false;
 };
 
@@ -37,13 +39,23 @@ absl::StatusOr<EpisodeRecord> PlayWhole(Environment& environment, RemoteSession&
   }
 }
 
+// Shows that the episode of index `i` has ended, as a line of the table or on a line of at most
+// kProgressDots dots.
+void ShowProgress(const RunFlags& flags, int i, uint64_t seed, const EpisodeRecord& episode) {
+  if (!flags.quiet) {
+    std::cout << RunTableLine(seed, episode) << std::flush;
+  } else if (i % ((flags.episodes + kProgressDots - 1) / kProgressDots) == 0) {
+    std::cout << '.' << std::flush;
+  }
+}
+
 // Plays the episodes and appends them to `episodes`, up to the first error, which is returned.
 absl::Status PlayEpisodes(const RunFlags& flags, Environment& environment, RemoteSession& session,
                           bool as_text, std::vector<EpisodeRecord>* episodes) {
   for (int i = 0; i < flags.episodes; ++i) {
     const uint64_t seed = flags.agent.seed + static_cast<uint64_t>(i);
     ASSIGN_OR_RETURN(auto episode, PlayWhole(environment, session, seed, flags.play));
-    if (as_text) std::cout << RunTableLine(seed, episode) << std::flush;
+    if (as_text) ShowProgress(flags, i, seed, episode);
     episodes->push_back(std::move(episode));
   }
   return absl::OkStatus();
@@ -75,11 +87,13 @@ absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
 
   const bool as_text = !server.json;
   if (as_text) {
-    absl::PrintF("%s with policy %s/%d (%s)\n%s", flags.agent.env, opened.policy.name(),
-                 opened.policy.version(), opened.policy.mode(), RunTableHead());
+    std::cout << absl::StrFormat("%s with policy %s/%d (%s)", flags.agent.env, opened.policy.name(),
+                                 opened.policy.version(), opened.policy.mode())
+              << (flags.quiet ? " " : "\n" + RunTableHead()) << std::flush;
   }
   std::vector<EpisodeRecord> episodes;
   const absl::Status played = PlayEpisodes(flags, *environment, opened.session, as_text, &episodes);
+  if (as_text && flags.quiet) std::cout << std::endl;
   if (!episodes.empty()) {
     if (as_text) {
       std::cout << RunSummary(episodes);
@@ -103,7 +117,8 @@ void AddRunCommand(Command program, const ServerFlags& server) {
   AddAgentFlags(playing, &flags->agent);
   AddTargetReturn(playing, &flags->agent);
   playing.Add("episodes", "N", &flags->episodes, "Episodes to play")
-      .Add("rate", "HZ", &flags->play.rate, "Decisions a second; 0: as many as it can");
+      .Add("rate", "HZ", &flags->play.rate, "Decisions a second; 0: as many as it can")
+      .AddSwitch("quiet", &flags->quiet, "Print a dot for an episode instead of a line");
   AddSessionFlags(command, &flags->session);
   FlagGroup far = command.Flags("Advanced: far away");
   far.AddSwitch("reopen", &flags->reopen,

@@ -23,6 +23,17 @@ std::optional<double> JoulesPerDecision(EnergyModel model, const EpisodeRecord& 
   return PerDecision(*total, record);
 }
 
+// Returns the model of the figure that people read: the one that includes memory, if it applies.
+EnergyModel ShownModel(const EpisodeRecord& record) {
+  const bool has_memory = JoulesPerDecision(EnergyModel::kIntSram45nm, record).has_value();
+  return has_memory ? EnergyModel::kIntSram45nm : kDefaultEnergyModel;
+}
+
+// Returns, for example, "7.90 nJ".
+std::string EnergyText(EnergyModel model, const EpisodeRecord& record) {
+  return absl::StrFormat("%.2f nJ", JoulesPerDecision(model, record).value_or(0.0) * kNano);
+}
+
 EpisodeRecord Sum(const std::vector<EpisodeRecord>& episodes) {
   EpisodeRecord sum;
   for (const EpisodeRecord& episode : episodes) sum += episode;
@@ -46,37 +57,36 @@ double ReturnDeviation(const std::vector<EpisodeRecord>& episodes) {
 }  // namespace
 
 std::string RunTableHead() {
-  return absl::StrFormat(
-             "energy per decision is an estimate, energy model %s; latency as the client sees "
-             "Act\n",
-             ToString(kDefaultEnergyModel)) +
-         absl::StrFormat("%12s %10s %10s %16s %18s %10s %10s\n", "seed", "return", "decisions",
+  return absl::StrFormat("%12s %10s %10s %16s %16s %11s %11s\n", "seed", "return", "decisions",
                          "spikes/decision", "energy/decision", "p50", "p99");
 }
 
 std::string RunTableLine(uint64_t seed, const EpisodeRecord& episode) {
   return absl::StrFormat(
-      "%12d %10.1f %10d %16.1f %15.3f nJ %7.3f ms %7.3f ms\n", seed, episode.episode_return,
+      "%12d %10.1f %10d %16.1f %16s %8.3f ms %8.3f ms\n", seed, episode.episode_return,
       episode.steps, PerDecision(static_cast<double>(episode.spikes), episode),
-      JoulesPerDecision(kDefaultEnergyModel, episode).value_or(0.0) * kNano,
-      episode.latency.Quantile(0.5) * kMilli, episode.latency.Quantile(0.99) * kMilli);
+      EnergyText(ShownModel(episode), episode), episode.latency.Quantile(0.5) * kMilli,
+      episode.latency.Quantile(0.99) * kMilli);
 }
 
 std::string RunSummary(const std::vector<EpisodeRecord>& episodes) {
   SPIKESERVE_DCHECK(!episodes.empty());
   const EpisodeRecord sum = Sum(episodes);
+  const EnergyModel shown = ShownModel(sum);
   std::string text = absl::StrFormat(
-      "mean return %.1f +- %.1f over %d episodes, %d decisions\n%.1f spikes per decision\n"
-      "estimated energy per decision; each model is an alternative, do not add them:\n",
+      "mean return %.1f +- %.1f over %d episodes, %d decisions\n"
+      "spikes      %.1f a decision\n"
+      "energy      %s a decision by the estimate %s",
       MeanReturn(episodes), ReturnDeviation(episodes), episodes.size(), sum.steps,
-      PerDecision(static_cast<double>(sum.spikes), sum));
-  for (const auto& [model, name] : EnumNames(EnergyModel())) {
-    const auto joules = JoulesPerDecision(model, sum);
-    if (!joules.has_value()) continue;
-    absl::StrAppendFormat(&text, "%12.3f nJ by %s, which leaves out %s\n", *joules * kNano, name,
-                          InfoOf(model).leaves_out);
+      PerDecision(static_cast<double>(sum.spikes), sum), EnergyText(shown, sum), ToString(shown));
+  if (shown == EnergyModel::kIntSram45nm) {
+    absl::StrAppendFormat(&text, ", %s without memory (%s)", EnergyText(EnergyModel::kInt45nm, sum),
+                          ToString(EnergyModel::kInt45nm));
+  } else {
+    absl::StrAppend(&text, ", without memory");
   }
-  absl::StrAppendFormat(&text, "latency p50 %.3f ms, p99 %.3f ms\n",
+  absl::StrAppendFormat(&text,
+                        "\nlatency     p50 %.3f ms, p99 %.3f ms, from the call to its answer\n",
                         sum.latency.Quantile(0.5) * kMilli, sum.latency.Quantile(0.99) * kMilli);
   return text;
 }

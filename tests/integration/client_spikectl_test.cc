@@ -8,6 +8,8 @@ namespace spikeserve {
 namespace {
 
 using ::testing::HasSubstr;
+using ::testing::Not;
+using ::testing::StartsWith;
 using ::testing::UnorderedElementsAre;
 
 std::vector<std::string> Keys(const nlohmann::json& object) {
@@ -92,10 +94,20 @@ TEST_F(SpikectlTest, PrintsALineForEveryEpisodeAndASummary) {
   EXPECT_EQ(run.exit_code, 0) << run.errors;
   EXPECT_EQ(run.errors, "");
   EXPECT_THAT(run.output, HasSubstr("CartPole-v1 with policy cartpole-v1/1 (full)"));
-  EXPECT_THAT(run.output, HasSubstr("an estimate, energy model horowitz_45nm"));
+  EXPECT_THAT(run.output,
+              HasSubstr(" nJ a decision by the estimate horowitz_45nm, without memory\n"));
   EXPECT_THAT(run.output, HasSubstr(" 1000000 "));
   EXPECT_THAT(run.output, HasSubstr(" 1000001 "));
   EXPECT_THAT(run.output, HasSubstr("mean return"));
+}
+
+TEST_F(SpikectlTest, QuietlyItPrintsADotForAnEpisodeAndTheSummary) {
+  const Finished run =
+      Spikectl("run", {"--env=CartPole-v1", "--episodes=3", "--seed=1000000", "--quiet"});
+  EXPECT_EQ(run.exit_code, 0) << run.errors;
+  EXPECT_THAT(run.output,
+              StartsWith("CartPole-v1 with policy cartpole-v1/1 (full) ...\nmean return "));
+  EXPECT_THAT(run.output, Not(HasSubstr("1000001")));
 }
 
 TEST_F(SpikectlTest, APolicyVersionAndTargetReturnMayBeNamed) {

@@ -35,6 +35,10 @@ def test_each_is_short_and_listed():
         assert 30 <= len((EXAMPLES / name).read_text().splitlines()) <= 60, name
 
 
+def test_readme_is_a_page():
+    assert len((ROOT / "README.md").read_text().split()) <= 600
+
+
 def test_python(address):
     assert run(sys.executable, EXAMPLES / "call.py", address).startswith("return 500 in 500 steps\n")
 

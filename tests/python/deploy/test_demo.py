@@ -1,17 +1,93 @@
-"""The demonstration that keeps playing: its robots' pages, and its end by Ctrl-C."""
+"""The demonstration: what it prints, the page that stays in a terminal, and the robots that keep playing."""
 
 import json
 import os
 import pathlib
+import pty
 import re
 import signal
 import subprocess
 
 from security import until
-from serving import DEPLOY
+from serving import DEPLOY, SHIPPED_POLICIES
 from test_watching import get
 
 BIN = pathlib.Path(os.environ["SPIKESERVE_PROGRAM"]).parent
+MOST_LINES = 24  # after the build; the Makefile prints one more
+WIDTH = 100
+RESULT = [
+    r"CartPole-v1 with policy cartpole/\d+ \(\w+\) \.{20}",
+    r"mean return [\d.]+ \+- [\d.]+ over 20 episodes, \d+ decisions",
+    r"spikes      [\d.]+ a decision",
+    r"energy      [\d.]+ nJ a decision by the estimate int_sram_45nm, [\d.]+ nJ without memory \(int_45nm\)",
+    r"latency     p50 [\d.]+ ms, p99 [\d.]+ ms, from the call to its answer",
+    r"dense model [\d.]+ nJ a decision by int_sram_45nm, for the same size: \d+ times as much",
+]
+
+
+def check(lines):
+    """Checks that the lines are what is served, the result, and up to two lines about what to do next."""
+    served = " ".join(lines[: len(lines) - len(RESULT)])
+    assert re.match(r"serving \d+ policies on 127\.0\.0\.1:\d+: .*\bcartpole/\d+\b", served)
+    for line, expected in zip(lines[-len(RESULT) :], RESULT, strict=True):
+        assert re.fullmatch(expected, line)
+    for line in lines:
+        assert len(line) <= WIDTH
+
+
+def spikectl(server, *arguments):
+    command = [os.environ["SPIKECTL_PROGRAM"], *arguments, f"--server={server.grpc}"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+
+
+def test_the_table_of_policies_fits_a_page(server):
+    versions = [f"{path.parent.name}/{path.name}" for path in SHIPPED_POLICIES.glob("*/[0-9]*")]
+    first, *rows = spikectl(server, "policies", "--all")
+    assert first.split()[:2] == ["POLICY", "ENVIRONMENT"]
+    assert sorted(row.split()[0] for row in rows) == sorted(versions)
+    assert max(map(len, [first, *rows])) <= WIDTH
+
+    _, *rows, more = spikectl(server, "policies")
+    served = [row.split()[0].split("/") for row in rows]
+    assert [name for name, _ in served] == sorted({version.split("/")[0] for version in versions})
+    assert more == f"{len(versions) - len(rows)} more that new sessions do not get: --all lists them"
+
+    spikectl(server, "admin", "label", "--policy=cartpole", "--version=1", "--label=old")
+    assert [row.split()[-1] for row in spikectl(server, "policies") if row.startswith("cartpole/1 ")] == ["old"]
+    spikectl(server, "admin", "unlabel", "--policy=cartpole", "--label=old")
+
+
+def test_without_a_terminal_it_prints_the_result_and_ends():
+    played = subprocess.run([DEPLOY / "demo.sh", BIN], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True)
+    *lines, following = played.stdout.splitlines()
+    assert len(lines) < MOST_LINES
+    check(lines)
+    assert "http://" not in played.stdout, "no page is left"
+    assert following.startswith("next        make demo PLAY=1 ")
+    assert played.stderr == ""
+
+
+def test_in_a_terminal_the_page_stays_until_enter():
+    terminal, inside = pty.openpty()
+    demo = subprocess.Popen([DEPLOY / "demo.sh", BIN], stdin=inside, stdout=inside, start_new_session=True)
+    os.close(inside)
+    try:
+        with os.fdopen(terminal, "r+b", buffering=0) as screen:
+            lines = []
+            while not lines or not lines[-1].startswith("next"):
+                lines.append(screen.readline().decode().rstrip())
+                assert lines[-1], "the demonstration ended early"
+            check(lines[:-2])
+            assert len(lines) <= MOST_LINES
+            page = re.fullmatch(r"status page (http://\S+/) until you press Enter", lines[-2])[1]
+            assert "<title>spikeserve" in get(page)
+            counted = get(f"{page}metrics")
+            assert set(re.findall(r'^spikeserve_decisions_total\{policy="(\S+?)".* [1-9]\d*$', counted, re.MULTILINE)) == {"cartpole"}
+            screen.write(b"\n")
+            assert demo.wait(60) == 0
+    finally:
+        if demo.poll() is None:
+            os.killpg(demo.pid, signal.SIGKILL)
 
 
 def test_three_robots_play_until_ctrl_c():
