@@ -26,7 +26,7 @@ def opening(i):
     fields = {
         "session_id": f"{i:032x}",
         "policy": ["cartpole", "pendulum"][i % 2],
-        "version": 1 + i // 8 % 2,
+        "version": 1 + i // 8 % 2 if i % 2 == 0 else 1,
         "seed": i,
         "durability": "SYNC",
     }
