@@ -17,6 +17,7 @@ namespace {
 std::string Comparable(v1::ActResponse answer) {
   answer.mutable_stats()->clear_compute_seconds();
   answer.clear_durable_decision();
+  answer.clear_durable_episode();
   answer.clear_next_step();
   answer.clear_appended();
   answer.clear_dropped();

@@ -364,6 +364,9 @@ absl::StatusOr<EpisodeSummary> AgentSession::Together::End(const EpisodeEnd& end
 
   const bool is_known = !session.history.empty();  // otherwise the last steps were skipped
   if (is_known && end.executed_action.has_value()) agent.TakeExecuted(*end.executed_action);
+  // As it was executed, however the agent has reported that, so that the same end is known again.
+  EpisodeEnd taken = end;
+  if (is_known) taken.executed_action = session.history.action(session.history.size() - 1);
   const double episode_return = session.episode_return + end.reward;
   const EpisodeSummary summary = {
       .episode_return = episode_return,
@@ -380,8 +383,8 @@ absl::StatusOr<EpisodeSummary> AgentSession::Together::End(const EpisodeEnd& end
   session.episode_energy_joules = 0.0;
   session.history.Clear();
   session.last_answer.reset();
-  session.last_end =
-      std::make_shared<const EndedEpisode>(EndedEpisode{.end = end, .summary = summary});
+  session.last_end = std::make_shared<const EndedEpisode>(
+      EndedEpisode{.end = std::move(taken), .summary = summary});
   agent.DropContext();
   agent.head_.NewContribution(session);
   bool is_taken = false;
@@ -396,7 +399,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::Together::End(const EpisodeEnd& end
 
 absl::StatusOr<EpisodeSummary> AgentSession::RepeatEnd(const EpisodeEnd& end) {
   head_.TakeMerged(&session_);
-  if (session_.last_end != nullptr && session_.last_end->end == end) {
+  if (session_.last_end != nullptr && IsSameEnd(session_.last_end->end, end)) {
     return session_.last_end->summary;
   }
   if (session_.step > 0) {

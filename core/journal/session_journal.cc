@@ -28,6 +28,7 @@ SessionJournal::SessionJournal(Key key, Durability durability, uint64_t decision
       is_new_(key_.epoch == 1 && is_whole),
       writer_(*writer),
       durable_decisions_(decisions),
+      durable_episodes_(key_.ended),
       missing_(!is_whole),
       first_valid_(is_whole ? 0 : kNoPosition),
       decisions_(decisions),
@@ -94,6 +95,25 @@ void SessionJournal::OnClose() {
   if (!lost()) Write(JournalRecord::Kind::kClose, "", nullptr);
 }
 
+bool SessionJournal::Withdraw() {
+  std::vector<Waiter> waiters;
+  const absl::Status loss = absl::UnavailableError(
+      "session_id: expected an open session, received one whose opening the store refused; try "
+      "again");
+  {
+    absl::MutexLock lock(&mutex_);
+    if (!loss_.ok()) return true;
+    if (stored_ > 0) return false;
+    withdrawn_ = true;
+    first_valid_.store(kNoPosition, std::memory_order_release);  // the writer leaves out what waits
+    loss_ = loss;
+    lost_ = true;
+    waiters = TakeReady(/*all=*/true);
+  }
+  for (const Waiter& waiter : waiters) waiter.done(loss);
+  return true;
+}
+
 void SessionJournal::OnConfirm() { Write(JournalRecord::Kind::kConfirm, "", nullptr); }
 
 void SessionJournal::WriteAgainIfMissing(const Session& session) {
@@ -120,6 +140,7 @@ void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, const Se
                           .contribution = std::move(contribution)};
   // The lock makes the order of the queue that of the positions.
   absl::MutexLock lock(&mutex_);
+  if (withdrawn_) return;
   record.position = ++written_;
   if (is_snapshot) base_ = record.position;
   record.base = base_;
@@ -190,6 +211,8 @@ void SessionJournal::OnWritten(const JournalRecord& record, const absl::Status& 
     if (!loss_.ok()) lost_ = true;
     if (outcome.ok()) {
       durable_decisions_.store(record.decisions, std::memory_order_release);
+      durable_episodes_.store(static_cast<int64_t>(record.changes - record.decisions),
+                              std::memory_order_release);
       durable_changes_.store(record.changes, std::memory_order_release);
       is_set_back_.store(false, std::memory_order_release);
       contributions = std::exchange(kept_, {});

@@ -99,6 +99,9 @@ class SessionJournal final : public SessionListener,
   void OnRelease(const Session& session);
   // Ends the session in the store.
   void OnClose();
+  // Makes this copy lost, because nobody was told that the session is open: nothing of it is
+  // written from now on. Returns false, and does nothing, if the store has it already.
+  bool Withdraw() ABSL_LOCKS_EXCLUDED(mutex_);
   // Asks the store whether this owner still has the journal. WhenDurable() tells the outcome.
   void OnConfirm();
   // Starts the journal again with a snapshot if the store has lost it or a part of it.
@@ -106,8 +109,9 @@ class SessionJournal final : public SessionListener,
 
   // Returns the position of the last record that was written.
   uint64_t written() const ABSL_LOCKS_EXCLUDED(mutex_);
-  // Returns how many decisions of the session the store has.
+  // Returns how many decisions of the session the store has, and the ends of how many episodes.
   uint64_t durable_decisions() const { return durable_decisions_.load(std::memory_order_acquire); }
+  int64_t durable_episodes() const { return durable_episodes_.load(std::memory_order_acquire); }
   // Returns true if this copy of the session is out of date, because another owner has the journal.
   bool lost() const { return lost_.load(std::memory_order_acquire); }
   // Returns true if the journal is to be written again, by WriteAgainIfMissing().
@@ -166,6 +170,7 @@ class SessionJournal final : public SessionListener,
   const bool is_new_;
   JournalWriter& writer_;
   std::atomic<uint64_t> durable_decisions_;
+  std::atomic<int64_t> durable_episodes_;
   std::atomic<bool> lost_ = false;
   std::atomic<bool> missing_ = false;      // the store has lost the journal or a part of it
   std::atomic<uint64_t> first_valid_ = 0;  // records before this position are replaced
@@ -184,6 +189,7 @@ class SessionJournal final : public SessionListener,
   uint64_t stored_ ABSL_GUARDED_BY(mutex_) = 0;  // position
   Stored acknowledged_ ABSL_GUARDED_BY(mutex_);
   absl::Status loss_ ABSL_GUARDED_BY(mutex_);  // not OK if the copy is lost
+  bool withdrawn_ ABSL_GUARDED_BY(mutex_) = false;
   std::vector<Waiter> waiters_ ABSL_GUARDED_BY(mutex_);
   // Their records were replaced. The snapshot that replaces them has the contributions, too.
   std::vector<std::shared_ptr<FleetContribution>> kept_ ABSL_GUARDED_BY(mutex_);

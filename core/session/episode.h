@@ -27,6 +27,14 @@ struct EpisodeEnd {
   friend bool operator==(const EpisodeEnd&, const EpisodeEnd&) = default;
 };
 
+// Returns whether `again` ends an episode as `end` did. An absent executed action says nothing.
+inline bool IsSameEnd(const EpisodeEnd& end, EpisodeEnd again) {
+  if (!end.executed_action.has_value() || !again.executed_action.has_value()) {
+    again.executed_action = end.executed_action;
+  }
+  return end == again;
+}
+
 // The learning of a session in one episode.
 struct LearningSummary {
   Scope scope = Scope::kSession;

@@ -111,6 +111,10 @@ void Conclude(DecisionRequest& act, bool is_new) ABSL_EXCLUSIVE_LOCKS_REQUIRED(a
   if (const SessionJournal* journal = entry.journal.get(); journal != nullptr) {
     act.response->set_durable_decision(journal->is_sync() ? entry.agent.session().decisions
                                                           : journal->durable_decisions());
+    if (HasBeats(*act.request) || act.request->has_end_episode()) {
+      act.response->set_durable_episode(journal->is_sync() ? entry.agent.session().episode
+                                                           : journal->durable_episodes());
+    }
   }
 }
 

@@ -31,12 +31,13 @@ struct DecisionRequest {
   absl::Status status = absl::OkStatus();
   // When the request was received, by the clock; used if it has beats (beat_requests.h).
   absl::Duration received = absl::ZeroDuration();
-  BeatProgress beats = {};  // of a request with beats
-  Span span = {};           // of the decision, while it is made
+  BeatProgress beats = {};       // of a request with beats
+  Span span = {};                // of the decision, while it is made
+  bool waits_for_claim = false;  // its session is to be taken over; see SessionGate
 
   // False: the request has no answer yet. It is to be decided again, before later requests for its
   // session.
-  bool is_finished() const { return beats.finished || !status.ok(); }
+  bool is_finished() const { return !waits_for_claim && (beats.finished || !status.ok()); }
 };
 
 // Computes the decision of each of `acts` and sets its `response`, or its `status` to the error,

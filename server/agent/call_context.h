@@ -29,6 +29,8 @@ struct CallContext {
   // True: a request that is ahead of a stored session gets NOT_FOUND and makes this copy lost, so
   // that the session is claimed again. Another server may have decided in between.
   bool may_claim = false;
+  // The store has had the session for this request, and this server has taken it over.
+  bool has_claimed = false;
   // The session of a request that only reads, if this server does not hold it: as the store has it.
   // It stays with its owner. Null: none was read.
   std::shared_ptr<SessionEntry> read = nullptr;

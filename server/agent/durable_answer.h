@@ -22,6 +22,8 @@ struct Commit {
   int item = -1;  // index of the item of a batch that waits; -1: the whole answer waits
   // Awaited after the journal, because its outcome is part of the answer; null: none.
   std::shared_ptr<FleetContribution> contribution = nullptr;
+  // The answer says that the session is open. If the store refuses that, the session is withdrawn.
+  bool opens = false;
 };
 // Empty, and without memory of its own, unless a session is stored.
 using Commits = absl::InlinedVector<Commit, 1>;

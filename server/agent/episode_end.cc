@@ -58,6 +58,17 @@ EpisodeEnd EndOf(const v1::EndEpisodeRequest& request, const Policy& policy) {
   return end;
 }
 
+// As EndOf, of a request whose last beat may have the executed action.
+absl::StatusOr<EpisodeEnd> EndOf(const v1::ActRequest& request, const Policy& policy) {
+  EpisodeEnd end = EndOf(request.end_episode(), policy);
+  if (!end.executed_action.has_value() && request.history_size() > 0) {
+    const v1::Beat& last = request.history(request.history_size() - 1);
+    ASSIGN_OR_RETURN(end.executed_action,
+                     ParseExecutedAction(FromProto(last.executed()), policy.action_space));
+  }
+  return end;
+}
+
 // Begins the span of a merge into the head of a fleet that the end of the episode itself does,
 // because the session is not stored; empty for other sessions.
 Span StartMerge(const Span& call, const SessionEntry& entry)
@@ -133,7 +144,7 @@ absl::Status EndBehindHistory(SessionEntry& entry, const v1::ActRequest& request
       request.decision() + static_cast<uint64_t>(session.step) == session.decisions;
   if (!has_ended) return EndEpisodeOf(entry, end, call, response);
   if (session.last_end != nullptr) {
-    const EpisodeEnd again = EndOf(end, entry.agent.policy());
+    ASSIGN_OR_RETURN(const auto again, EndOf(request, entry.agent.policy()));
     return AnswerWith(entry.agent.RepeatEnd(again), entry, response);
   }
   response->set_steps(end.steps());

@@ -218,7 +218,7 @@ absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id
   auto status = store_->Open(route.served, std::move(options), std::move(extras)).status();
   // A session that was refused is never written, so that nothing of it can be waited for.
   if (status.ok() && journal != nullptr) {
-    context.commits.push_back({.journal = journal, .position = 1});
+    context.commits.push_back({.journal = journal, .position = 1, .opens = true});
   }
   return status;
 }
@@ -244,8 +244,13 @@ absl::Status PolicyHandler::OpenAgain(CallContext& context, SessionEntry& entry,
                      "received another request for ",
                      session.id));
   }
-  if (entry.journal != nullptr) {
-    context.commits.push_back({.journal = entry.journal, .position = entry.journal->written()});
+  if (SessionJournal* const journal = entry.journal.get(); journal != nullptr) {
+    // Nothing in the request proves that this server still owns the session, or that it is open.
+    const bool opens =
+        journal->is_new() && journal->written() == 1 && journal->stored().records == 0;
+    if (!opens && journal->is_shared()) journal->OnConfirm();
+    context.commits.push_back(
+        {.journal = entry.journal, .position = journal->written(), .opens = opens});
   }
   ToProto(session.id, opened, *entry.served, response);
   return absl::OkStatus();
@@ -313,16 +318,23 @@ void PolicyHandler::ActMany(
     absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
     absl::FunctionRef<void(absl::Span<DecisionRequest* const>)> answered) const {
   absl::InlinedVector<DecisionRequest*, 1>
-      found;                                    // of the group, without requests that were refused
-  size_t begin = 0;                             // of the group
-  absl::InlinedVector<int64_t, 1> appended;     // by the requests of the group, before
-  std::vector<const SessionEntry*> unfinished;  // sessions of requests that have not finished
+      found;                                 // of the group, without requests that were refused
+  size_t begin = 0;                          // of the group
+  absl::InlinedVector<int64_t, 1> appended;  // by the requests of the group, before
+  std::vector<absl::string_view> held;       // sessions of requests that have not finished
+  const auto conclude = [&](DecisionRequest* act) {
+    act->waits_for_claim = act->item < 0 && SessionGate::WaitsForClaim(*act->context, act->status);
+    if (!act->is_finished()) held.push_back(act->request->session_id());
+  };
+  const auto is_held = [&](const DecisionRequest& act) {
+    return !held.empty() && absl::c_linear_search(held, act.request->session_id());
+  };
   const auto answer_group = [&](size_t end) {
     DecideActs(found, *clock_);
     for (size_t i = 0; i < found.size(); ++i) {
       DecisionRequest* const act = found[i];
       auto entry = std::exchange(act->entry, nullptr);
-      if (!act->is_finished()) unfinished.push_back(entry.get());
+      conclude(act);
       const int64_t beats = act->beats.appended - appended[i];
       if (beats > 0) CountBeats(*act->context->caller, beats);
       if (act->status.ok()) deferred->Add(std::move(entry), shadows_);
@@ -334,16 +346,23 @@ void PolicyHandler::ActMany(
   };
   for (size_t i = 0; i < acts.size(); ++i) {
     DecisionRequest& act = *acts[i];
+    act.status = absl::OkStatus();
+    act.beats.finished = !is_held(act);
+    if (!act.beats.finished) continue;
     auto entry = FindForDecision(*act.context, *act.request);
     act.status = entry.status();
-    if (!entry.ok()) continue;
+    if (!entry.ok()) {
+      conclude(&act);
+      if (act.item < 0 && act.is_finished()) {
+        gate_->AwaitEarlier(act.request->session_id(), act.context);
+      }
+      continue;
+    }
     const bool again =
         absl::c_any_of(found, [&](const DecisionRequest* other) { return other->entry == *entry; });
     if (again || found.size() == kMaxSessionsPerGroup) answer_group(i);
-    if (!unfinished.empty() && absl::c_linear_search(unfinished, entry->get())) {
-      act.beats.finished = false;
-      continue;
-    }
+    act.beats.finished = !is_held(act);
+    if (!act.beats.finished) continue;
     act.entry = *std::move(entry);
     found.push_back(&act);
     appended.push_back(act.beats.appended);

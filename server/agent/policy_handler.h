@@ -7,6 +7,7 @@
 
 #include <memory>
 #include <string>
+#include <utility>
 
 #include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
@@ -18,6 +19,7 @@
 #include "server/agent/deferred_work.h"
 #include "server/agent/policy_list.h"
 #include "server/agent/session_gate.h"
+#include "server/agent/session_recovery.h"
 #include "server/followers/recordings.h"
 #include "server/followers/shadow_runner.h"
 #include "server/policies/policy_registry.h"
@@ -73,9 +75,15 @@ class PolicyHandler {
   // Answers each of `acts`, as Act does, in groups that are decided together. The decisions of one
   // session are made in the order of `acts`. Calls `answered` for each group, which is the next
   // part of `acts`, so that its answers can be sent before the next group is decided. A request
-  // with many beats may be left unfinished, and then those behind it for the same session are, too.
+  // with many beats may be left unfinished, as is one whose session is to be taken over, and then
+  // those behind it for the same session are, too.
   void ActMany(absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
                absl::FunctionRef<void(absl::Span<DecisionRequest* const> group)> answered) const;
+  // Takes over the session of a request that waits for that, as SessionGate::Claim does.
+  void Claim(const DecisionRequest& act, const SessionRecovery::Post& post,
+             SessionRecovery::Done done) const {
+    gate_->Claim(*act.context, act.request->session_id(), post, std::move(done));
+  }
   // Returns INVALID_ARGUMENT if a batch has more than kMaxBatch requests.
   static absl::Status CheckBatch(const v1::ActBatchRequest& request);
   // Answers at most kMaxSessionsPerGroup items of a batch, from `first` on, and returns the index

@@ -94,16 +94,53 @@ absl::Status SessionGate::Refused(const CallContext& context, const Place& place
   SessionJournal* const journal = entry.journal.get();
   // A request that does not name its place in the session may be right for a newer copy, whatever
   // its step is.
-  const bool may_be_outdated =
-      context.may_claim && journal != nullptr &&
-      (IsAhead(place, session) || (!place.is_of_session && journal->is_shared()));
-  if (!may_be_outdated) return WithExpectedDecision(refusal, session.decisions, session.step);
+  const bool may_be_outdated = context.may_claim && journal != nullptr && journal->is_shared() &&
+                               (IsAhead(place, session) || !place.is_of_session);
+  if (!may_be_outdated) {
+    return WithExpectedDecision(
+        refusal, {.decision = session.decisions, .episode = session.episode, .step = session.step});
+  }
   journal->Abandon();
   return NoSuchSession(session.id);
 }
 
+bool SessionGate::WaitsForClaim(const CallContext& context, const absl::Status& status) {
+  return context.may_claim && absl::IsNotFound(status);
+}
+
+void SessionGate::Claim(const CallContext& context, const std::string& id,
+                        const SessionRecovery::Post& post, SessionRecovery::Done done) const {
+  const auto span = std::make_shared<Span>(context.span.Store("claim"));
+  span->Set("spikeserve.session.id", id);
+  recovery_->Recover(*context.caller, id, post,
+                     [span, done = std::move(done)](const absl::Status& claimed) {
+                       EndSpan(claimed, span.get());
+                       done(claimed);
+                     });
+}
+
+void SessionGate::OnClaimed(const absl::Status& claimed, CallContext* context) {
+  context->may_claim = false;
+  context->has_claimed = claimed.ok();
+}
+
+void SessionGate::AwaitEarlier(const std::string& id, CallContext* context) const {
+  const auto entry = store_.Peek(id);
+  if (entry == nullptr || entry->tenant != context->caller->tenant()->name()) return;
+  AddCommit(*entry, &context->commits);
+}
+
+absl::Status SessionGate::MovedError() {
+  return absl::UnavailableError(
+      "session_id: expected a session of this server, received one that is being taken over; try "
+      "again");
+}
+
 void SessionGate::Leave(GatedRequest& request, const absl::Status& status) const {
-  if (request.call_context().may_claim && Claim(request, status)) return;
+  if (request.call_context().may_claim && FindMissing(request, status)) return;
+  if (request.call_context().has_claimed && absl::IsNotFound(status)) {
+    return request.Answer(MovedError());
+  }
   if (request.call_context().commits.empty() || request.is_over()) return request.Answer(status);
   if (status.ok()) request.OnGranted();
   Await(request, status);
@@ -117,7 +154,7 @@ void SessionGate::Trace(const Span& call, const SessionEntry& entry,
   WhenDurable(call, {commit}, [](const std::vector<absl::Status>& /*outcomes*/) {});
 }
 
-bool SessionGate::Claim(GatedRequest& request, const absl::Status& status) const {
+bool SessionGate::FindMissing(GatedRequest& request, const absl::Status& status) const {
   if (request.is_over()) return false;
   const std::vector<std::string> missing = request.MissingSessions(status);
   if (missing.empty()) return false;
@@ -136,7 +173,7 @@ bool SessionGate::Claim(GatedRequest& request, const absl::Status& status) const
   }
   for (const std::string& id : missing) {
     recovery_->Recover(*context.caller, id, post, [search, id](const absl::Status& claimed) {
-      OnClaimed(*search, id, claimed);
+      OnFound(*search, id, claimed);
     });
   }
   return true;
@@ -151,9 +188,9 @@ void SessionGate::OnRead(Search& search, absl::StatusOr<std::shared_ptr<SessionE
   request.HandleAgain({});
 }
 
-void SessionGate::OnClaimed(Search& search, const std::string& id, const absl::Status& claimed) {
+void SessionGate::OnFound(Search& search, const std::string& id, const absl::Status& claimed) {
   const bool failed = !claimed.ok() && !absl::IsNotFound(claimed);
-  if (failed) search.unclaimed.emplace(id, claimed);
+  if (!claimed.ok()) search.unclaimed.emplace(id, claimed);
   if (--search.missing > 0) return;
   EndSpan(claimed, &search.span);
   GatedRequest& request = *search.request;
@@ -162,6 +199,7 @@ void SessionGate::OnClaimed(Search& search, const std::string& id, const absl::S
     return request.Answer(failed ? claimed : search.status);
   }
   request.call_context().commits.clear();
+  request.call_context().has_claimed = true;
   request.HandleAgain(search.unclaimed);
 }
 
@@ -176,6 +214,12 @@ void SessionGate::Await(GatedRequest& request, const absl::Status& status) const
               });
 }
 
+bool SessionGate::Withdraw(SessionJournal& journal) const {
+  if (!journal.Withdraw()) return false;
+  store_.Find(journal.key().id, journal.key().tenant).IgnoreError();  // removes the lost copy
+  return true;
+}
+
 void SessionGate::OnDurable(GatedRequest& request, const absl::Status& status,
                             const std::vector<absl::Status>& outcomes) const {
   const Commits commits = std::exchange(request.call_context().commits, {});
@@ -183,6 +227,8 @@ void SessionGate::OnDurable(GatedRequest& request, const absl::Status& status,
   for (size_t i = 0; i < commits.size(); ++i) {
     if (outcomes[i].ok()) {
       if (commits[i].contribution != nullptr) request.TakeMerged(*commits[i].contribution);
+    } else if (commits[i].opens && !Withdraw(*commits[i].journal)) {
+      continue;  // the store has taken it since
     } else if (commits[i].item >= 0) {
       request.FailItem(commits[i].item, outcomes[i]);
     } else if (status.ok()) {

@@ -1,6 +1,8 @@
 // Leads the requests of sessions through one gate. On the way in, a handler finds the session. On
 // the way out, holds an answer until the store has persisted what it acknowledges. If the session
-// is unknown here, claims it from the store and retries the request once.
+// is unknown here, claims it from the store and retries the request once. Decisions wait for that
+// in the queue of their session (act_queue.h), in order. Sends NOT_FOUND only if the store has said
+// so.
 //
 //   gate.Enter(&request.call_context());
 //   gate.Leave(request, handler.EndEpisode(request.call_context(), ...));  // calls Answer()
@@ -41,12 +43,12 @@ class GatedRequest {
   virtual bool is_over() = 0;
 
   // Returns the sessions that `status`, or the response, says are not here.
-  virtual std::vector<std::string> MissingSessions(const absl::Status& status) = 0;
+  virtual std::vector<std::string> MissingSessions(const absl::Status& /*status*/) { return {}; }
   // Returns true for a batch: its items fail alone.
   virtual bool has_items() const { return false; }
   // Handles the request from its start. `unclaimed` tells why sessions could not be taken over; it
   // is empty unless the request has items. A request that only reads has CallContext::read now.
-  virtual void HandleAgain(const std::map<std::string, absl::Status>& unclaimed) = 0;
+  virtual void HandleAgain(const std::map<std::string, absl::Status>& /*unclaimed*/) {}
 
   // Returns true if the request only reads its session, which then stays with its owner.
   virtual bool only_reads() const { return false; }
@@ -82,6 +84,20 @@ class SessionGate {
     return store_.Find(id, context.caller->tenant()->name());
   }
 
+  // Returns true if a request that has ended with `status` is to be handled again when its session
+  // was taken over.
+  static bool WaitsForClaim(const CallContext& context, const absl::Status& status);
+  // Takes session `id` over for a request with `context`, which outlives that. Calls `done` by
+  // `post`, or at once, as SessionRecovery does. OnClaimed() is to be called for every
+  // request that has waited, and the requests are then handled again if it returned OK.
+  void Claim(const CallContext& context, const std::string& id, const SessionRecovery::Post& post,
+             SessionRecovery::Done done) const;
+  static void OnClaimed(const absl::Status& claimed, CallContext* context);
+  // Lets the error of a request that was not decided wait for what the answers before it wait for.
+  void AwaitEarlier(const std::string& id, CallContext* context) const;
+  // Returns the error for a session that was taken over and is not here any more.
+  static absl::Status MovedError();
+
   // Returns the error for a request at `place` that the session has refused with the
   // FAILED_PRECONDITION `refusal`: what the session expects, or, if this copy of it may be an old
   // one and may be claimed, NOT_FOUND. The copy is lost then.
@@ -105,10 +121,12 @@ class SessionGate {
   struct Search;
 
   // Returns true if the request is handled again when the store has answered.
-  bool Claim(GatedRequest& request, const absl::Status& status) const;
+  bool FindMissing(GatedRequest& request, const absl::Status& status) const;
   static void OnRead(Search& search, absl::StatusOr<std::shared_ptr<SessionEntry>> session);
-  static void OnClaimed(Search& search, const std::string& id, const absl::Status& claimed);
+  static void OnFound(Search& search, const std::string& id, const absl::Status& claimed);
   void Await(GatedRequest& request, const absl::Status& status) const;
+  // Removes a session that the store has refused to open. Returns false if the store has it.
+  bool Withdraw(SessionJournal& journal) const;
   void OnDurable(GatedRequest& request, const absl::Status& status,
                  const std::vector<absl::Status>& outcomes) const;
 

@@ -12,12 +12,19 @@
 
 namespace spikeserve {
 
-// Returns `status` with the number of the next decision of the session, from 0, and its step in the
-// episode. REQUIRES: `status` is not OK.
-absl::Status WithExpectedDecision(absl::Status status, uint64_t decision, int64_t step);
+// The next decision of a session: its number in the session, its episode and its step there, from
+// 0.
+struct NextDecision {
+  uint64_t decision = 0;
+  int64_t episode = 0;
+  int64_t step = 0;
+};
 
-// Returns the decision that WithExpectedDecision attached to `status`, if any.
-std::optional<uint64_t> ExpectedDecision(const absl::Status& status);
+// Returns `status` with what the session expects. REQUIRES: `status` is not OK.
+absl::Status WithExpectedDecision(absl::Status status, const NextDecision& expected);
+
+// Returns what WithExpectedDecision attached to `status`, if anything.
+std::optional<NextDecision> ExpectedDecisionOf(const absl::Status& status);
 
 }  // namespace spikeserve
 

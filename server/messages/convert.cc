@@ -122,7 +122,11 @@ void SetError(const absl::Status& status, Error* error) {
   if (const auto delay = RetryDelay(status)) {
     error->set_retry_after_seconds(absl::ToDoubleSeconds(*delay));
   }
-  if (const auto decision = ExpectedDecision(status)) error->set_expected_decision(*decision);
+  if (const auto expected = ExpectedDecisionOf(status)) {
+    error->set_expected_decision(expected->decision);
+    error->set_expected_episode(expected->episode);
+    error->set_expected_step(expected->step);
+  }
 }
 
 }  // namespace

@@ -61,11 +61,6 @@ class ActStreamCall::Item final : public QueuedAct,
   SessionRecovery::Post post() override { return PostTo(&call_->loop()); }
   // A decision is made and stored whether its caller waits for it or not.
   bool is_over() override { return false; }
-  std::vector<std::string> MissingSessions(const absl::Status& status) override {
-    if (!absl::IsNotFound(status)) return {};
-    return {messages_.request()->session_id()};
-  }
-  void HandleAgain(const std::map<std::string, absl::Status>& /*unclaimed*/) override { Handle(); }
   void OnGranted() override { call_->OnGranted(); }
   void Answer(const absl::Status& status) override {
     call_->EndSpan(status, &call_context().span);
@@ -129,12 +124,11 @@ void ActBatchCall::HandleAgain(const std::map<std::string, absl::Status>& unclai
 }
 
 void ActBatchCall::ExplainMissing() {
-  if (unclaimed_.empty()) return;
+  if (!call_context().has_claimed) return;
   for (int i = 0; i < response()->results_size(); ++i) {
+    if (!IsMissing(response()->results(i))) continue;
     const auto reason = unclaimed_.find(request().requests(i).session_id());
-    if (reason != unclaimed_.end() && IsMissing(response()->results(i))) {
-      FailItem(i, reason->second);
-    }
+    FailItem(i, reason == unclaimed_.end() ? SessionGate::MovedError() : reason->second);
   }
 }
 

@@ -29,6 +29,7 @@ class ActOneCall final : public UnaryCall<v1::ActRequest, v1::ActResponse>, publ
 
  private:
   void Handle() override;
+  std::vector<std::string> MissingSessions(const absl::Status& /*status*/) override { return {}; }
   // A decision is made and stored whether its caller waits for it or not.
   bool is_over() override { return false; }
 

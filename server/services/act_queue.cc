@@ -80,8 +80,58 @@ void ActQueue::DecideBatchGroup() {
 void ActQueue::Wait(ActQueue* from, std::shared_ptr<QueuedAct> act) {
   const std::string& id = act->act().request->session_id();
   std::deque<Waiting>& behind = waiting_[id];
-  if (behind.empty()) turns_.push_back(id);
   behind.push_back({from, std::move(act)});
+  if (behind.size() > 1) return;
+  if (behind.front().act->act().waits_for_claim) return Claim(id);
+  turns_.push_back(id);
+}
+
+void ActQueue::Claim(const std::string& id) {
+  const auto post = [events = &loop_.events()](std::function<void()> work) {
+    events->Post(std::move(work));
+  };
+  // Posted in any case, because the claim may end at once, before earlier answers are on their way.
+  handler_.Claim(waiting_[id].front().act->act(), post, [this, id, post](const absl::Status& done) {
+    post([this, id, done] { OnClaimed(id, done); });
+  });
+}
+
+// What the store has said holds for all requests of the tenant that have waited.
+void ActQueue::OnClaimed(const std::string& id, const absl::Status& claimed) {
+  loop_.events().thread().AssertCurrent();
+  std::deque<Waiting> all = std::exchange(waiting_[id], {});
+  const auto tenant_of = [](const Waiting& waiting) {
+    return waiting.act->act().context->caller->tenant();
+  };
+  const auto tenant = tenant_of(all.front());
+  std::deque<Waiting> behind;
+  for (Waiting& waiting : all) {
+    DecisionRequest& act = waiting.act->act();
+    const bool is_told = tenant_of(waiting) == tenant;
+    if (is_told) {
+      SessionGate::OnClaimed(claimed, act.context);
+      act.waits_for_claim = false;
+      act.status = claimed;
+    }
+    if (is_told && !claimed.ok()) {
+      Deliver(std::move(waiting));
+    } else {
+      behind.push_back(std::move(waiting));
+    }
+  }
+  if (behind.empty()) {
+    waiting_.erase(id);
+    return;
+  }
+  waiting_[id] = std::move(behind);
+  turns_.push_back(id);
+  AskForTurn();
+}
+
+void ActQueue::Deliver(Waiting decided) {
+  if (decided.from == this) return decided.act->OnDecided();
+  // Moved on, because the call is destroyed on its loop's thread.
+  decided.from->loop_.events().Post([act = std::move(decided.act)] { act->OnDecided(); });
 }
 
 ActQueue::Acts ActQueue::HoldBack(ActQueue* from, Acts acts) {
@@ -106,17 +156,17 @@ void ActQueue::DecideWaiting() {
   DeferredWork deferred;
   handler_.ActMany({&first.act->act()}, &deferred,
                    [](absl::Span<DecisionRequest* const> /*group*/) {});
-  if (!first.act->act().is_finished()) {
-    behind.push_front(std::move(first));
-  } else if (first.from == this) {
-    first.act->OnDecided();
+  const bool is_finished = first.act->act().is_finished();
+  const bool waits_for_claim = first.act->act().waits_for_claim;
+  if (is_finished) {
+    Deliver(std::move(first));
   } else {
-    // Moved on, because the call is destroyed on its loop's thread.
-    auto& loop = first.from->loop_.events();
-    loop.Post([act = std::move(first.act)] { act->OnDecided(); });
+    behind.push_front(std::move(first));
   }
   if (behind.empty()) {
     waiting_.erase(id);
+  } else if (waits_for_claim) {
+    Claim(id);
   } else {
     turns_.push_back(id);
   }

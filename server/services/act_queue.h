@@ -84,6 +84,11 @@ class ActQueue {
   Acts HoldBack(ActQueue* from, Acts acts);
   // Handles a part of the first request of one session that waits.
   void DecideWaiting();
+  // Takes over session `id`, for whose first request that waits it is not here.
+  void Claim(const std::string& id);
+  void OnClaimed(const std::string& id, const absl::Status& claimed);
+  // Hands a request that is finished to the loop that it came from.
+  void Deliver(Waiting decided);
   // Makes sure that Run() is called for what was added.
   void AskForTurn();
 
@@ -93,8 +98,9 @@ class ActQueue {
   std::vector<Acts> added_;  // by the loop that the session belongs to
   std::vector<std::shared_ptr<Foreign>> foreign_;
   std::deque<std::shared_ptr<QueuedBatch>> batches_;
-  // Requests with many beats, of which each turn handles a part of one, and the requests behind
-  // them, by session; and the sessions in the order of their turns.
+  // By session, requests that wait, and those behind them: requests with many beats, of which each
+  // turn handles a part of one, and requests whose session is being taken over. And the sessions
+  // that are not, in the order of their turns.
   absl::flat_hash_map<std::string, std::deque<Waiting>> waiting_;
   std::deque<std::string> turns_;
   bool running_ = false;  // in Run(), and no further turn was asked for

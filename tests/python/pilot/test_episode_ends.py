@@ -62,6 +62,33 @@ def test_an_end_that_is_repeated_ends_no_later_episode(service):
     assert code_of(service.Act, **end) == grpc.StatusCode.FAILED_PRECONDITION
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("first_form", ["call", "history"])
+def test_an_end_is_known_again_in_its_other_form(service, kind, first_form):
+    """The executed last action stands in a field of the call, and in the last beat of the history."""
+    robot = Robot(service, **KINDS[kind])
+    for _ in range(4):
+        robot.act()
+    robot.act(executed=robot.opened.neutral_action)
+    behind = end_of(robot)
+    executed = robot.beats[-1]["executed"]
+    call = {"session_id": robot.id, "executed_action": executed} | behind["end_episode"]
+    forms = {"call": lambda **more: service.EndEpisode(**call | more), "history": lambda: service.Act(**behind).ended}
+    ended = forms[first_form]()
+    value = robot.value()
+    assert forms["call"]() == forms["history"]() == ended
+    for other in ({"reward": 2.0}, {"executed_action": other_than(robot, executed)}):
+        assert code_of(service.EndEpisode, **call | other) == grpc.StatusCode.FAILED_PRECONDITION
+    assert robot.value() == value
+
+
+def other_than(robot, executed):
+    """Returns an action of the robot's that differs."""
+    if "discrete" in executed:
+        return {"discrete": 1 - executed["discrete"]}
+    return {"continuous": {"values": [robot.opened.action_space.box.high[0]]}}
+
+
 def test_the_next_episode_follows_its_end_on_a_stream(address, service):
     with grpc.insecure_channel(address) as channel:
         robot = Robot(service, policy="pendulum")

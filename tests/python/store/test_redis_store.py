@@ -25,6 +25,7 @@ from stored_sessions import (
 )
 
 LARGEST_LEAD = 256  # decisions of one ASYNC session that may wait for the store
+AGENT = (("authorization", "Bearer agent"),)
 
 
 pytestmark = WITHOUT_REDIS
@@ -161,24 +162,44 @@ def test_redis_does_not_answer(redis, replicas):
 
 def test_a_stream_decides_while_the_store_is_slow(redis, tmp_path):
     """Its answers wait for the store, but its next requests are decided, although the tenant has a limit."""
-    tokens, password = tmp_path / "tokens.json", tmp_path / "password"
-    limits = {"fleet": {"decisions_per_second": 1000}}
-    tokens.write_text(json.dumps({"tenants": limits, "tokens": TOKENS["tokens"][:1]}))
-    password.write_text("secret\n")
-    flags = [f"--tokens={tokens}", f"--store_password_file={password}", "--durability=sync"]
-    metadata = (("authorization", "Bearer agent"),)
-    with Restartable(f"redis://127.0.0.1:{redis.port}/2", flags) as server:
+    with limited_server(redis, tmp_path, decisions_per_second=1000) as server:
         with service_with(server.addresses, "agent") as service:
             opened = [service.OpenSession(policy="cartpole").session_id for _ in range(3)]
             redis.process.send_signal(signal.SIGSTOP)
             requests = [acting(0, 0, 0) | {"session_id": session} for session in opened]
-            codes = [answer.error.code for answer in stream_of(server)(requests, metadata)]
+            codes = [answer.error.code for answer in stream_of(server)(requests, AGENT)]
             assert codes == [grpc.StatusCode.UNAVAILABLE.value[0]] * 3
             redis.process.send_signal(signal.SIGCONT)
             for session in opened:
                 until(lambda session=session: code_of(service.GetSession, session_id=session) == grpc.StatusCode.OK)
                 assert service.GetSession(session_id=session).decisions == 1
         server.close()
+
+
+def test_a_refusal_on_a_stream_waits_for_the_answers_before_it(redis, tmp_path):
+    with limited_server(redis, tmp_path, decisions_per_second=2) as server:
+        with service_with(server.addresses, "agent") as service:
+            session = service.OpenSession(policy="cartpole").session_id
+            redis.process.send_signal(signal.SIGSTOP)
+            requests = [acting(0, 0, step) | {"session_id": session} for step in range(5)]
+            answers = list(stream_of(server)(requests, AGENT))
+            redis.process.send_signal(signal.SIGCONT)
+        assert [answer.step for answer in answers] == list(range(5))
+        codes = [answer.error.code for answer in answers]
+        assert codes[0] == grpc.StatusCode.UNAVAILABLE.value[0]
+        assert grpc.StatusCode.RESOURCE_EXHAUSTED.value[0] in codes
+        server.close()
+
+
+@contextlib.contextmanager
+def limited_server(redis, tmp_path, **limits):
+    """Starts a server whose tenant has limits, and the token "agent"."""
+    tokens, password = tmp_path / "tokens.json", tmp_path / "password"
+    tokens.write_text(json.dumps({"tenants": {"fleet": limits}, "tokens": TOKENS["tokens"][:1]}))
+    password.write_text("secret\n")
+    flags = [f"--tokens={tokens}", f"--store_password_file={password}", "--durability=sync"]
+    with Restartable(f"redis://127.0.0.1:{redis.port}/2", flags) as server:
+        yield server
 
 
 def stream_of(server):

@@ -272,6 +272,27 @@ def test_a_store_that_has_filled_its_disk_has_room_again_when_its_sessions_end(d
         server.close()
 
 
+def test_a_session_that_a_full_disk_refuses_is_not_in_the_store(disk):
+    with Restartable(f"file:{disk}/store") as server:
+        fill(disk)
+        refused = []
+        for i in range(MOST_SESSIONS):
+            code = code_of(server.OpenSession, **opening(i) | {"durability": ["ASYNC", "SYNC"][i % 2]})
+            refused += [i] if code == grpc.StatusCode.UNAVAILABLE else []
+            if len(refused) == 4:
+                break
+        assert len(refused) == 4
+        (disk / "filler").unlink()
+        until(lambda: code_of(server.OpenSession, **opening(refused[0])) == grpc.StatusCode.OK)
+        for i in refused[1:]:
+            assert code_of(server.GetSession, session_id=name(i)) == grpc.StatusCode.NOT_FOUND
+        server.restart()
+        for i in refused[1:]:
+            assert code_of(server.Act, **acting(i, 0, 0)) == grpc.StatusCode.NOT_FOUND
+        assert server.Act(**acting(refused[0], 0, 0)).durable_decision == 1
+        server.close()
+
+
 def test_a_removed_lock_lets_no_second_server_in(tmp_path):
     store = tmp_path / "store"
     with running_server(flags=[f"--session_store=file:{store}"]) as addresses:
