@@ -2,8 +2,8 @@
 
 usage: run_model.py [MODEL [VARIANT]]
 
-Without VARIANT, every state of MODEL (claims, journal, answers, contributions or evictions; all without MODEL) is
-searched, and none may break an assertion. With it, such as NO_FENCE, the search must find an execution that breaks one; its end is
+Without VARIANT, every state of MODEL (a file of this folder; all of them without MODEL) is searched, and none may break an
+assertion. With it, such as NO_FENCE, the search must find an execution that breaks one; its end is
 printed.
 """
 
