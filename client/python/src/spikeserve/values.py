@@ -199,6 +199,7 @@ class Decision:
     return_to_go: float  # the input of the model at this step
     stats: Stats
     durable_decision: int  # decisions of the session that its store has acknowledged
+    durable_episode: int  # episodes of the session whose end its store has acknowledged
 
     @classmethod
     def from_wire(cls, message: Message) -> Decision:
@@ -214,6 +215,7 @@ class Decision:
             return_to_go=message.return_to_go,
             stats=Stats.from_wire(message.stats),
             durable_decision=message.durable_decision,
+            durable_episode=message.durable_episode,
         )
 
 
@@ -284,6 +286,7 @@ class SessionState:
     modulator_mean: float  # running mean of the returns that followed the decisions
     modulator_std: float
     rollbacks: int  # of the head that the session learns
+    missing_rewards: int  # left out by requests, and counted as 0
     # W - W_base of the head that makes the next decision, row-major. None: it was not asked for, or
     # the session plays on the head of the policy.
     head_delta: NDArray[np.float32] | None
