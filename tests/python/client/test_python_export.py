@@ -13,7 +13,7 @@ import safetensors
 import safetensors.numpy
 import spikeserve
 from random_policy import SMALL, export_random, random_tensors
-from serving import RELEASED_POLICIES, running_server
+from serving import RELEASED_POLICIES, SHIPPED_POLICIES, running_server
 from spikeserve.export import ModelConfig, export_policy, tensor_shapes
 from spikeserve.integer_weights import quantize
 
@@ -129,7 +129,9 @@ def test_tensor_names_and_shapes_are_those_of_the_shipped_policy(version):
     assert {name: tensor.shape for name, tensor in tensors.items()} == shapes
 
 
-@pytest.mark.parametrize("path", sorted(SHIPPED_POLICIES.glob("*/3/*.safetensors")), ids=lambda p: p.parts[-3])
+@pytest.mark.parametrize(
+    "path", sorted(SHIPPED_POLICIES.glob("*/*/*.safetensors")), ids=lambda p: "/".join(p.parts[-3:-1])
+)
 def test_policies_in_integers_have_names_and_shapes(path):
     metadata, tensors = read(path)
     config = ModelConfig(**json.loads(metadata["config"]))

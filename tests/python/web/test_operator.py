@@ -21,9 +21,11 @@ WEAK_ROBOT = "arm-03"
 
 
 def copy_policies(directory):
-    """Copies shipped policies. Version 2 of cartpole will be rolled out; the others are idle or busy."""
+    """Copies shipped policies, two versions of each. Version 2 of cartpole will be rolled out; the others are idle or busy."""
     for name in ("cartpole", "pendulum", "acrobot", "mountaincar"):
         shutil.copytree(SHIPPED_POLICIES / name, directory / name)
+        if not (directory / name / "2").exists():
+            shutil.copytree(directory / name / "1", directory / name / "2")
     return directory
 
 
