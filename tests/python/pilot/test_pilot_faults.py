@@ -29,7 +29,7 @@ def test_a_server_that_denies_the_session_has_not_the_last_word(tmp_path, fly):
         with fly(client, local=False, session=options) as flight:
             flight.until("fresh")
             first = flight.pilot.session_id
-            [owner] = [server for server in servers if metric(pages[server], "spikeserve_sessions")]
+            [owner] = [server for server in servers if "spikeserve_sessions{" in page_of(pages[server], "/metrics")]
             [other] = [server for server in servers if server is not owner]
             owner.stop()
             end = time.monotonic() + WAIT
