@@ -164,7 +164,7 @@ absl::Status ListPolicies(const ServerFlags& flags, bool all) {
 
 void AddPoliciesCommand(Command program, const ServerFlags& server) {
   const Command command = program.AddCommand(
-      "policies", "Lists the policy versions that new sessions get, and those with labels");
+      "policies", "Lists the versions that new sessions get, and those with labels");
   const auto all = std::make_shared<bool>(false);
   command.Flags("Listing").AddSwitch("all", all.get(),
                                      "List every version that the server has; --json always does");

@@ -117,10 +117,10 @@ void AddRunCommand(Command program, const ServerFlags& server) {
   AddAgentFlags(playing, &flags->agent);
   AddTargetReturn(playing, &flags->agent);
   playing.Add("episodes", "N", &flags->episodes, "Episodes to play")
-      .Add("rate", "HZ", &flags->play.rate, "Decisions a second; 0: as many as it can")
       .AddSwitch("quiet", &flags->quiet, "Print a dot for an episode instead of a line");
   AddSessionFlags(command, &flags->session);
-  FlagGroup far = command.Flags("Advanced: far away");
+  FlagGroup far = command.Flags("Advanced: pace and distance");
+  far.Add("rate", "HZ", &flags->play.rate, "Decisions a second; 0: as many as it can");
   far.AddSwitch("reopen", &flags->reopen,
                 "Play an episode again in a new session if the server lost it");
   AddDistanceFlags(far, &flags->play.distance);
