@@ -61,7 +61,7 @@ def test_from_an_own_environment_to_a_served_policy(tmp_path):
     output = run(sys.executable, EXAMPLES / "own_environment.py", tmp_path / "cart", seconds=600, env=environment)
     expert, policy = map(float, re.search(r"^expert (\S+), policy (\S+)$", output, re.MULTILINE).groups())
     assert policy < 0 and expert < 0
-    assert re.search(r"^cart/1 plays Cart-v0: return ", output, re.MULTILINE)
+    assert re.search(r"^cart/[12] plays Cart-v0: return ", output, re.MULTILINE)
 
 
 def test_the_python_of_readme(address):
