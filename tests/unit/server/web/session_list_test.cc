@@ -23,7 +23,7 @@ class SessionListTest : public PolicyHandlerFixture {
     v1::OpenSessionRequest request;
     request.mutable_learning()->set_scope(v1::LearningConfig::SESSION);
     (*request.mutable_labels())["robot"] = "R2 \"D2\"";
-    (*request.mutable_labels())["Straße"] = "7\n";
+    (*request.mutable_labels())["Straße"] = "7\\";
     request.set_period_seconds(0.02);
     return MustOpen(std::move(request));
   }
