@@ -177,19 +177,19 @@ TEST(RunReportTest, MeansAreOverEpisodesAndDecisions) {
   EXPECT_EQ(json["p99_seconds"], 0.002);
 }
 
-TEST(RunReportTest, TheTextNamesTheEnergyModelsAndWhatTheyLeaveOut) {
+TEST(RunReportTest, TheTextNamesOneEnergyModelWithMemoryWhereItCounts) {
   std::vector<EpisodeRecord> episodes = {Record(10.0, 10, 1000), Record(30.0, 30, 6000)};
-  EXPECT_THAT(RunTableHead(), HasSubstr("an estimate, energy model horowitz_45nm"));
-  EXPECT_THAT(RunTableLine(12, episodes[0]), HasSubstr("0.500 nJ"));
+  EXPECT_THAT(RunTableLine(12, episodes[0]), HasSubstr(" 0.50 nJ"));
   const std::string summary = RunSummary(episodes);
   EXPECT_THAT(summary, HasSubstr("mean return 20.0 +- 10.0 over 2 episodes, 40 decisions"));
-  EXPECT_THAT(summary, HasSubstr("0.875 nJ by horowitz_45nm, which leaves out memory"));
-  // Models that do not apply to the policy have no line.
-  EXPECT_THAT(summary, testing::Not(HasSubstr("loihi_2018")));
-  for (EpisodeRecord& episode : episodes) {
-    episode.joules[static_cast<size_t>(EnergyModel::kLoihi2018)] = 4e-8;
+  EXPECT_THAT(summary,
+              HasSubstr("0.87 nJ a decision by the estimate horowitz_45nm, without memory\n"));
+  for (EpisodeRecord& episode : episodes) {  // in integers
+    episode.joules[static_cast<size_t>(EnergyModel::kIntSram45nm)] = 4e-8;
+    episode.joules[static_cast<size_t>(EnergyModel::kInt45nm)] = 2e-8;
   }
-  EXPECT_THAT(RunSummary(episodes), HasSubstr("2.000 nJ by loihi_2018, which leaves out"));
+  EXPECT_THAT(RunSummary(episodes), HasSubstr("2.00 nJ a decision by the estimate int_sram_45nm, "
+                                              "1.00 nJ without memory (int_45nm)\n"));
 }
 
 }  // namespace
