@@ -195,7 +195,7 @@ void AddQuantizeCommand(Program& program) {
       .Add("seed", "N", &flags->options.first_seed,
            "Seed of the first start; later episodes count on")
       .Add("max_loss", "SHARE", &flags->max_loss,
-           "Largest share of return, or agreement with --data, that it may lose")
+           "Share of the return, or of agreement, that it may lose")
       .AddSwitch("allow_loss", &flags->allow_loss, "Write a policy that lost more")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   command.Flags("Integer arithmetic (--to=integer)")
