@@ -17,7 +17,7 @@ OBSERVATION = [0.01, -0.02, 0.03, 0.1]
 def copy_policies(directory):
     """Copies the shipped CartPole policy under two names. "busy" will make more decisions."""
     for name in ("busy", "quiet"):
-        shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", directory / name / "1")
+        shutil.copytree(SHIPPED_POLICIES / "cartpole" / "2", directory / name / "1")
     return directory
 
 
@@ -148,7 +148,7 @@ def test_returns_and_learning_are_shown(page, server):
 
 def test_traffic_and_rollouts_are_shown(browser, tmp_path):
     for version in ("1", "2"):
-        shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", tmp_path / "robot" / version)
+        shutil.copytree(SHIPPED_POLICIES / "cartpole" / "2", tmp_path / "robot" / version)
     with running_server(tmp_path) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
         admin = Service(channel, ADMIN)
         admin.SetDefaultVersion(policy="robot", version=1)
