@@ -112,8 +112,8 @@ class SteppedServer:
         self.policies = folder / "policies"
         self.tokens = folder / "tokens.json"
         self._new_tokens = 0
-        self._new_versions = 3
         shutil.copytree(SHIPPED_POLICIES / "cartpole", self.policies / "cartpole")
+        self._versions = len(list((self.policies / "cartpole").iterdir()))
         tomorrow = datetime.datetime.now(datetime.UTC) + datetime.timedelta(days=1)
         self._entries = [
             entry("agent", "agent"),
@@ -143,9 +143,9 @@ class SteppedServer:
         self._entries.append(entry(token, "agent"))
         self._write_tokens()
         until(lambda: code_of(service(token).ListPolicies) == grpc.StatusCode.OK)
-        self._new_versions += 1
-        shutil.copytree(self.policies / "cartpole/1", self.policies / f"cartpole/{self._new_versions}")
-        versions = range(1, self._new_versions + 1)
+        self._versions += 1
+        shutil.copytree(self.policies / "cartpole/1", self.policies / f"cartpole/{self._versions}")
+        versions = range(1, self._versions + 1)
         until(lambda: [policy.version for policy in service("agent").ListPolicies().policies] == [*versions])
         assert http_body(addresses.http, "/healthz", "") == b"SERVING\n"
         assert json.loads(http_body(addresses.http, "/status.json", "Bearer viewer"))["serving"]
