@@ -62,7 +62,7 @@ void AddLimitFlags(Command program, TransportLimits* limits) {
            "Age at which clients are asked to connect again");
 }
 
-void AddFlags(Command program, ServerOptions* options) {
+void AddServingFlags(Command program, ServerOptions* options) {
   program.Flags("Serving")
       .Add("listen", "HOST:PORT", &options->listen,
            "Address of gRPC, or unix:PATH; port 0: a free one")
@@ -75,7 +75,9 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("drain_timeout", "DURATION", &options->drain_timeout,
            "Time for calls in flight to finish at shutdown")
       .Add("log_format", EnumKind<LogFormat>(), &options->log_format, "Format of the log");
-  AddLimitFlags(program, &options->transport_limits);
+}
+
+void AddSessionFlags(Command program, ServerOptions* options) {
   program.Flags("Policies")
       .Add("policies", "DIR", &options->policies,
            "Policies: DIR/<policy>/<version>/policy.safetensors")
@@ -91,6 +93,9 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("record_dir", "DIR", &options->record_dir, "Directory for recorded sessions")
       .Add("session_store", "STORE", &options->store.address,
            "Where sessions survive: memory, file:DIR or redis://HOST");
+}
+
+void AddAdvancedFlags(Command program, ServerOptions* options) {
   program.Flags("Advanced: policies and sessions")
       .AddSwitch("allow_unrecorded_changes", &options->allow_unrecorded_changes,
                  "Let operators change things while --audit_log cannot be written")
@@ -132,6 +137,9 @@ void AddFlags(Command program, ServerOptions* options) {
                  "Allow SYNC although Redis removes sessions when its memory is full")
       .Add("store_retention", "DURATION", &options->store.retention,
            "Time that the store keeps an unused session");
+}
+
+void AddSecurityFlags(Command program, ServerOptions* options) {
   program.Flags("Security")
       .Add("tls_certificate", "FILE", &options->tls.certificate,
            "PEM certificate chain of the server; turns TLS on")
@@ -141,6 +149,14 @@ void AddFlags(Command program, ServerOptions* options) {
       .Add("tokens", "FILE", &options->tokens, "JSON file of bearer tokens, roles and limits")
       .AddSwitch("insecure_network", &options->insecure_network,
                  "Serve a network without TLS or without tokens");
+}
+
+void AddFlags(Command program, ServerOptions* options) {
+  AddServingFlags(program, options);
+  AddLimitFlags(program, &options->transport_limits);
+  AddSessionFlags(program, options);
+  AddAdvancedFlags(program, options);
+  AddSecurityFlags(program, options);
 }
 
 // Receives SIGTERM and SIGINT on a thread of its own. Before Started(), when nothing is served yet

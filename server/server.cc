@@ -242,6 +242,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                  .list_worker = &list_worker_,
                  .admin_worker = &admin_worker_,
                  .reflection_v1alpha = options.reflection_v1alpha}),
+      // #lizard forgives(length): a list of members
       worker_(kLongCallsWaiting),
       list_worker_(kListsWaiting),
       admin_worker_(kOperatorCallsWaiting),

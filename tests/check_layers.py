@@ -184,8 +184,8 @@ def python_imports(path, modules):
 
 
 LAB_PATH = re.compile(r"(?<![\w.-])lab/\w")
-# Where the product meets the laboratory: make includes its targets, a generated page names a file, this file checks it.
-LAB_DOORS = {"Makefile", "deploy/release/reference.py", "tests/check_layers.py"}
+# Where the product meets the laboratory: hooks and make know its folder, a generated page names a file, this file checks it.
+LAB_DOORS = {".pre-commit-config.yaml", "Makefile", "deploy/release/reference.py", "tests/check_layers.py"}
 
 
 def imported(path):

@@ -1,3 +1,4 @@
+# shellcheck shell=bash
 # Sourced by install scripts of programs that build from Go modules.
 
 # newest_go WHAT: sets `go` to the newest Go, Debian's or another one in PATH. Ends the script unless it is Go 1.24 or later,

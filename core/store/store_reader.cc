@@ -128,6 +128,19 @@ absl::Status FindOrphans(RedisClient& client, const RedisKeys& keys,
   return absl::OkStatus();
 }
 
+// Checks a stored session and its journal, of which it counts the entries.
+absl::Status CheckStored(const std::string& id, absl::string_view bytes,
+                         std::vector<std::string>* journal, int64_t* entries) {
+  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(std::string(bytes), "stored session",
+                                                         kStoredSessionFormat));
+  StoredSession session;
+  codec::Reader reader;
+  reader.Read(json, "stored session", session);
+  RETURN_IF_ERROR(reader.status());
+  RETURN_IF_ERROR(CutDamagedEnd(journal));
+  return CheckJournal(id, session.tenant, *journal, entries);
+}
+
 }  // namespace
 
 absl::Status CheckJournal(absl::string_view id, absl::string_view tenant,
@@ -172,19 +185,9 @@ absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory) {
       failure = bytes.status();
     } else if (!bytes->has_value()) {
       report.orphaned.push_back({last, "a journal without its session"});
-    } else {
-      const auto json =
-          codec::ParseDocument(std::string(**bytes), "stored session", kStoredSessionFormat);
-      absl::Status status = json.status();
-      StoredSession session;
-      if (status.ok()) {
-        codec::Reader reader;
-        reader.Read(*json, "stored session", session);
-        status = reader.status();
-      }
-      if (status.ok()) status = CutDamagedEnd(&journal);
-      if (status.ok()) status = CheckJournal(last, session.tenant, journal, &report.entries);
-      if (!status.ok()) report.damaged.push_back({last, std::string(status.message())});
+    } else if (const auto status = CheckStored(last, **bytes, &journal, &report.entries);
+               !status.ok()) {
+      report.damaged.push_back({last, std::string(status.message())});
     }
     journal.clear();
   };

@@ -1,3 +1,4 @@
+# shellcheck shell=bash
 # Functions for the recipes that run `spikeserve imitate`, which source this file. A recipe is called with SPIKETRAIN and
 # OUT_DIR. A recipe that was interrupted continues when it is run again.
 #

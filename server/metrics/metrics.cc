@@ -76,7 +76,7 @@ prometheus::Labels With(const prometheus::Labels& labels, const char* label,
 
 }  // namespace
 
-Metrics::Metrics()
+Metrics::Metrics()  // #lizard forgives(length): a table
     : decisions_(
           Register(BuildCounter(), "spikeserve_decisions_total",
                    "Decisions computed. Retries are answered from storage and not counted.")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -129,8 +130,7 @@ def evaluate(
         if isinstance(env, str):
             stack.callback(native.close)
         environment = FlatEnvironment(native)
-        spec = native.spec
-        env_id = str(native if spec is None else spec.id)
+        env_id = str(native if native.spec is None else native.spec.id)
         name = policy or choose_policy(client.list_policies(), env_id).name
         reopen = settings.learning is None  # a new session would have lost the learned head
         session = stack.enter_context(client.open_session(name, settings, reopen=reopen))
@@ -139,14 +139,20 @@ def evaluate(
         opening.check_action_space(as_action_space(environment.action_space))
         check_observation_space(environment.observation_space, opening.observation_size, name)
         result = Evaluation(env_id, name, opening.version, [])
-        try:
-            for episode in range(episodes):
-                result.episodes.append(_play(environment, session, seed + episode, distance))
-        except SpikeserveError as error:
-            if not result.episodes:
-                raise
-            raise EvaluationStoppedError(error, result, episodes) from error
+        play = functools.partial(_play, environment, session, distance=distance)
+        _play_all(result, play, range(seed, seed + episodes))
         return result
+
+
+def _play_all(result: Evaluation, play: Callable[[int], EpisodeSummary], seeds: range) -> None:
+    """Adds the episodes of `seeds` to `result`. Raises EvaluationStoppedError after the first."""
+    try:
+        for seed in seeds:
+            result.episodes.append(play(seed))
+    except SpikeserveError as error:
+        if not result.episodes:
+            raise
+        raise EvaluationStoppedError(error, result, len(seeds)) from error
 
 
 def _make_environment(

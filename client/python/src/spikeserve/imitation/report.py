@@ -48,8 +48,7 @@ class Account:
 
 def write_report(path: pathlib.Path, account: Account, result: _Result, insight: Insight) -> None:
     """Writes the report, and beside it metadata.json with the same figures and all settings."""
-    name, chosen, stages = account.name, account.chosen, account.stages
-    settings, journal = account.settings, account.journal
+    name, settings, stages = account.name, account.settings, account.stages
     figures = {
         "expert": result.expert_figures,
         f"{name}/1, float32": result.figures,
@@ -59,7 +58,7 @@ def write_report(path: pathlib.Path, account: Account, result: _Result, insight:
     metadata: dict[str, Any] = {
         "settings": settings,
         "reasons": account.reasons,
-        "chosen_stage": chosen,
+        "chosen_stage": account.chosen,
         "figures": {title: value.to_json() for title, value in figures.items()},
         "random_actions": insight.chance.to_json(),
         "stages": {stage: value.to_json() for stage, value in stages.items()},
@@ -72,37 +71,13 @@ def write_report(path: pathlib.Path, account: Account, result: _Result, insight:
     }
     path.with_name("metadata.json").write_text(json.dumps(metadata, indent=2) + "\n")
     lines = [
-        f"# {settings['environment']}, imitating {settings['expert']}",
-        "",
-        f"Starts: {len(result.figures.returns)} that neither training nor selection used "
-        f"(environment seeds from {result.figures.first_seed} on).",
-        "",
-        *_delays(account.delays),
-        *_table(("", "return", "spikes per decision"), [_row(*item) for item in figures.items()]),
-        "",
-        f"{insight.share:.1%} of the way from random actions to the expert. Random actions return "
-        f"{insight.chance} on {len(insight.chance.returns)} other starts.",
-        "",
-        *_baselines(result, insight),
+        *_introduction(account, result, insight, figures),
         "## What to try next",
         "",
         *[f"- {line}" for line in metadata["advice"]],
         "",
         *_errors(insight),
-        "## Stages",
-        "",
-        f"Every stage played the same {len(stages[chosen].returns)} other starts. The policy is "
-        f"that of `{chosen}`: the last stage whose return holds.",
-        "",
-        *_table(
-            ("stage", "return", "spikes per decision", "seconds of training"),
-            [
-                (*_row(f"`{stage}`", value), _seconds(journal, stage))
-                for stage, value in stages.items()
-            ],
-        ),
-        *_seeds(stages),
-        "",
+        *_stages(account),
         "## Serve it",
         "",
         "```",
@@ -118,6 +93,48 @@ def write_report(path: pathlib.Path, account: Account, result: _Result, insight:
         ),
     ]
     path.write_text("\n".join(lines) + "\n")
+
+
+def _introduction(
+    account: Account, result: _Result, insight: Insight, figures: dict[str, Figures]
+) -> list[str]:
+    """Returns the returns of the policy, the expert and what it is compared with."""
+    settings = account.settings
+    return [
+        f"# {settings['environment']}, imitating {settings['expert']}",
+        "",
+        f"Starts: {len(result.figures.returns)} that neither training nor selection used "
+        f"(environment seeds from {result.figures.first_seed} on).",
+        "",
+        *_delays(account.delays),
+        *_table(("", "return", "spikes per decision"), [_row(*item) for item in figures.items()]),
+        "",
+        f"{insight.share:.1%} of the way from random actions to the expert. Random actions return "
+        f"{insight.chance} on {len(insight.chance.returns)} other starts.",
+        "",
+        *_baselines(result, insight),
+    ]
+
+
+def _stages(account: Account) -> list[str]:
+    """Returns the figures of each stage of the training."""
+    stages, chosen = account.stages, account.chosen
+    return [
+        "## Stages",
+        "",
+        f"Every stage played the same {len(stages[chosen].returns)} other starts. The policy is "
+        f"that of `{chosen}`: the last stage whose return holds.",
+        "",
+        *_table(
+            ("stage", "return", "spikes per decision", "seconds of training"),
+            [
+                (*_row(f"`{stage}`", value), _seconds(account.journal, stage))
+                for stage, value in stages.items()
+            ],
+        ),
+        *_seeds(stages),
+        "",
+    ]
 
 
 def _delays(delays: Delays) -> list[str]:
