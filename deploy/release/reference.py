@@ -1,9 +1,9 @@
-"""Writes the generated pages of docs/reference: flags, files, metrics, errors and policies.
+"""Writes the generated pages of docs/reference: flags, files, metrics, alerts, errors and policies.
 
 usage: reference.py BIN_DIR OUT_DIR
 
-Flags and files come from the manuals of the programs in BIN_DIR, metrics from the sources of the server, errors from the
-exceptions of the Python client, which have the names of the wire contract, policies from the records of the shipped files.
+Flags and files come from the manuals of the programs in BIN_DIR, metrics from the sources of the server, alerts from the
+rules of Prometheus, errors from the exceptions of the Python client, which have the names of the wire contract, policies from the records of the shipped files.
 """
 
 import ast
@@ -84,9 +84,29 @@ def metrics_page():
             kind = "counter" if metric[1].endswith("_total") else kind
             rows[metric[1]] = (kind, cell("".join(ast.literal_eval(f"({metric[2]})"))))
     page = "# Metrics\n\n" + NOTE.format("the sources of the server")
-    page += "[Watching a server](../guides/watching.md) draws them, and describes the alerts.\n"
+    page += "[Watching a server](../guides/watching.md) draws them, and [alerts](alerts.md) use them.\n"
     page += "\n| metric | kind | meaning |\n| --- | --- | --- |\n"
     return page + "".join(f"| `{name}` | {kind} | {text} |\n" for name, (kind, text) in sorted(rows.items()))
+
+
+def alerts_page():
+    text = (ROOT / "deploy/prometheus/alerts.yml").read_text()
+    page = "# Alerts\n\n" + NOTE.format("deploy/prometheus/alerts.yml")
+    page += "They fire after the last duration. [Watching a server](../guides/watching.md#the-alerts) sets them up.\n"
+    page += "\n| alert | severity | what is wrong | threshold | over | after | what to check |\n| --- " + "| --- " * 6 + "|\n"
+    for rule in re.split(r"\n +- (?=alert: |record: )", text):
+        if not rule.startswith("alert: "):
+            continue
+        expression = re.search(r"expr: (.*?)\n +(?:for|labels):", rule, re.DOTALL)[1]
+        threshold = re.search(r"(?:[<>]|==) *([\d.]+)", expression)[0]
+        window, wait = (re.search(pattern, rule) for pattern in (r"\[(\d+\w)\]", r"\n +for: (\w+)"))
+        name, severity, wrong, check = (
+            re.search(rf'{key}: "?(.*?)"?\n', rule + "\n")[1] for key in ("alert", "severity", "description", "runbook")
+        )
+        times = (match[1] if match else "" for match in (window, wait))
+        row = (f"`{name}`", severity, cell(wrong), cell(threshold), *times, cell(check.replace('\\"', '"')))
+        page += f"| {' | '.join(row)} |\n"
+    return page
 
 
 def errors_page():
@@ -145,6 +165,7 @@ def main(programs, out):
         "flags.md": flags_page(manuals),
         "files.md": files_page(manuals),
         "metrics.md": metrics_page(),
+        "alerts.md": alerts_page(),
         "errors.md": errors_page(),
         "policies.md": policies_page(),
     }

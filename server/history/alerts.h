@@ -38,11 +38,11 @@ struct AlertInput {
 // A rule of deploy/prometheus/alerts.yml.
 struct AlertRule {
   const char* name;
-  const char* severity;     // critical or warning
-  const char* description;  // what is wrong while it fires, as a sentence
-  double threshold;
-  absl::Duration window;  // over which the value is computed; zero: the present value
-  absl::Duration wait;    // for which the condition must hold before the alert fires
+  const char* severity;         // critical or warning
+  const char* description;      // what is wrong while it fires, as a sentence
+  std::vector<double> figures;  // with which the expression compares, the threshold first
+  absl::Duration window;        // over which the value is computed; zero: the present value
+  absl::Duration wait;          // for which the condition must hold before the alert fires
   // Returns what the condition holds for.
   std::vector<AlertInstance> (*evaluate)(const AlertRule& rule, const AlertInput& input);
 };

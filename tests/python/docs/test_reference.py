@@ -8,7 +8,7 @@ import sys
 import pytest
 
 ROOT = pathlib.Path(__file__).parents[3]
-PAGES = ("flags.md", "files.md", "metrics.md", "errors.md", "policies.md")
+PAGES = ("flags.md", "files.md", "metrics.md", "alerts.md", "errors.md", "policies.md")
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,7 @@
 """Compares the alerts of the status page with those of deploy/prometheus.
 
 promtool runs deploy/prometheus/alerts_test.yml with alerts.yml (test_watching.py). Here the server's own rules get the
-same figures and must fire at the same times, and their thresholds, windows and waiting times must be those of
-alerts.yml.
+same figures and must fire at the same times.
 """
 
 import collections
@@ -16,16 +15,6 @@ import yaml
 
 from serving import DEPLOY
 
-RULES = {
-    rule["alert"]: rule
-    for rule in yaml.safe_load((DEPLOY / "prometheus/alerts.yml").read_text())["groups"][0]["rules"]
-    if "alert" in rule
-}
-RECORDED = {
-    rule["record"]: rule["expr"]
-    for rule in yaml.safe_load((DEPLOY / "prometheus/alerts.yml").read_text())["groups"][0]["rules"]
-    if "record" in rule
-}
 # Everything is text for this loader; to others, 0x20 (twenty-one zeros) is a hexadecimal number.
 TESTS = yaml.load((DEPLOY / "prometheus/alerts_test.yml").read_text(), Loader=yaml.BaseLoader)["tests"]
 # Prometheus itself observes whether a server can be scraped; the page, whether it answers.
@@ -135,26 +124,13 @@ def test_the_page_fires_when_prometheus_does(test):
             assert firing(at) == expected_alerts(expectation, instance), f"{instance} after {time}"
 
 
-def page_rules():
+def test_the_page_has_every_alert_of_prometheus():
     [alerts] = replay({}, 60, 0)
-    return {alert["name"]: alert for alert in alerts}
-
-
-def test_the_page_has_every_alert():
-    assert list(page_rules()) == list(RULES)
-
-
-@pytest.mark.parametrize("name", RULES)
-def test_thresholds_are_equal(name):
-    rule, page = RULES[name], page_rules()[name]
-    expression = rule["expr"]
-    for recorded, body in RECORDED.items():
-        expression = expression.replace(recorded, body)
-    assert page["severity"] == rule["labels"]["severity"]
-    assert page["for_seconds"] == seconds(rule.get("for", "0s"))
-    windows = [seconds(window) for window in re.findall(r"\[(\w+)\](?! offset)", expression)]
-    assert page["window_seconds"] == (max(windows) if windows else 0)
-    if name == NOT_IN_THE_SERVER:
-        return
-    numbers = [float(number) for number in re.findall(r"[<>]=?\s*(-?[\d.]+)", expression)]
-    assert page["threshold"] in numbers, f"{name}: expected one of {numbers} in alerts.yml"
+    groups = yaml.safe_load((DEPLOY / "prometheus/alerts.yml").read_text())["groups"]
+    rules = [rule for rule in groups[0]["rules"] if "alert" in rule]
+    expected = [
+        (rule["alert"], rule["labels"]["severity"], rule["annotations"]["description"], seconds(rule.get("for", "0s")))
+        for rule in rules
+    ]
+    received = [(alert["name"], alert["severity"], alert["description"], alert["for_seconds"]) for alert in alerts]
+    assert received == expected
