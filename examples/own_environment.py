@@ -2,7 +2,7 @@
 
 usage: python examples/own_environment.py FOLDER
 
-Needs pip install ./client/python/engine "./client/python[imitation]", and the programs of `make build` in PATH.
+Needs pip install ./client/python/engine ./client/python "./train/python[imitation]", and the programs of `make build` in PATH.
 """
 
 import subprocess

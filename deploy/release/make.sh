@@ -65,10 +65,12 @@ python_packages() {
   local name found pythons=()
   say "Python packages"
   git clone --quiet "$root" "$work/clone"  # wheels keep the modes of their sources
-  (cd "$work/clone/client/python" && "$python" -c "import hatchling.build as build; build.build_sdist('$out')" >/dev/null)
+  for name in client train; do
+    (cd "$work/clone/$name/python" && "$python" -c "import hatchling.build as build; build.build_sdist('$out')" >/dev/null)
+  done
   engine_sdist
   "$python" -m pip wheel --quiet --disable-pip-version-check --no-build-isolation --no-deps --wheel-dir="$out" \
-    "$work/clone/client/python"
+    "$work/clone/client/python" "$work/clone/train/python"
   for name in ${PYTHONS-3.10 3.11 3.12 3.13}; do
     if found=$(interpreter "$name"); then
       pythons+=("$found")

@@ -2,7 +2,7 @@
 # Functions for the recipes that run `spikeserve imitate`, which source this file. A recipe is called with SPIKETRAIN and
 # OUT_DIR. A recipe that was interrupted continues when it is run again.
 #
-# PYTHON is a Python with spikeserve[imitation], spikeserve-engine and the package of the environment; default: python3.
+# PYTHON is a Python with spikeserve-train[imitation], spikeserve-engine and the package of the environment; default: python3.
 set -euo pipefail
 usage="usage: $0 SPIKETRAIN OUT_DIR"
 spiketrain=${1:?$usage}

@@ -30,6 +30,12 @@ def test_a_source_distribution_is_enough_to_install(tmp_path):
     version, file = run("-c", script, env=os.environ | {"PYTHONPATH": str(target)}).split()
     assert version == os.environ["SPIKESERVE_VERSION"]
     assert pathlib.Path(file).is_relative_to(target)
+    # The client alone, as a robot installs it, names what is missing.
+    commands = [sys.executable, "-m", "spikeserve", "imitate"], [sys.executable, "-c", "import spikeserve; spikeserve.imitate"]
+    for command in commands:
+        refused = subprocess.run(command, env=os.environ | {"PYTHONPATH": str(target)}, capture_output=True, text=True)
+        assert refused.returncode
+        assert "expected the package spikeserve-train (pip install ./train/python in a checkout" in refused.stderr
 
 
 def test_the_contract_compiles_where_no_protos_of_protobuf_are_installed(tmp_path):

@@ -415,7 +415,7 @@ def test_a_missing_package_names_the_extra(module, form, tmp_path):
     arguments = ["convert", str(tmp_path / "robot"), str(tmp_path / "out-v0"), f"--to={form}"]
     done = subprocess.run([sys.executable, "-c", blocked, *arguments], capture_output=True, text=True)
     assert done.returncode == 1
-    expected = f"{module}: expected the package, which the extra [robots] of the client installs, received none"
+    expected = f"{module}: expected the package, which the extra [robots] of spikeserve-train installs, received none"
     assert done.stderr == f"spikeserve convert: {expected}\n"
     assert [path.name for path in pathlib.Path(tmp_path).iterdir()] == ["robot"]
 

@@ -51,13 +51,14 @@ def test_a_release_has_everything(dist):
     packages = [name.split("_")[0] for name in names(dist, "*.deb")]
     assert {"spikeserve", "spikeserve-tools", "libspikeserve-dev"} <= set(packages)
     tag = f"cp{OWN_VERSION.replace('.', '')}"
-    [engine, client] = names(dist, "*.whl")
-    assert re.match(rf"spikeserve-{VERSION}-py3-none-any\.whl", engine) or engine.startswith("spikeserve-")
-    assert re.match(rf"spikeserve_engine-{VERSION}-{tag}-{tag}-manylinux", client)
+    [client, engine, train] = names(dist, "*.whl")
+    assert (client, train) == (f"spikeserve-{VERSION}-py3-none-any.whl", f"spikeserve_train-{VERSION}-py3-none-any.whl")
+    assert re.match(rf"spikeserve_engine-{VERSION}-{tag}-{tag}-manylinux", engine)
     assert names(dist, "*.tar.gz") == [
         f"spikeserve-{VERSION}.src.tar.gz",
         f"spikeserve-{VERSION}.tar.gz",
         f"spikeserve_engine-{VERSION}.tar.gz",
+        f"spikeserve_train-{VERSION}.tar.gz",
     ]
 
 
@@ -109,6 +110,7 @@ def test_the_python_packages_install_in_an_empty_environment(dist, kind, tmp_pat
     policy = SHIPPED_POLICIES / "cartpole-small/1/policy.safetensors"
     script = (
         "import spikeserve, spikeserve.engine, spikeserve_engine\n"
+        "assert spikeserve.imitate\n"
         f"session = spikeserve.engine.Engine({str(policy)!r}).session()\n"
         "print(session.act([0.01, 0.0, 0.02, 0.0]).action, spikeserve_engine.__file__)"
     )
@@ -119,10 +121,10 @@ def test_the_python_packages_install_in_an_empty_environment(dist, kind, tmp_pat
 
 def test_no_hint_names_a_package_that_nobody_published():
     """Anybody may register the name of an unpublished package, so no text may tell people to install it by its name."""
-    by_name = re.compile(r"pip install [^\n]*(?<![\w/.-])spikeserve(-engine)?(\[[\w,]*\])?(?![\w/.-])")
+    by_name = re.compile(r"pip install [^\n]*(?<![\w/.-])spikeserve(-engine|-train)?(\[[\w,]*\])?(?![\w/.-])")
     for path in run("git", "-C", ROOT, "ls-files").splitlines():
         file = ROOT / path
         if file.suffix in {".md", ".py", ".sh", ".toml", ".txt", ".cc"} and file.is_file() and file.name != "test_release.py":
             assert not by_name.search(file.read_text()), path
-    requirements = (ROOT / "client/python/pyproject.toml").read_text()
-    assert '"spikeserve-engine' not in requirements
+    for package in ("client", "train"):
+        assert '"spikeserve-engine' not in (ROOT / package / "python/pyproject.toml").read_text()

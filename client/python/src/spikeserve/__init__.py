@@ -3,12 +3,13 @@
 Start with `Client` and `Session`, on a robot with `Pilot`. `VectorSession` acts in Gymnasium
 vector environments. `AsyncClient` is the client for asyncio. `evaluate` plays whole episodes.
 `AdminClient` has the calls of operators. The module `spikeserve.export` writes policy files.
-`spikeserve.engine` plays them without a server, and `imitate` trains them for any Gymnasium
-environment.
+`spikeserve.engine` plays them without a server. The package spikeserve-train adds `imitate`, which
+trains them for any Gymnasium environment.
 """
 
 import importlib.metadata
 import pkgutil
+from typing import Any
 
 from spikeserve.admin import AdminClient, AsyncAdminClient
 from spikeserve.async_client import AsyncClient
@@ -33,7 +34,6 @@ from spikeserve.errors import (
 )
 from spikeserve.evaluation import Evaluation, EvaluationStoppedError, evaluate
 from spikeserve.explanation import Attention, Explanation, RoutingGates, SpikeRaster, Token
-from spikeserve.imitating import imitate
 from spikeserve.piloting.pilot import Pilot
 from spikeserve.piloting.pilot_options import PilotAction, PilotOptions
 from spikeserve.piloting.pilot_stats import PilotStats
@@ -55,10 +55,12 @@ from spikeserve.values import (
 )
 from spikeserve.vector_session import VectorSession
 
+TRAIN = "spikeserve-train (pip install ./train/python in a checkout, or its wheel)"
 __version__ = importlib.metadata.version("spikeserve")
 
 # Code that protoc generates from the wire contract is in folders spikeserve/v1 elsewhere on the
-# path. So it is importable beside this package, as spikeserve.v1.policy_service_pb2.
+# path. So it is importable beside this package, as spikeserve.v1.policy_service_pb2. So are the
+# modules of the package spikeserve-train (train/python).
 __path__ = pkgutil.extend_path(__path__, __name__)
 
 __all__ = [
@@ -112,5 +114,15 @@ __all__ = [
     "VectorSession",
     "__version__",
     "evaluate",
-    "imitate",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Returns `imitate` of the package spikeserve-train."""
+    if name != "imitate":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        from spikeserve.imitating import imitate
+    except ModuleNotFoundError as error:
+        raise AttributeError(f"imitate: expected the package {TRAIN}, received none") from error
+    return imitate

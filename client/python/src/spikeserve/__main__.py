@@ -1,12 +1,12 @@
-"""The commands of the package: `python -m spikeserve imitate` and `convert`."""
+"""The commands `python -m spikeserve imitate` and `convert`, of the package spikeserve-train."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
 
-from spikeserve.conversion import command as convert_command
-from spikeserve.imitation import command as imitate_command
+from spikeserve import TRAIN
 
 
 def main() -> int:
@@ -15,8 +15,14 @@ def main() -> int:
         prog="python -m spikeserve", description="Commands of spikeserve"
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    imitate_command.add_command(commands)
-    convert_command.add_command(commands)
+    try:
+        for module in ("spikeserve.imitation", "spikeserve.conversion"):
+            importlib.import_module(f"{module}.command").add_command(commands)
+    except ModuleNotFoundError as error:
+        if error.name not in ("spikeserve.imitation", "spikeserve.conversion"):
+            raise
+        print(f"spikeserve: expected the package {TRAIN}, received none", file=sys.stderr)
+        return 2
     arguments = parser.parse_args()
     status: int = arguments.run(arguments)
     return status

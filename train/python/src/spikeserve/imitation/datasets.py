@@ -25,7 +25,7 @@ def check_packages() -> None:
     """ValueError if a package that Minari imports only when it writes or reads is missing."""
     for package in ("h5py", "PIL"):
         found = importlib.util.find_spec(package) is not None
-        check(found, package, "the package, which spikeserve[imitation] installs", None)
+        check(found, package, "the package, which spikeserve-train[imitation] installs", None)
 
 
 def write_dataset(

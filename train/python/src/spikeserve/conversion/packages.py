@@ -14,6 +14,6 @@ def package(name: str) -> Any:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         missing = (error.name or name).partition(".")[0]
-        expected = "the package, which the extra [robots] of the client installs"
+        expected = "the package, which the extra [robots] of spikeserve-train installs"
         check(missing != name.partition(".")[0], missing, expected, "none")
         raise

@@ -30,9 +30,9 @@ def imitate(
     equal arguments continues an interrupted run, and equal arguments give an equal policy. A run
     with other arguments in the same folder is refused; `overwrite` deletes it and begins anew.
 
-    Needs the extra `spikeserve[imitation]` and the program `spiketrain`: the argument, $SPIKETRAIN,
-    or on PATH. ValueError for an environment or expert that cannot be used, before anything is
-    recorded.
+    Needs the extra `spikeserve-train[imitation]` and the program `spiketrain`: the argument,
+    $SPIKETRAIN, or on PATH. ValueError for an environment or expert that cannot be used, before
+    anything is recorded.
     """
     from spikeserve.imitation import pipeline  # its dependencies are optional
 

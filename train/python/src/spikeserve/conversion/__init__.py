@@ -4,7 +4,7 @@
 
     convert("robot/logs", "datasets/robot-v0", to="minari", selection=Selection(action="/command"))
 
-The packages that the formats need are those of the extra `[robots]`.
+The packages that the formats need are those of the extra `[robots]` of spikeserve-train.
 """
 
 from spikeserve.conversion.converting import FORMATS, convert, format_of
