@@ -8,9 +8,18 @@ import sys
 from serving import DEADLINE_SECONDS
 
 
+class Address(str):
+    """ws://HOST:PORT of a gateway, with the id of its process."""
+
+    def __new__(cls, text, pid):
+        address = super().__new__(cls, text)
+        address.pid = pid
+        return address
+
+
 @contextlib.contextmanager
 def running_gateway(server, *flags, token=""):
-    """Starts a gateway of openpi on a free port and yields its address, ws://HOST:PORT."""
+    """Starts a gateway of openpi on a free port and yields its Address."""
     environment = os.environ | {"SPIKESERVE_TOKEN": token}
     command = [sys.executable, "-m", "spikeserve.gateway", "--openpi", f"--server={server}", "--listen=127.0.0.1:0"]
     gateway = subprocess.Popen([*command, *flags], stdout=subprocess.PIPE, text=True, env=environment)
@@ -18,7 +27,7 @@ def running_gateway(server, *flags, token=""):
     try:
         line = gateway.stdout.readline()
         assert line.startswith(announcement), f"stdout: expected {announcement!r}, received {line!r}"
-        yield line.removeprefix(announcement).strip()
+        yield Address(line.removeprefix(announcement).strip(), gateway.pid)
         gateway.terminate()
         assert gateway.wait(timeout=DEADLINE_SECONDS) == 0
     finally:

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import pathlib
 import subprocess
 import sys
 import unittest.mock
@@ -166,6 +167,67 @@ def test_bad_input_gets_the_error_of_the_protocol(gateway):
         assert policy.infer({"observation": np.zeros(4)})["step"] == 0
 
 
+HEADERS = {
+    "an array of nothing": b"\xdd\x00\xff\xff\xff" + b"\xc0" * 0xFFFFFF,
+    "a map of nothing": b"\xdf\x00\x7f\xff\xff" + b"\xc0" * 0xFFFFFF,
+    "lists of lists": b"\xdc\x10\x00" + (b"\xdc\x10\x00" + b"\x90" * 4096) * 4096,
+    "a length without its values": b"\xdd\xff\xff\xff\xff",
+    "many short maps": b"\xdd\x00\x40\x00\x00" + b"\x82\xa1a\x01\xa1b\x02" * 0x400000,
+}
+
+
+@pytest.mark.parametrize("frame", HEADERS.values(), ids=HEADERS)
+def test_lengths_are_bounded_before_anything_is_made(gateway, frame):
+    with WebsocketClientPolicy(gateway) as policy:
+        policy.ws.send(frame[: 16 << 20])
+        assert policy.ws.recv() == (
+            "message: expected at most 4096 values; send numbers as arrays, received more"
+        )
+        assert policy.infer({"observation": [0.0] * 4, "image": np.zeros((1000, 1000, 3), np.uint8)})["step"] == 0
+
+
+def test_large_frames_take_no_memory_and_stop_no_robot(server):
+    """Three at a time, as large as they may be. Another robot goes on, and the gateway stays small."""
+    frame = HEADERS["many short maps"][: 16 << 20]
+
+    def peak(pid):
+        status = pathlib.Path(f"/proc/{pid}/status").read_text()
+        return int(status.split("VmHWM:")[1].split()[0]) >> 10  # MiB
+
+    with running_gateway(server, "--policy=cartpole") as address:
+        with contextlib.ExitStack() as stack:
+            robot, *attackers = (stack.enter_context(WebsocketClientPolicy(address)) for _ in range(4))
+            before = peak(address.pid)
+            for step in range(3):
+                for attacker in attackers:
+                    attacker.ws.send(frame)
+                assert robot.infer({"observation": np.zeros(4)})["step"] == step
+                for attacker in attackers:
+                    assert attacker.ws.recv().startswith("message: expected at most 4096 values")
+        # Each frame once as it is received and once as a whole.
+        assert peak(address.pid) - before < 3 * 2 * 16 + 32
+
+
+def test_texts_of_errors_are_bounded(gateway):
+    long = "x" * (10 << 20)
+    messages = [
+        {long: 0},
+        {"observation": {b"__ndarray__": True, b"dtype": long, b"data": b"", b"shape": []}},
+        {"observation": {b"__ndarray__": True, b"dtype": "<f4", b"data": b"", b"shape": [long]}},
+        {"observation": {b"__npgeneric__": True, b"dtype": "<f4", b"data": long}},
+        {"observation": np.full(1 << 20, np.nan)},
+        {"observation": {long: np.zeros(4)}},
+        {"observation": np.zeros(4), "reward": long},
+        {str(i): i for i in range(2000)},
+    ]
+    with WebsocketClientPolicy(gateway) as policy:
+        for message in messages:
+            with pytest.raises(RuntimeError) as refused:
+                policy.infer(message)
+            assert len(str(refused.value)) < 2000
+        assert policy.infer({"observation": np.zeros(4)})["step"] == 0
+
+
 def test_what_is_too_much_is_refused(server):
     with running_gateway(server, "--policy=cartpole", "--max-connections=1", "--max-message-bytes=999") as address:
         with WebsocketClientPolicy(address) as policy:
@@ -241,15 +303,16 @@ def test_health_and_web_pages(gateway):
 
 
 def test_api_keys_are_the_tokens_of_the_server(tokens):
+    others = ("Bearer nope", "Bearer agent", "agent", "api-key agent", "Basic YTph", "")
     with running_server(flags=[f"--tokens={tokens}"]) as server:
-        with running_gateway(server.grpc, "--policy=cartpole", token="agent") as address:
-            with WebsocketClientPolicy(address) as policy:  # on this machine with the gateway's own
-                assert policy.infer({"observation": np.zeros(4)})["step"] == 0
-            with WebsocketClientPolicy(address, api_key="agent") as policy:
-                assert policy.infer({"observation": np.zeros(4)})["step"] == 0
-            with pytest.raises(websockets.InvalidStatus) as refused:
-                WebsocketClientPolicy(address, api_key="wrong")
-            assert refused.value.response.status_code == 401
+        for own in ("agent", ""):  # the gateway's, which it lends to nobody
+            with running_gateway(server.grpc, "--policy=cartpole", token=own) as address:
+                with WebsocketClientPolicy(address, api_key="agent") as policy:
+                    assert policy.infer({"observation": np.zeros(4)})["step"] == 0
+                for headers in (None, *({"Authorization": each} for each in ("Api-Key wrong", *others))):
+                    with pytest.raises(websockets.InvalidStatus) as refused:
+                        connect(address, additional_headers=headers)
+                    assert refused.value.response.status_code == 401, headers
 
 
 def test_a_lost_session_ends_the_connection(tmp_path):

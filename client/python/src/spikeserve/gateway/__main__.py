@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import ipaddress
 import pathlib
 import signal
 import sys
@@ -46,13 +45,6 @@ def _address(listen: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-def _is_local(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
 async def _serve(arguments: argparse.Namespace) -> None:
     try:
         from spikeserve.gateway.openpi import GatewaySettings, OpenpiGateway, run
@@ -81,8 +73,7 @@ async def _serve(arguments: argparse.Namespace) -> None:
             credentials=credentials,
             max_connections=arguments.max_connections,
             max_message_bytes=arguments.max_message_bytes,
-            # Whoever reaches another address needs a token of their own.
-            token=ClientOptions().token if _is_local(host) else "",
+            token=ClientOptions().token,
         )
     )
     stop = asyncio.Event()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import pathlib
 from collections.abc import Mapping
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 from spikeserve.check import check
 from spikeserve.gateway.numpy_msgpack import Undecoded
 
+_MOST_NAMES, _LONGEST_NAME = 20, 64  # of entries in an error
+
 
 @dataclass(frozen=True)
 class Part:
@@ -24,8 +27,11 @@ class Part:
     size: int | None = None  # of the flattened entry; None: any
     scale: float = 1.0  # the numbers are multiplied by this
 
-    def read(self, observation: Mapping[Any, Any]) -> NDArray[np.float32]:
-        """Returns the numbers. ValueError, which names the key, for a missing or wrong entry."""
+    def read(self, observation: Mapping[Any, Any], most: int) -> NDArray[np.float32]:
+        """Returns at most `most` numbers.
+
+        ValueError, which names the key, for a missing or wrong entry.
+        """
         value = _find(observation, self.key)
         try:
             array = np.asarray(value)
@@ -33,7 +39,7 @@ class Part:
             array = np.asarray(None)
         _check_decoded(value, self.key)
         check(array.dtype.kind in "biuf", self.key, "numbers", _kind(value))
-        flat = array.ravel().astype(np.float64) * self.scale
+        flat = array.ravel()  # an image that is named by mistake is not converted
         if self.size is not None:
             shape = f"shape {array.shape}"
             check(flat.size == self.size, self.key, f"{self.size} numbers", shape)
@@ -41,8 +47,10 @@ class Part:
             largest = max(self.elements)
             check(largest < flat.size, self.key, f"at least {largest + 1} numbers", flat.size)
             flat = flat[list(self.elements)]
-        check(bool(np.isfinite(flat).all()), self.key, "finite numbers", flat.tolist())
-        return flat.astype(np.float32)
+        check(flat.size <= most, self.key, f"{most} numbers, as the policy observes", flat.size)
+        numbers = flat.astype(np.float64) * self.scale
+        check(bool(np.isfinite(numbers).all()), self.key, "finite numbers", numbers.tolist())
+        return numbers.astype(np.float32)
 
     @property
     def length(self) -> int | None:
@@ -84,7 +92,7 @@ class ObservationMapping:
         """
         is_dict = isinstance(observation, dict)
         check(is_dict, "observation", "a dictionary", type(observation).__name__)
-        vector = np.concatenate([part.read(observation) for part in self.observation])
+        vector = np.concatenate([part.read(observation, size) for part in self.observation])
         keys = " + ".join(part.key for part in self.observation)
         check(vector.size == size, keys, f"{size} numbers, as the policy observes", vector.size)
         return Step(
@@ -104,7 +112,9 @@ def _find(observation: Mapping[Any, Any], key: str) -> Any:
     inner = observation.get(head)
     if separator and isinstance(inner, dict):
         return _find(inner, rest)
-    known = ", ".join(sorted(str(name) for name in observation)) or "nothing"
+    names = [str(name)[:_LONGEST_NAME] for name in itertools.islice(observation, _MOST_NAMES)]
+    more = f" and {len(observation) - len(names)} more" if len(observation) > len(names) else ""
+    known = ", ".join(sorted(names)) + more or "nothing"
     raise ValueError(f"{key}: expected an entry, received a dictionary of {known}")
 
 

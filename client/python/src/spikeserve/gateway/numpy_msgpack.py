@@ -17,6 +17,7 @@ from spikeserve.check import check
 
 _KINDS = "biuf"  # bool, int, unsigned, float: types that hold no pointers
 _MOST_DIMENSIONS = 8
+MOST_VALUES = 4096  # of a message; an array of numbers is one, and its description six
 
 
 def pack(value: Any) -> bytes:
@@ -34,6 +35,7 @@ class Undecoded:
 
 def unpack(data: bytes) -> Any:
     """Decodes what openpi-client sends. ValueError for anything else."""
+    _check_lengths(data)
     try:
         return msgpack.unpackb(data, object_hook=_unpack_array, strict_map_key=False)
     except msgpack.exceptions.ExtraData as error:
@@ -42,6 +44,52 @@ def unpack(data: bytes) -> Any:
         raise ValueError(f"message: expected MessagePack, received other bytes: {error}") from error
     except UnicodeDecodeError as error:
         raise ValueError("message: expected texts in UTF-8, received other bytes") from error
+
+
+# By the first byte of a value: the bytes of the number behind it, and what this number counts.
+_SIZED = {
+    **dict.fromkeys((0xC4, 0xD9), (1, "bytes")),
+    **dict.fromkeys((0xC5, 0xDA), (2, "bytes")),
+    **dict.fromkeys((0xC6, 0xDB), (4, "bytes")),
+    **dict(zip((0xC7, 0xC8, 0xC9), ((1, "typed"), (2, "typed"), (4, "typed")), strict=True)),
+    **dict(zip((0xDC, 0xDD), ((2, "values"), (4, "values")), strict=True)),
+    **dict(zip((0xDE, 0xDF), ((2, "pairs"), (4, "pairs")), strict=True)),
+}
+# By the first byte of a value of fixed length: the bytes behind it.
+_FIXED = {
+    **dict.fromkeys((0xC0, 0xC2, 0xC3), 0),
+    **{0xCA: 4, 0xCB: 8, 0xCC: 1, 0xCD: 2, 0xCE: 4, 0xCF: 8, 0xD0: 1, 0xD1: 2, 0xD2: 4, 0xD3: 8},
+    **{0xD4 + i: 1 + (1 << i) for i in range(5)},
+}
+
+
+def _check_lengths(data: bytes) -> None:
+    """ValueError if decoding `data` would make more than MOST_VALUES values.
+
+    Reads the lengths alone, and allocates nothing. The numbers of an array are one value. What is
+    no MessagePack passes: the decoder refuses it.
+    """
+    waiting, seen, at = 1, 0, 0
+    while waiting > 0 and at < len(data):
+        first = data[at]
+        at += 1
+        waiting -= 1
+        seen += 1
+        if first in _SIZED:
+            width, what = _SIZED[first]
+            length = int.from_bytes(data[at : at + width], "big")
+            at += width
+            at += {"bytes": length, "typed": length + 1}.get(what, 0)
+            waiting += {"values": length, "pairs": 2 * length}.get(what, 0)
+        elif 0x80 <= first < 0xA0:  # a short dictionary or list
+            waiting += (first & 0x0F) * (2 if first < 0x90 else 1)
+        elif 0xA0 <= first < 0xC0:  # a short text
+            at += first & 0x1F
+        else:
+            at += _FIXED.get(first, 0)
+        if seen + waiting > MOST_VALUES:
+            expected = f"at most {MOST_VALUES} values; send numbers as arrays"
+            raise ValueError(f"message: expected {expected}, received more")
 
 
 def _pack_array(value: Any) -> Any:
@@ -60,7 +108,8 @@ def _pack_array(value: Any) -> Any:
 def _dtype(value: dict[Any, Any]) -> np.dtype[Any]:
     name = value.get(b"dtype")
     expected = "numbers, such as <f4"
-    check(isinstance(name, str) and len(name) <= 8, "array: dtype", expected, name)
+    short = isinstance(name, str) and len(name) <= 8
+    check(short, "array: dtype", expected, type(name).__name__)
     try:
         dtype = np.dtype(str(name))
     except TypeError as error:
@@ -80,9 +129,10 @@ def _unpack_array(value: dict[Any, Any]) -> Any:
 
 def _array_of(value: dict[Any, Any]) -> NDArray[Any]:
     dtype, data, shape = _dtype(value), value.get(b"data"), value.get(b"shape")
-    sizes = isinstance(shape, list) and all(type(n) is int and n >= 0 for n in shape)
-    check(sizes and len(shape or ()) <= _MOST_DIMENSIONS, "array: shape", "sizes", shape)
+    few = isinstance(shape, list) and len(shape) <= _MOST_DIMENSIONS
+    check(few, "array: shape", f"a list of at most {_MOST_DIMENSIONS} sizes", type(shape).__name__)
     assert isinstance(shape, list)
+    check(all(type(n) is int and n >= 0 for n in shape), "array: shape", "sizes", shape)
     expected = int(np.prod(shape, dtype=object)) * dtype.itemsize
     received = len(data) if isinstance(data, bytes) else type(data).__name__
     check(received == expected, "array: data", f"{expected} bytes", received)
@@ -92,7 +142,7 @@ def _array_of(value: dict[Any, Any]) -> NDArray[Any]:
 
 def _number_of(value: dict[Any, Any]) -> Any:
     dtype, data = _dtype(value), value.get(b"data")
-    check(isinstance(data, bool | int | float), "number: data", "a number", data)
+    check(isinstance(data, bool | int | float), "number: data", "a number", type(data).__name__)
     try:
         return dtype.type(data)
     except OverflowError as error:

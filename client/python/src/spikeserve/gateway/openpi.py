@@ -38,6 +38,7 @@ from spikeserve.values import Decision, EpisodeSummary, Policy, SessionOptions
 
 _API_KEY = "Api-Key "  # of the header Authorization, as openpi-client sends it
 _LONGEST_REASON = 120  # bytes, of a close frame
+_LONGEST_ERROR = 1024  # characters, of a text frame
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ class GatewaySettings:
     credentials: grpc.ChannelCredentials | None = None
     max_connections: int = 256
     max_message_bytes: int = 16 << 20
-    # The token of clients that send no API key. An API key is the token of its own connection.
+    # Of the gateway's own call when it starts. A connection has the token of its API key, or none:
+    # whoever reaches the gateway, perhaps through a proxy, does not get the rights of another.
     token: str = ""
 
 
@@ -73,6 +75,7 @@ class OpenpiGateway:
             process_request=self._admit,
             compression=None,
             max_size=self._settings.max_message_bytes,
+            max_queue=1,  # a client that sends faster than it is answered waits
             server_header=None,
         )
 
@@ -83,8 +86,11 @@ class OpenpiGateway:
         if self._connections >= self._settings.max_connections:
             text = f"connections: expected at most {self._settings.max_connections}\n"
             return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, text)
+        token = _token_of(request)
+        if token is None:
+            text = "authorization: expected one header Api-Key TOKEN, received another form\n"
+            return connection.respond(http.HTTPStatus.UNAUTHORIZED, text)
         try:
-            token = self._token_of(request)
             async with self._client(token) as client:
                 await self._find_policy(client)
         except UnauthenticatedError as error:
@@ -94,10 +100,6 @@ class OpenpiGateway:
         except (SpikeserveError, ValueError) as error:
             return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{error}\n")
         return None
-
-    def _token_of(self, request: Any) -> str:
-        header = request.headers.get("Authorization", "")
-        return header[len(_API_KEY) :] if header.startswith(_API_KEY) else self._settings.token
 
     @contextlib.asynccontextmanager
     async def _client(self, token: str) -> AsyncIterator[AsyncClient]:
@@ -119,8 +121,12 @@ class OpenpiGateway:
 
     async def check_policy(self) -> None:
         """ValueError unless the server serves the policy, and the mapping fits it."""
-        async with self._client(self._settings.token) as client:
-            await self._find_policy(client)
+        try:
+            async with self._client(self._settings.token) as client:
+                await self._find_policy(client)
+        except UnauthenticatedError:
+            if self._settings.token:
+                raise  # without one, the tokens of clients decide
 
     async def _find_policy(self, client: AsyncClient) -> Policy:
         name, version = self._settings.policy, self._settings.session.version
@@ -138,7 +144,9 @@ class OpenpiGateway:
     async def _handle(self, connection: ServerConnection) -> None:
         self._connections += 1
         try:
-            async with self._client(self._token_of(connection.request)) as client:
+            token = _token_of(connection.request)
+            assert token is not None  # _admit has refused the others
+            async with self._client(token) as client:
                 await self._converse(connection, client)
         except websockets.ConnectionClosed:
             pass
@@ -161,7 +169,7 @@ class OpenpiGateway:
                     raise
                 except (ValueError, SpikeserveError) as error:
                     # The session is as it was, so the client may continue.
-                    await connection.send(str(error))
+                    await connection.send(_short(error))
                     continue
                 reply["server_timing"] = {"infer_ms": (time.monotonic() - began) * 1000}
                 if previous is not None:
@@ -285,11 +293,26 @@ def _ended(summary: EpisodeSummary) -> dict[str, Any]:
     }
 
 
+def _token_of(request: Any) -> str | None:
+    """Returns the token of the API key, "" without a header; None: the header has another form."""
+    headers: list[str] = request.headers.get_all("Authorization")
+    if not headers:
+        return ""
+    if len(headers) > 1 or not headers[0].startswith(_API_KEY):
+        return None
+    return headers[0][len(_API_KEY) :]
+
+
+def _short(error: Exception) -> str:
+    text = str(error)
+    return text if len(text) <= _LONGEST_ERROR else text[:_LONGEST_ERROR] + "..."
+
+
 async def _fail(connection: ServerConnection, error: SpikeserveError) -> None:
     """Sends an error and closes the connection, as openpi's server does."""
-    print(f"spikeserve gateway: {error}", file=sys.stderr, flush=True)
+    print(f"spikeserve gateway: {_short(error)}", file=sys.stderr, flush=True)
     with contextlib.suppress(websockets.ConnectionClosed):
-        await connection.send(str(error))
+        await connection.send(_short(error))
     reason = str(error).encode()[:_LONGEST_REASON].decode(errors="ignore")
     await connection.close(CloseCode.INTERNAL_ERROR, reason)
 
