@@ -1,9 +1,11 @@
-"""A hook of MkDocs: README.md becomes a page, and files outside docs/ to which pages link come along.
+"""A hook of MkDocs: README.md becomes a page, files outside docs/ to which pages link come along, and pages get a CSP.
 
 A link to such a file leads to its copy below source/ of the site, so that the site has no broken link wherever it is
 served. Links to folders, and to the laboratory, become text with the path.
 """
 
+import base64
+import hashlib
 import posixpath
 import re
 
@@ -12,6 +14,8 @@ from mkdocs.structure.files import File
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 PROJECT = "project.md"
 LABORATORY = "lab/"
+SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)
+STYLE = re.compile(r'<\w+ style="([^"]*)"')  # the columns of a table
 
 
 def _root(config):
@@ -74,3 +78,29 @@ def on_page_markdown(markdown, page, config, files):
         return f"{kind}[{text}]({relative}{'#' + anchor if anchor and inside.endswith('.md') else ''})"
 
     return LINK.sub(lead, markdown)
+
+
+def _digests(texts):
+    digests = {base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in texts}
+    return "".join(f" 'sha256-{digest}'" for digest in sorted(digests))
+
+
+def _with_policy(output):
+    """Adds a Content-Security-Policy: the site's own files, and the scripts and styles that stand in the page itself."""
+    scripts, styles = _digests(SCRIPT.findall(output)), _digests(STYLE.findall(output))
+    styles = f" 'unsafe-hashes'{styles}" if styles else ""
+    policy = (
+        f"default-src 'none'; script-src 'self'{scripts}; style-src 'self'{styles}; "
+        "img-src 'self' data:; font-src 'self'; connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'"
+    )
+    return output.replace("<head>", f'<head><meta http-equiv="Content-Security-Policy" content="{policy}">', 1)
+
+
+def on_post_page(output, page, config):
+    """Protects a page."""
+    return _with_policy(output)
+
+
+def on_post_template(output_content, template_name, config):
+    """Protects the page of missing pages."""
+    return _with_policy(output_content) if template_name.endswith(".html") else output_content

@@ -16,6 +16,7 @@ import yaml
 
 COMPOSE = pathlib.Path(__file__).parents[2] / "deploy/compose"
 NETWORK = "10.89.0"
+PASSWORD = "of-redis"
 # What the images have as their environment; tests/python/deploy/test_image.py runs the real image.
 IMAGE_ENVIRONMENT = {
     "SPIKESERVE_POLICIES": "/usr/share/spikeserve/policies",
@@ -94,7 +95,9 @@ class Layout:
             image = described["image"].rpartition(":")[0]
             if image in programs:
                 self._place(described.get("volumes", []))
-                command = [*programs[image], *described.get("command", [])]
+                self._keep_secrets(described.get("secrets", []))
+                words = [word.replace("$$", "$") for word in described.get("command", [])]
+                command = [*programs[image], *words]
                 environment = IMAGE_ENVIRONMENT | described.get("environment", {})
                 self.services[name] = Service(name, number, command, environment, self._root)
         hosts = "".join(f"{service.address} {name}\n" for name, service in self.services.items())
@@ -121,6 +124,16 @@ class Layout:
                 shutil.copytree(path, inside, dirs_exist_ok=True) if path.is_dir() else shutil.copy(path, inside)
             else:
                 inside.mkdir(parents=True, exist_ok=True)
+
+    def _keep_secrets(self, names):
+        """Writes PASSWORD as every secret, and a stand-in for the program of the image that gives up the rights of root."""
+        for name in names:
+            file = self._root / "run/secrets" / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(PASSWORD + "\n")
+        entry = self._root / "usr/local/bin/docker-entrypoint.sh"
+        entry.write_text('#!/bin/sh\nexec "$@"\n')
+        entry.chmod(0o755)
 
     def close(self):
         for service in self.services.values():

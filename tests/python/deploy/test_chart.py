@@ -18,7 +18,7 @@ import yaml
 ROOT = pathlib.Path(__file__).parents[3]
 sys.path.insert(0, str(ROOT))
 
-from security import ADMIN, HEALTH, SERVING, TOKENS, credentials  # noqa: E402
+from security import ADMIN, HEALTH, TOKENS, Bearer, credentials  # noqa: E402
 from serving import DEADLINE_SECONDS, DEPLOY, SHIPPED_POLICIES, Service, running_server  # noqa: E402
 
 from tests.kubernetes.chart import (  # noqa: E402
@@ -252,37 +252,65 @@ class Pod:
         return finished.returncode, finished.stdout + finished.stderr
 
 
-def alive(channel, case):
-    probe = container(case)["livenessProbe"]["grpc"]
-    return Service(channel, HEALTH).Check(service=probe["service"]).status == SERVING
-
-
-def test_the_default_pod_is_ready_and_a_drained_one_is_only_alive(tmp_path):
-    (tmp_path / "var/lib/spikeserve").mkdir(parents=True)
-    pod = Pod("default", tmp_path)
-    with running_server(flags=pod.flags()) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        assert pod.probe(addresses.grpc) == (0, "SERVING\n")
-        assert alive(channel, "default")
-        Service(channel, ADMIN).Drain()
-        status, text = pod.probe(addresses.grpc)
-        assert status != 0
-        assert "NOT_SERVING" in text
-        assert alive(channel, "default")
-    assert {"sessions", "audit.jsonl"} <= {path.name for path in (tmp_path / "var/lib/spikeserve").iterdir()}
-
-
-def test_the_secure_pod_answers_its_probe_over_mutual_tls(tmp_path, certificates):
+@pytest.fixture
+def folder(tmp_path, certificates):
+    """Returns a folder with the volume and the secrets that a pod mounts."""
     (tmp_path / "var/lib/spikeserve").mkdir(parents=True)
     secrets = tmp_path / "etc/spikeserve"
-    for folder in ("tls", "tokens"):
-        (secrets / folder).mkdir(parents=True)
+    for name in ("tls", "tokens"):
+        (secrets / name).mkdir(parents=True)
     for here, there in (("server.pem", "tls.crt"), ("server.key", "tls.key"), ("ca.pem", "ca.crt")):
         (secrets / "tls" / there).write_bytes((certificates / here).read_bytes())
     (secrets / "tokens/tokens.json").write_text(json.dumps(TOKENS))
-    pod = Pod("secure", tmp_path)
+    return tmp_path
+
+
+def test_the_default_pod_is_ready_and_a_drained_one_is_not(folder, certificates):
+    pod = Pod("default", folder)
+    with running_server(flags=pod.flags()) as addresses:
+        assert pod.probe(addresses.grpc) == (0, "SERVING\n")
+        target = f"localhost:{addresses.grpc.split(':')[1]}"
+        with grpc.secure_channel(target, credentials(certificates)) as channel:
+            with pytest.raises(grpc.RpcError) as refused:
+                Service(channel, ADMIN).Drain()
+            assert refused.value.code() == grpc.StatusCode.UNAUTHENTICATED
+            Service(channel, ADMIN, grpc.intercept_channel(channel, Bearer("operator"))).Drain()
+        status, text = pod.probe(addresses.grpc)
+        assert status != 0
+        assert "NOT_SERVING" in text
+    assert {"sessions", "audit.jsonl"} <= {path.name for path in (folder / "var/lib/spikeserve").iterdir()}
+
+
+def test_the_secure_pod_answers_its_probe_over_mutual_tls(folder, certificates):
+    pod = Pod("secure", folder)
     with running_server(flags=pod.flags()) as addresses:
         assert pod.probe(addresses.grpc) == (0, "SERVING\n")
         without = credentials(certificates)
         target = f"localhost:{addresses.grpc.split(':')[1]}"
         with grpc.secure_channel(target, without) as channel, pytest.raises(grpc.RpcError):
             Service(channel, HEALTH).Check()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_nothing_is_open_as_printed(case):
+    """Everyone who reaches a port needs TLS and a token, and the NetworkPolicy says who does."""
+    variables = environment(case)
+    assert {"SPIKESERVE_TLS_CERTIFICATE", "SPIKESERVE_TOKENS"} <= set(variables)
+    assert "SPIKESERVE_INSECURE_NETWORK" not in variables
+    rules = find(rendered(case), "NetworkPolicy")["spec"]["ingress"]
+    assert rules and all(rule["from"] for rule in rules)
+
+
+def test_the_platform_may_choose_the_user():
+    def users(case):
+        contexts = [
+            (document["spec"]["template"]["spec"] if document["kind"] == "StatefulSet" else document["spec"])["securityContext"]
+            for document in rendered(case)
+            if document["kind"] in ("StatefulSet", "Pod")
+        ]
+        assert len(contexts) == 2
+        assert all(context["runAsNonRoot"] for context in contexts)
+        return [{key: context.get(key) for key in ("runAsUser", "runAsGroup", "fsGroup")} for context in contexts]
+
+    assert users("default") == [dict.fromkeys(("runAsUser", "runAsGroup", "fsGroup"), 10001)] * 2
+    assert users("openshift") == [dict.fromkeys(("runAsUser", "runAsGroup", "fsGroup"))] * 2

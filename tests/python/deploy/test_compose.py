@@ -21,7 +21,7 @@ from redis_servers import read_reply  # noqa: E402
 from security import until  # noqa: E402
 from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, running_server  # noqa: E402
 
-from tests.compose.layout import COMPOSE, Layout, enter  # noqa: E402
+from tests.compose.layout import COMPOSE, PASSWORD, Layout, enter  # noqa: E402
 
 ENVOY = ROOT / "build/interop/bin/envoy"
 STEPS = 120
@@ -129,9 +129,23 @@ def test_prometheus_scrapes_both_replicas_and_evaluates_the_alerts(layout):
 @inside
 def test_redis_keeps_what_it_acknowledges(layout):
     with socket.create_connection((layout.services["redis"].address, 6379)) as connection:
-        connection.sendall(b"CONFIG GET appendfsync\r\nCONFIG GET appendonly\r\n")
         lines = connection.makefile("rb")
+        connection.sendall(b"PING\r\n")
+        assert lines.readline().startswith(b"-NOAUTH")
+        connection.sendall(b"AUTH %s\r\n" % PASSWORD.encode())
+        assert lines.readline() == b"+OK\r\n"
+        connection.sendall(b"CONFIG GET appendfsync\r\nCONFIG GET appendonly\r\n")
         assert [read_reply(lines), read_reply(lines)] == [[b"appendfsync", b"always"], [b"appendonly", b"yes"]]
+
+
+def test_nobody_logs_in_to_grafana():
+    """Grafana's own password is known to everyone."""
+    compose = yaml.safe_load((COMPOSE / "compose.yaml").read_text())
+    environment = compose["services"]["grafana"]["environment"]
+    assert environment["GF_SECURITY_DISABLE_INITIAL_ADMIN_CREATION"] == "true"
+    assert "GF_AUTH_ANONYMOUS_ORG_ROLE" not in environment  # a viewer
+    for service in compose["services"].values():
+        assert all(port.startswith("127.0.0.1:") for port in service.get("ports", []))
 
 
 def test_grafana_finds_the_data_source_and_the_dashboard():

@@ -1,5 +1,7 @@
 """`make site` makes a site of docs/ whose links lead somewhere."""
 
+import base64
+import hashlib
 import html.parser
 import os
 import pathlib
@@ -48,6 +50,44 @@ class Links(html.parser.HTMLParser):
             self.loaded.append(values["src"])
         if tag == "link" and values.get("rel") == "stylesheet":
             self.loaded.append(values["href"])
+
+
+class Policies(html.parser.HTMLParser):
+    """Collects the Content-Security-Policies of a page, and its scripts and styles without a file."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.policies, self.inline, self._tag = [], [], None
+        self.feed(page.read_text())
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        if values.get("http-equiv") == "Content-Security-Policy":
+            self.policies.append(values["content"])
+        assert not any(name.startswith("on") for name in values), (tag, values)
+        if "style" in values:
+            self.inline.append(values["style"])
+        is_code = tag == "style" or (tag == "script" and "src" not in values and "type" not in values)
+        self._tag = tag if is_code else None
+
+    def handle_data(self, data):
+        if self._tag is not None:
+            self.inline.append(data)
+
+    def handle_endtag(self, tag):
+        self._tag = None
+
+
+def test_every_page_has_a_policy_that_permits_what_is_in_it(site):
+    pages = [Policies(page) for page in [*site.rglob("*.html"), ROOT / "client/playground/page/index.html"]]
+    assert len(pages) > 20
+    for page in pages:
+        [policy] = page.policies
+        assert policy.startswith("default-src 'none'; script-src 'self'")
+        assert "unsafe-inline" not in policy and "'unsafe-eval'" not in policy and "*" not in policy
+        for script in page.inline:
+            digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+            assert f"'sha256-{digest}'" in policy
 
 
 def test_every_link_leads_to_a_file_and_a_heading(site):
