@@ -5,7 +5,12 @@ Reads runs.json and the result.json of every run in the report's directory.
 
 import json
 import math
+import pathlib
 import statistics
+import sys
+
+sys.path.append(str(pathlib.Path(__file__).parents[1] / "study"))
+import seed_statistics
 
 RUNS_FILE = "runs.json"
 MODES = ("baseline", "pos", "route", "full", "dense")
@@ -24,17 +29,13 @@ PAPERS_MILLISECONDS = (15.2, 14.8, 13.5, 12.1)  # its Table 3
 # Returns by dynamic programming and search, means over Gymnasium's seeds 0 to 999.
 OPTIMA = {"CartPole-v1": 500.0, "MountainCar-v0": -97.56, "Acrobot-v1": -58.68, "Pendulum-v1": -135.30}
 
-# Student's t, two-sided 95 %, by degrees of freedom from 1.
-STUDENTS_T = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)
-
 
 def interval(values):
     """Returns the mean, and half the width of its 95 % confidence interval, which is infinite for a single value."""
     mean = statistics.fmean(values)
     if len(values) < 2:
         return mean, math.inf
-    t = STUDENTS_T[min(len(values) - 2, len(STUDENTS_T) - 1)]
-    return mean, t * math.sqrt(sum((value - mean) ** 2 for value in values) / (len(values) - 1) / len(values))
+    return mean, seed_statistics.half_width(values)
 
 
 def with_interval(values, digits):

@@ -13,6 +13,30 @@ import os
 import pathlib
 
 TEXTS = ("task", "arm", "learning_rate", "training")  # columns that are no numbers, which every run has
+DIGEST = "sha256"
+# What stands beside an energy: figures of the same file on the same starts.
+OF_ONE_FILE = (
+    *(DIGEST, "first_start", "starts", "mean_return", "spikes_per_decision", "microseconds_per_decision"),
+    *("int_sram_nanojoules_per_decision", "int_nanojoules_per_decision"),
+)
+
+
+def mixed_figures(result):
+    """Yields what is wrong with the energies of a result: each belongs to one file, whose return stands beside it."""
+    parts = {"": result} | {name: part for name, part in result.items() if isinstance(part, dict)}
+    for name, part in parts.items():
+        if not any("joules" in key for key in part):
+            continue
+        missing = [key for key in OF_ONE_FILE if key not in part]
+        if missing:
+            yield f"{name}: expected {', '.join(missing)} beside an energy, received none".removeprefix(": ")
+        elif (part["first_start"], part["starts"]) != (result["first_start"], result["starts"]):
+            yield f"{name}: expected the starts of the run, received others"
+
+
+def served(result):
+    """Returns the figures of the policy as it is served, in integers, or of the only file that was played."""
+    return result.get("integer", result)
 
 
 def name_of(result, group):
@@ -41,11 +65,12 @@ def number(text):
 def nested(row):
     result = {}
     for column, text in row.items():
+        name, _, key = column.partition(".")
         if column in TEXTS:
             result[column] = text
         elif text:
-            name, _, key = column.partition(".")
-            (result.setdefault(name, {}) if key else result)[key or name] = number(text)
+            value = text if DIGEST in (name, key) else number(text)
+            (result.setdefault(name, {}) if key else result)[key or name] = value
     return result
 
 

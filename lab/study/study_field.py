@@ -3,7 +3,8 @@
 import numpy as np
 import study_plan
 import study_tasks
-from study_tables import count_text, joined, read_runs, row, score, with_interval
+from run_table import served
+from study_tables import ENERGIES, count_text, joined, read_runs, row, score, with_interval
 
 
 def scores_by_seed(runs, task, arm):
@@ -30,8 +31,8 @@ def scores_table(runs):
 
 # What a decision costs: what a run says of it, and digits. Policies have spikes and energy, models without attention neither.
 COSTS = {
-    "spikes": (lambda run: run["spikes_per_decision"] if "integer" in run else None, 0),
-    "nJ in integers (`int_45nm`)": (lambda run: run["integer"]["nanojoules_per_decision"] if "integer" in run else None, 1),
+    "spikes": (lambda run: served(run)["spikes_per_decision"] if "multiplications" not in run else None, 0),
+    **{name: (lambda run, figure=figure: served(run).get(figure), digits) for name, (figure, digits) in ENERGIES.items()},
     "multiplications": (lambda run: run.get("multiplications"), 0),
 }
 
@@ -43,7 +44,9 @@ def costs_table(runs):
     yield row(["a decision", *(f"`{arm}`" for arm in study_plan.FIELD_ARMS)])
     yield row(["---"] + ["---:"] * len(study_plan.FIELD_ARMS))
     for name, (cost, digits) in COSTS.items():
-        yield row([name, *(mean_of(runs, arm, cost, digits) for arm in study_plan.FIELD_ARMS)])
+        cells = [mean_of(runs, arm, cost, digits) for arm in study_plan.FIELD_ARMS]
+        if any(cells):
+            yield row([name, *cells])
 
 
 def mean_of(runs, arm, cost, digits):

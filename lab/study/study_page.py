@@ -20,10 +20,13 @@ import study_plan
 import study_settings
 import study_structured
 import study_tasks
-from run_table import read_results
-from study_tables import ALPHA, digits_of, joined, read_runs, row, score
+from run_table import read_results, served
+from study_tables import ALPHA, digits_of, energies_in, energy_cells, joined, mean_served, read_runs, row, score
 
 MARGIN = 5.0  # points of the score: a smaller difference counts as none
+# Mean scores between which both arms have room to differ: near chance and near the expert all arms are alike.
+ROOM = (2 * MARGIN, 100 - 2 * MARGIN)
+NEAR_LIMIT = (0.04, 0.06)  # p-values that another choice of the test moves across 0.05
 SMALLEST_P = 1e-15  # smaller ones are rounding errors
 
 
@@ -64,20 +67,29 @@ def results_of(folder):
     return {task: {arm: runs.get((task, arm), {}) for arm in study_plan.ARMS} for task in study_tasks.TASKS}
 
 
+def has_room(statement, results):
+    """Returns whether the mean scores of both arms leave room for a difference."""
+    means = [np.mean([score(run) for run in results[arm].values()]) for arm in (statement.first, statement.second)]
+    return all(ROOM[0] <= mean <= ROOM[1] for mean in means)
+
+
 @dataclasses.dataclass(frozen=True)
 class Test:
-    """A statement on one task. `difference` and `equal` are p-values; they are corrected for all statements."""
+    """A statement on one task. `difference` and `equal` are p-values, corrected for all statements; `room`: see has_room."""
 
     statement: Statement
     values: list[float]
     difference: float
     equal: float
+    room: bool = True
 
     @property
     def verdict(self):
         above = np.mean(self.values) > self.statement.bound if self.values else False
         if self.difference < ALPHA:
             return "holds" if above else "does not hold"
+        if not self.room and self.equal < ALPHA:
+            return "cannot be told, no room"
         return "does not hold, equal" if self.equal < ALPHA else "cannot be told"
 
     def __str__(self):
@@ -88,22 +100,24 @@ class Test:
         else:
             value = f"{np.mean(self.values):+z.1f}"
         p_value = self.equal if self.verdict.endswith("equal") else self.difference
+        near = ", near the limit" if NEAR_LIMIT[0] < p_value < NEAR_LIMIT[1] else ""
         p_text = f"p = {p_value:.2g}" if p_value >= SMALLEST_P else f"p < {SMALLEST_P:.0e}"
-        return f"**{self.verdict}**: {value}, {p_text}, {len(self.values)}"
+        return f"**{self.verdict}{near}**: {value}, {p_text}, {len(self.values)}"
 
 
 def tests_of(results):
     """Returns the tests by statement and task. Both families of p-values are corrected by Holm's method."""
     cells = [(statement, task) for statement in STATEMENTS for task in results]
     values = [statement.values(results[task]) for statement, task in cells]
-    differences, equals = [], []
-    for (statement, _), sample in zip(cells, values, strict=True):
+    differences, equals, rooms = [], [], []
+    for (statement, task), sample in zip(cells, values, strict=True):
         enough = len(sample) > 1
         differences.append(seed_statistics.two_sided(sample, statement.bound) if enough else 1.0)
         shown = enough and statement.measure == "score" and statement.bound == 0
         equals.append(seed_statistics.equivalence(sample, MARGIN) if shown else 1.0)
-    corrected = zip(seed_statistics.holm(differences), seed_statistics.holm(equals), strict=True)
-    return {cell: Test(cell[0], sample, *pair) for cell, sample, pair in zip(cells, values, corrected, strict=True)}
+        rooms.append(not shown or has_room(statement, results[task]))
+    corrected = zip(seed_statistics.holm(differences), seed_statistics.holm(equals), rooms, strict=True)
+    return {cell: Test(cell[0], sample, *rest) for cell, sample, rest in zip(cells, values, corrected, strict=True)}
 
 
 def verdict_table(results):
@@ -123,21 +137,21 @@ def with_interval(groups, digits):
 
 
 def returns_table(results):
-    yield row(["task", "arm", "seeds", "return", "spikes", "nJ", "learning rate"])
-    yield row(["---", "---", "---:", "---:", "---:", "---:", "---:"])
+    energies = energies_in([run for arms in results.values() for seeds in arms.values() for run in seeds.values()])
+    yield row(["task", "arm", "seeds", "return", "spikes", *energies, "learning rate"])
+    yield row(["---", "---", *["---:"] * (4 + len(energies))])
     for task, arms in results.items():
         digits = digits_of(task)
         for arm, seeds in arms.items():
             if not seeds:
                 continue
             runs = [seeds[seed] for seed in sorted(seeds)]
-            nanojoules = np.mean([run["integer"]["nanojoules_per_decision"] for run in runs])
             yield row(
                 [
                     *(task, f"`{arm}`", str(len(runs))),
-                    with_interval([[run["mean_return"] for run in runs]], digits),
-                    f"{np.mean([run['spikes_per_decision'] for run in runs]):.0f}",
-                    f"{nanojoules:.1f}",
+                    with_interval([[served(run)["mean_return"] for run in runs]], digits),
+                    mean_served(runs, "spikes_per_decision", 0),
+                    *energy_cells(runs, energies),
                     ", ".join(sorted({run["learning_rate"] for run in runs})),
                 ]
             )

@@ -4,10 +4,9 @@ import numpy as np
 import seed_statistics
 import study_plan
 import study_tasks
-from study_tables import ALPHA, joined, read_runs, row, score
+from study_tables import ALPHA, energies_in, energy_cells, joined, mean_served, read_runs, row, score
 
-ENERGY = "nanojoules_per_decision"
-FIGURES = (("mean_return", 1), ("spikes_per_decision", 0), (ENERGY, 1))
+FIGURES = (("mean_return", 1), ("spikes_per_decision", 0))
 
 
 def paired(runs, task, arm, measure):
@@ -27,8 +26,8 @@ def changes_table(runs):
     p_values = dict(zip(tested, corrected, strict=True))
     if not samples:
         return
-    yield row(["`full`, but", *study_plan.PART_TASKS, "spikes, times", "energy, times"])
-    yield row(["---"] + ["---:"] * (2 + len(study_plan.PART_TASKS)))
+    yield row(["`full`, but", *study_plan.PART_TASKS, "spikes, times"])
+    yield row(["---"] + ["---:"] * (1 + len(study_plan.PART_TASKS)))
     for arm in arms:
         if not any((arm, task) in samples for task in study_plan.PART_TASKS):
             continue
@@ -37,7 +36,6 @@ def changes_table(runs):
                 f"`{arm}`",
                 *(difference(samples.get((arm, task)), p_values.get((arm, task), 1.0)) for task in study_plan.PART_TASKS),
                 ratio(runs, arm, "spikes_per_decision"),
-                ratio(runs, arm, ENERGY),
             ]
         )
 
@@ -104,26 +102,22 @@ def shares_table(runs):
 
 
 def tick_table(runs):
-    """The ticks of `full` against one. Policies in integers are played from fewer starts."""
+    """The ticks of `full` against one."""
     arms = [(task, arm) for task in study_plan.PART_TASKS for arm in ("full", "long", "tick-1") if (task, arm) in runs]
     if not any(arm == "tick-1" for _, arm in arms):
         return
-    yield row(["task", "", "seeds", "return", "spikes", "nJ", "return in integers", "nJ in integers"])
-    yield row(["---", "---", *["---:"] * 6])
+    energies = energies_in([run for cell in arms for run in runs[cell].values()])
+    yield row(["task", "", "seeds", "return", "spikes", *energies])
+    yield row(["---", "---", *["---:"] * (3 + len(energies))])
     for task, arm in arms:
         seeds = runs[task, arm].values()
         yield row(
             [
                 *(task, f"`{arm}`", str(len(seeds))),
-                *(mean_of(seeds, figure, digits) for figure, digits in FIGURES),
-                *(mean_of([run.get("integer", {}) for run in seeds], figure, 1) for figure in ("mean_return", ENERGY)),
+                *(mean_served(seeds, figure, digits) for figure, digits in FIGURES),
+                *energy_cells(seeds, energies),
             ]
         )
-
-
-def mean_of(results, figure, digits):
-    values = [result[figure] for result in results if figure in result]
-    return f"{np.mean(values):.{digits}f}" if values else ""
 
 
 def tables(folder):

@@ -53,7 +53,7 @@ class Arm:
     flags: tuple[str, ...] = ()
     clip: int | None = None  # steps
     share: float = 1.0  # of the task's iterations
-    priced: bool = False  # also in integers
+    priced: bool = False  # in integers, as it is served
 
 
 MODES = ("dense", "baseline", "pos", "route", "full")  # the ordinary decision transformer, and the paper's
@@ -98,7 +98,6 @@ class Budget:
 
     steps: int | None = None  # of data; None: those of the task
     starts: int = 100  # that a policy plays
-    priced_starts: int = 5  # that its integer form plays, for the energy
     share_of_epochs: float = 1.0  # of a model without attention
     further: tuple[str, ...] = ()  # flags of `spiketrain train`, after those of the task
 
@@ -106,7 +105,6 @@ class Budget:
 SMOKE = Budget(
     steps=300,
     starts=2,
-    priced_starts=1,
     share_of_epochs=0.005,
     further=("--hidden_size=16", "--heads=4", "--ffn_size=16", "--ticks=2", "--batch=2", "--iterations=2", "--clip_steps=8"),
 )

@@ -3,9 +3,11 @@
 import contextlib
 import csv
 import fcntl
+import hashlib
 import json
 import os
 import subprocess
+import time
 
 import offline_sets
 import study_plan
@@ -19,23 +21,30 @@ from spikeserve.imitation.figures import Figures
 from study_cloning import fit
 
 ENVIRONMENTS = 16  # of Gymnasium, played at once
-ENERGY_MODEL, FLOAT_ENERGY_MODEL = "int_45nm", "horowitz_45nm"  # of policies in integers and in float32
+# The figures of a policy in integers, and the energy models of their estimates: with memory, and without.
+ENERGIES = {"int_sram_nanojoules_per_decision": "int_sram_45nm", "int_nanojoules_per_decision": "int_45nm"}
 
 
 class PricedActor(StudentActor):
-    """Plays a policy in integers, and adds up the energy of its decisions."""
+    """Plays a policy in integers, and adds up the energies and the seconds of its decisions."""
 
     def __init__(self, engine):
         super().__init__(engine)
-        self.joules = 0.0
+        self._sums = dict.fromkeys([*ENERGIES, "microseconds_per_decision"], 0.0)
+
+    def per_decision(self, decisions):
+        return {name: total / decisions for name, total in self._sums.items()}
 
     def choose(self, rows):
         return [self._priced(row) for row in rows]
 
     def _priced(self, row):
         decision = self._session(row).act(row.episode.observations[-1], row.reward)
-        self.joules += decision.stats.int_energy_joules
-        return Choice(decision.action, spikes=decision.stats.spikes)
+        stats = decision.stats
+        self._sums["int_sram_nanojoules_per_decision"] += 1e9 * stats.int_sram_energy_joules
+        self._sums["int_nanojoules_per_decision"] += 1e9 * stats.int_energy_joules
+        self._sums["microseconds_per_decision"] += 1e6 * stats.compute_seconds
+        return Choice(decision.action, spikes=stats.spikes)
 
 
 class Workshop:
@@ -147,12 +156,16 @@ class Workshop:
 
     def _play_own(self, policy, first_start, starts):
         arguments = ("eval", f"--policy={policy}", f"--episodes={starts}", f"--seed={first_start}", "--json")
+        began = time.perf_counter()
         figures = json.loads(self._program(*arguments))
+        seconds = time.perf_counter() - began
         prices = figures["estimated_energy_joules_per_decision"]
-        priced = prices.get(ENERGY_MODEL, prices.get(FLOAT_ENERGY_MODEL))
         names = ("mean_return", "std_return", "spikes_per_decision")
         result = {"first_start": first_start, "starts": starts, **{name: figures[name] for name in names}}
-        return result if priced is None else {**result, "nanojoules_per_decision": 1e9 * priced}
+        if ENERGIES["int_nanojoules_per_decision"] not in prices:
+            return result
+        result |= {name: 1e9 * prices[model] for name, model in ENERGIES.items()}
+        return result | {"microseconds_per_decision": 1e6 * seconds / figures["decisions"]}
 
     def _play_longer(self, task, policy, run):
         """Returns the mean returns in contexts that are longer than that of the training, by context."""
@@ -166,22 +179,24 @@ class Workshop:
         return {"longer": means}
 
     def _price(self, task, policy, data, first_start):
-        """Returns the figures of the policy in integer arithmetic, which has energies of `int_45nm`."""
+        """Returns the figures of the policy in integers, as it is served: all of one file, on the starts of the run."""
         integer = policy.replace("policy.", "integer.")
         files = f"--policy={policy}", f"--out={integer}", f"--data={data}"
         self._program("quantize", "--to=integer", *files, "--episodes=1", "--max_loss=1")
-        starts = self._budget.priced_starts
+        starts = self._budget.starts
+        result = {"sha256": hashlib.sha256((self._folder / integer).read_bytes()).hexdigest()}
         if not task.is_gymnasium:
-            return self._play_own(integer, first_start, starts)
+            return result | self._play_own(integer, first_start, starts)
         actor = PricedActor(Engine(self._folder / integer))
         figures = play_starts(task, actor, first_start, starts)
         return {
+            **result,
             "first_start": first_start,
             "starts": starts,
             "mean_return": figures.mean,
             "std_return": figures.std,
             "spikes_per_decision": figures.spikes_per_decision,
-            "nanojoules_per_decision": 1e9 * actor.joules / figures.decisions,
+            **actor.per_decision(figures.decisions),
         }
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import seed_statistics
 import study_plan
 import study_tasks
-from study_tables import ALPHA, count_text, digits_of, joined, read_runs, row, with_interval
+from run_table import served
+from study_tables import ALPHA, count_text, digits_of, energies_in, energy_cells, joined, mean_served, read_runs, row, with_interval
 
 # Comparisons with a model without attention: the best of the task, by its mean over seeds.
 BEST = "best"
@@ -14,7 +15,7 @@ COMPARED |= {"spiking less `dense`": ("spiking", "dense")}
 
 def returns_of(runs, task, arm):
     """Returns the mean returns of the runs of an arm, by seed."""
-    return {seed: run["mean_return"] for seed, run in runs.get((task, arm), {}).items()}
+    return {seed: served(run)["mean_return"] for seed, run in runs.get((task, arm), {}).items()}
 
 
 def tasks_of(runs):
@@ -80,17 +81,16 @@ def costs_table(runs):
     if not tasks:
         return
     heads = [f"`{arm}`" for arm in study_plan.CLONES_OF_STRUCTURED]
-    yield row(["a decision", "nJ of `dense`", "nJ of spiking", "spikes", *(f"multiplications of {head}" for head in heads)])
-    yield row(["---"] + ["---:"] * (3 + len(heads)))
+    energies = energies_in([run for seeds in runs.values() for run in seeds.values()])
+    names = [f"{name}, {arm}" for arm in ("`dense`", "spiking") for name in energies]
+    yield row(["a decision", *names, "spikes", *(f"multiplications of {head}" for head in heads)])
+    yield row(["---"] + ["---:"] * (1 + len(names) + len(heads)))
     for task in tasks:
-        dense = mean_of(runs, task, "dense", energy, 1)
-        spiking = [mean_of(runs, task, "spiking", *cost) for cost in ((energy, 1), (lambda run: run["spikes_per_decision"], 0))]
+        of_arm = {arm: list(runs.get((task, arm), {}).values()) for arm in ("dense", "spiking")}
+        priced = [*energy_cells(of_arm["dense"], energies), *energy_cells(of_arm["spiking"], energies)]
+        priced.append(mean_served(of_arm["spiking"], "spikes_per_decision", 0))
         work = [mean_of(runs, task, arm, lambda run: run["multiplications"], 0) for arm in study_plan.CLONES_OF_STRUCTURED]
-        yield row([task, dense, *spiking, *work])
-
-
-def energy(run):
-    return run["integer"]["nanojoules_per_decision"]
+        yield row([task, *priced, *work])
 
 
 def mean_of(runs, task, arm, cost, digits):

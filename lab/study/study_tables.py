@@ -3,7 +3,7 @@
 import numpy as np
 import seed_statistics
 import study_tasks
-from run_table import read_results
+from run_table import read_results, served
 
 ALPHA = 0.05
 
@@ -28,7 +28,26 @@ def joined(tables):
 
 def score(result):
     task = study_tasks.ALL_TASKS[result["task"]]
-    return 100 * (result["mean_return"] - task.chance) / (task.expert_return - task.chance)
+    return 100 * (served(result)["mean_return"] - task.chance) / (task.expert_return - task.chance)
+
+
+# The energies of a table, with memory first, and their digits.
+ENERGIES = {"nJ with memory": ("int_sram_nanojoules_per_decision", 0), "nJ without": ("int_nanojoules_per_decision", 1)}
+
+
+def energies_in(runs):
+    """Returns the energies that a table of these runs has: none if no run is priced."""
+    return ENERGIES if any("int_nanojoules_per_decision" in served(run) for run in runs) else {}
+
+
+def energy_cells(runs, energies):
+    """Returns the mean energies of runs as they are served; empty cells where a run has none."""
+    return [mean_served(runs, *figure) for figure in energies.values()]
+
+
+def mean_served(runs, figure, digits):
+    values = [served(run).get(figure) for run in runs]
+    return f"{np.mean(values):.{digits}f}" if values and None not in values else ""
 
 
 def digits_of(task):

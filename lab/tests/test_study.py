@@ -6,6 +6,7 @@ import pathlib
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from spikeserve.imitation.datasets import read_dataset
 
@@ -19,7 +20,7 @@ import study_plan
 import study_settings
 import study_structured
 import study_tasks
-from run_table import add_result, name_of, read_results
+from run_table import OF_ONE_FILE, add_result, mixed_figures, name_of, read_results
 
 COMMITTED = ROOT / "lab/study/runs"
 
@@ -54,12 +55,51 @@ def test_interquartile_means_leave_out_the_ends():
     assert seed_statistics.bootstrap_interval([[1, 1, 1], [3, 3, 3]]) == (2, 2)
 
 
+@pytest.mark.parametrize("freedom", [1, 2, 5, 9, 30])
+def test_the_statistics_are_those_of_scipy_and_statsmodels(freedom):
+    stats, tests = pytest.importorskip("scipy.stats"), pytest.importorskip("statsmodels.stats.multitest")
+    sample = np.random.default_rng(freedom).normal(0.3, 1, freedom + 1)
+    assert seed_statistics.two_sided(sample, 0) == pytest.approx(stats.ttest_1samp(sample, 0).pvalue)
+    one_sided = stats.ttest_1samp(sample, 0.1, alternative="greater").pvalue
+    assert seed_statistics.probability_above(sample, 0.1) == pytest.approx(one_sided)
+    half = stats.t.ppf(0.975, freedom) * stats.sem(sample)
+    assert seed_statistics.half_width(sample) == pytest.approx(half)
+    p_values = np.random.default_rng(freedom).uniform(0, 0.1, 20)
+    assert seed_statistics.holm(p_values) == pytest.approx(tests.multipletests(p_values, method="holm")[1])
+
+
+# The figures of a policy in integers, of one file.
+SERVED = dict.fromkeys(OF_ONE_FILE, 2) | {"sha256": "1e5"}
+
+
+def served(value, starts=100):
+    """Returns the part of a result that has the figures of the policy as it is served."""
+    return {"integer": SERVED | {"mean_return": value, "starts": starts, "first_start": 1}, "starts": 100, "first_start": 1}
+
+
+def test_an_energy_stands_beside_the_return_of_the_same_file():
+    assert list(mixed_figures({"mean_return": 1, "starts": 100})) == []
+    assert list(mixed_figures(served(1.0))) == []
+    assert list(mixed_figures(served(1.0, starts=5))) == ["integer: expected the starts of the run, received others"]
+    without = served(1.0)
+    del without["integer"]["sha256"]
+    assert list(mixed_figures(without)) == ["integer: expected sha256 beside an energy, received none"]
+    assert list(mixed_figures({"mean_return": 1, "nanojoules_per_decision": 2}))
+
+
+@pytest.mark.parametrize("group", ["study", "sweep", "settings", "structured", "field"])
+def test_no_committed_table_mixes_files(group):
+    results = read_results(COMMITTED, group)
+    assert results
+    assert [(name_of(result, group), text) for result in results for text in mixed_figures(result)] == []
+
+
 def write_results(folder, arms):
     """Writes results of CartPole with the returns of each arm by seed."""
     for arm, returns in arms.items():
         for seed, value in enumerate(returns, 1):
             result = {"task": "cartpole", "arm": arm, "seed": seed, "learning_rate": "1e-3", "mean_return": value}
-            result |= {"spikes_per_decision": 5, "validation_loss": 0.1, "integer": {"nanojoules_per_decision": 2}}
+            result |= {"spikes_per_decision": 5, "validation_loss": 0.1} | served(value)
             add_result(folder, "study", result)
 
 
@@ -69,12 +109,12 @@ def test_verdicts(tmp_path):
     write_results(
         tmp_path,
         {
-            "dense": [230 + value for value in noise],
-            "baseline": [400.0] * 10,
-            "pos": [400 + value for value in noise],
-            "route": [400 + value for value in apart],
-            "full": [450 - value for value in noise],
-            "full-n1": [450.0 + 60],
+            "dense": [180 + value for value in noise],
+            "baseline": [350.0] * 10,
+            "pos": [350 + value for value in noise],
+            "route": [350 + value for value in apart],
+            "full": [400 - value for value in noise],
+            "full-n1": [400.0 + 60],
         },
     )
     results = study_page.results_of(tmp_path)
@@ -90,8 +130,21 @@ def test_verdicts(tmp_path):
         "`route` halves the loss of `baseline`": "does not hold",
         "`full` returns more than trained with N = 1": "cannot be told",  # one seed
     }
-    assert "| cartpole | `baseline` | 10 | 400.0 (400.0 to 400.0) | 5 | 2.0 | 1e-3 |" in study_page.tables(tmp_path)
-    assert "| cartpole | `full-n1` | 1 | 510.0 (one seed) | 5 | 2.0 | 1e-3 |" in study_page.tables(tmp_path)
+    assert "| cartpole | `baseline` | 10 | 350.0 (350.0 to 350.0) | 2 | 2 | 2.0 | 1e-3 |" in study_page.tables(tmp_path)
+    assert "| cartpole | `full-n1` | 1 | 460.0 (one seed) | 2 | 2 | 2.0 | 1e-3 |" in study_page.tables(tmp_path)
+
+
+@pytest.mark.parametrize(("place", "verdict"), [(498.0, "cannot be told, no room"), (28.0, "cannot be told, no room"), (300.0, "does not hold, equal")])
+def test_arms_are_equal_only_where_they_could_differ(tmp_path, place, verdict):
+    noise = [0.5, -0.4, 0.2, -0.3, 0.1]
+    write_results(tmp_path, {"baseline": [place] * 5, "pos": [place + value for value in noise]})
+    tests = study_page.tests_of(study_page.results_of(tmp_path))
+    assert tests[study_page.STATEMENTS[1], "cartpole"].verdict == verdict
+
+
+def test_a_p_value_near_the_limit_is_called_so():
+    texts = [str(study_page.Test(study_page.STATEMENTS[1], [1.0, 2.0], p, 1.0)).split("**")[1] for p in (0.01, 0.0498, 0.0518, 0.3)]
+    assert texts == ["holds", "holds, near the limit", "cannot be told, near the limit", "cannot be told"]
 
 
 @pytest.mark.parametrize(("less", "verdict"), [(10, "holds"), (100, "does not hold")])
@@ -136,7 +189,8 @@ def test_a_miniature(tmp_path):
     for name, result in results.items():
         assert math.isfinite(result["mean_return"]), name
         assert result["first_start"] == study_plan.FIRST_UNSEEN_SEED
-        assert result["integer"]["nanojoules_per_decision"] > 0, name
+        assert result["integer"]["int_sram_nanojoules_per_decision"] > result["integer"]["int_nanojoules_per_decision"] > 0, name
+        assert list(mixed_figures(result)) == [], name
         assert (result["spikes_per_decision"] > 0) == (result["arm"] != "dense"), name
     assert "--context=1" in results["repeat-4-full-n1-1"]["training"].split()
 
@@ -229,7 +283,7 @@ def test_a_miniature_of_the_field(tmp_path):
         assert only.returncode == 0, only.stderr
     results = results_in(tmp_path, "field")
     assert results.keys() == {f"hopper-medium-expert-{arm}-1" for arm in arms}
-    assert results["hopper-medium-expert-quiet-1"]["integer"]["nanojoules_per_decision"] > 0
+    assert list(mixed_figures(results["hopper-medium-expert-quiet-1"])) == []
     assert results["hopper-medium-expert-cloning-10-1"]["multiplications"] == 11 * 256 + 256 * 256 + 256 * 3
     text = study_field.tables(tmp_path / "out")
     assert "| hopper-medium-expert | " in text
@@ -273,7 +327,7 @@ def test_structured_returns_are_compared_with_the_best_other(tmp_path):
     for arm, returns in {"line": (0.1, 0.3), "recurrent-64": (0.4, 0.2), "dense": (1.0, 1.0), "spiking": (0.9, 0.5)}.items():
         for seed, value in enumerate(returns, 1):
             result = {"task": "recall", "arm": arm, "seed": seed, "mean_return": value, "spikes_per_decision": 3}
-            further = {"integer": {"nanojoules_per_decision": 2}} if arm in ("dense", "spiking") else {"multiplications": 5}
+            further = served(value) if arm in ("dense", "spiking") else {"multiplications": 5}
             add_result(tmp_path, "structured", result | further)
     text = study_structured.tables(tmp_path)
     assert "| recall | `recurrent-64` | +0.700 ± 1.271 | +0.400 ± 1.271 | -0.300 ± 2.541 |" in text
@@ -287,12 +341,13 @@ def test_scores_of_the_field_are_means_of_all_sets(tmp_path):
                 score = 10 * place + seed + (9 if task == "hopper-medium" else 0)
                 value = plan.chance + score / 100 * (plan.expert_return - plan.chance)
                 result = {"task": task, "arm": arm, "seed": seed, "mean_return": value, "spikes_per_decision": 7}
-                further = {"multiplications": 5} if arm in study_plan.CLONES else {"integer": {"nanojoules_per_decision": 2}}
+                further = {"multiplications": 5} if arm in study_plan.CLONES else served(value)
                 add_result(tmp_path, "field", result | further)
     text = study_field.tables(tmp_path)
     assert "| hopper-medium | 11.0 ± 2.5 | 21.0 ± 2.5 | 31.0 ± 2.5 | 41.0 ± 2.5 | 51.0 ± 2.5 | 61.0 ± 2.5 | 71.0 ± 2.5 | 3 |" in text
     assert "| mean of 9 | 3.0 ± 2.5 | 13.0 ± 2.5 |" in text
-    assert "| nJ in integers (`int_45nm`) | 2.0 | 2.0 | 2.0 | 2.0 |  |  |  |" in text
+    assert "| nJ with memory | 2 | 2 | 2 | 2 |  |  |  |" in text
+    assert "| nJ without | 2.0 | 2.0 | 2.0 | 2.0 |  |  |  |" in text
 
 
 def test_a_run_of_the_settings_has_the_papers_epochs():
