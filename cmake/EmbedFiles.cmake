@@ -1,7 +1,7 @@
 # Compiles files into a program.
 #
-# spikeserve_embed(TARGET BASE folder FILES file...): adds to TARGET a generated source that defines
-# spikeserve::EmbeddedFiles() (server/web/embedded_files.h) with the contents of the files, by their path below BASE.
+# spikeserve_embed(TARGET HEADER header FUNCTION name BASE folder FILES file...): adds to TARGET a generated source that
+# defines spikeserve::name(), which `header` declares, with the contents of the files, by their path below BASE.
 # The build runs this file as a script (cmake -P), which writes that source when one of the files has changed.
 if(CMAKE_SCRIPT_MODE_FILE)
   set(arrays "")
@@ -15,7 +15,7 @@ if(CMAKE_SCRIPT_MODE_FILE)
     string(APPEND arrays "constexpr unsigned char kFile${i}[] = {${bytes}};\n")
     string(APPEND entries "    {\"${file}\", View(kFile${i})},\n")
   endforeach()
-  file(WRITE ${OUTPUT} "#include \"server/web/embedded_files.h\"
+  file(WRITE ${OUTPUT} "#include \"${HEADER}\"
 
 namespace spikeserve {
 namespace {
@@ -28,7 +28,7 @@ absl::string_view View(const unsigned char (&bytes)[n]) {
 ${arrays}
 }  // namespace
 
-const std::map<absl::string_view, absl::string_view>& EmbeddedFiles() {
+const std::map<absl::string_view, absl::string_view>& ${FUNCTION}() {
   static const auto* const files = new std::map<absl::string_view, absl::string_view>{
 ${entries}  };
   return *files;
@@ -40,13 +40,14 @@ ${entries}  };
 endif()
 
 function(spikeserve_embed target)
-  cmake_parse_arguments(ARG "" "BASE" "FILES" ${ARGN})
+  cmake_parse_arguments(ARG "" "BASE;FUNCTION;HEADER" "FILES" ${ARGN})
   set(output ${CMAKE_CURRENT_BINARY_DIR}/embedded_files.cc)
   list(TRANSFORM ARG_FILES PREPEND ${ARG_BASE}/ OUTPUT_VARIABLE paths)
   set(script ${PROJECT_SOURCE_DIR}/cmake/EmbedFiles.cmake)
   add_custom_command(
     OUTPUT ${output}
-    COMMAND ${CMAKE_COMMAND} -D "FILES=${ARG_FILES}" -D BASE=${ARG_BASE} -D OUTPUT=${output} -P ${script}
+    COMMAND ${CMAKE_COMMAND} -D "FILES=${ARG_FILES}" -D BASE=${ARG_BASE} -D HEADER=${ARG_HEADER}
+            -D FUNCTION=${ARG_FUNCTION} -D OUTPUT=${output} -P ${script}
     DEPENDS ${paths} ${script}
     VERBATIM)
   target_sources(${target} PRIVATE ${output})

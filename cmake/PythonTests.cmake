@@ -17,7 +17,7 @@ function(spikeserve_python_tests)
   if(TARGET spiketrain)
     list(APPEND environment SPIKETRAIN=$<TARGET_FILE:spiketrain>)  # what spikeserve.imitation starts
   endif()
-  foreach(program spikeserve spikectl spikeload client_player client_pilot example_call readme_call environment_stepper integer_decisions alert_replay
+  foreach(program spikeserve spikectl spikeload client_player client_pilot example_call readme_call environment_stepper integer_decisions alert_replay chip_stream
       spiketrain spikereport)
     if(TARGET ${program})
       string(TOUPPER ${program} name)

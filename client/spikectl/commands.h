@@ -32,6 +32,9 @@ void AddReplayCommand(Command program, const ServerFlags& server);
 // Adds the commands that read a session store, without a server, as subcommands of `store`.
 void AddStoreCommands(Command program, const ServerFlags& server);
 
+// Writes a policy file as C for a microcontroller, without a server.
+void AddEmitCommand(Command program, const ServerFlags& server);
+
 // Adds the commands for operators as subcommands of `admin`.
 void AddAdminCommands(Command program, const ServerFlags& server);
 

@@ -22,5 +22,6 @@ int main(int argc, char** argv) {
   spikeserve::AddReplayCommand(root, server);
   spikeserve::AddAdminCommands(root, server);
   spikeserve::AddStoreCommands(root, server);
+  spikeserve::AddEmitCommand(root, server);
   return program.Run(argc, argv);
 }

@@ -1,0 +1,215 @@
+
+/* A token: the timestep, and its place in it (0 return, 1 state, 2 action). */
+typedef struct {
+  uint32_t timestep;
+  int kind;
+} spike_token;
+
+static int slot_of(spike_token token) {
+  return (int)(token.timestep % SPIKE_CONTEXT) * 3 + token.kind;
+}
+
+/* Returns the first timestep of the band of `token`. */
+static uint32_t band_of(const spike_state* s, spike_token token) {
+  const uint32_t first =
+      token.timestep + 1 > SPIKE_CONTEXT ? token.timestep + 1 - SPIKE_CONTEXT : 0;
+  return first > s->context_first ? first : s->context_first;
+}
+
+/* Moves to the next token of the band. Returns 0 behind `last`. */
+static int next_token(spike_token* token, spike_token last) {
+  if (token->timestep == last.timestep && token->kind == last.kind) return 0;
+  token->kind = token->kind == 2 ? 0 : token->kind + 1;
+  token->timestep += token->kind == 0;
+  return 1;
+}
+
+/* Returns the neurons of a head of a token that fire at some tick. */
+static uint32_t nonzero_neurons(spike_word (*spikes)[SPIKE_WORDS]) {
+  uint32_t count = 0;
+  int t, w;
+  for (w = 0; w < SPIKE_WORDS; ++w) {
+    spike_word any = 0;
+    for (t = 0; t < SPIKE_TICKS; ++t) any = (spike_word)(any | spikes[t][w]);
+    count += ones(any);
+  }
+  return count;
+}
+
+/* Adds `weight` times the spikes of a head to the sums [SPIKE_HEAD_SIZE]. */
+static void add_values(int32_t* sums, spike_word (*spikes)[SPIKE_WORDS], int32_t weight) {
+  int t, w, k;
+  for (t = 0; t < SPIKE_TICKS; ++t) {
+    for (w = 0; w < SPIKE_WORDS; ++w) {
+      spike_word bits = spikes[t][w];
+      for (k = w * SPIKE_WORD_BITS; bits != 0; bits = (spike_word)(bits >> 1), ++k) {
+        if (bits & 1) sums[k] += weight;
+      }
+    }
+  }
+}
+
+/* Sets s->weights to the weights of the keys of a row, in the order of the band. Returns their
+   sum; 0: no query neuron fires, so that all weigh the same. */
+static int32_t weigh_keys(spike_state* s, int layer, int head, spike_token last,
+                          spike_costs* costs) {
+  const int fires = nonzero_neurons(s->query[head]) != 0;
+  spike_token token = {0, 0};
+  int32_t best = INT32_MIN, sum = 0;
+  uint32_t overlaps = 0;
+  int n = 0, i, t, w;
+  if (!fires && !SPIKE_RELATIVE) {
+    costs->attention_bytes += 2 * SPIKE_HEAD_SIZE;
+    return 0;
+  }
+  token.timestep = band_of(s, last);
+  do {
+    spike_word(*key)[SPIKE_WORDS] = s->keys[layer][slot_of(token)][head];
+    uint32_t overlap = 0;
+    for (t = 0; fires && t < SPIKE_TICKS; ++t) {
+      for (w = 0; w < SPIKE_WORDS; ++w) overlap += ones(s->query[head][t][w] & key[t][w]);
+    }
+    overlaps += overlap;
+    s->weights[n++] = (int32_t)overlap;
+  } while (next_token(&token, last));
+  costs->softmax_terms += (uint32_t)n;
+  costs->attention_bytes +=
+      (uint32_t)(n * ((fires ? (SPIKE_TICKS * SPIKE_HEAD_SIZE + 7) / 8 : 0) + SPIKE_HEAD_SIZE));
+  costs->attention_products += overlaps + (SPIKE_RELATIVE ? (uint32_t)n : 0);
+  for (i = 0; i < n; ++i) {
+    s->weights[i] *= layers[layer].scale[head];
+    if (SPIKE_RELATIVE)
+      s->weights[i] += layers[layer].relative[head * 3 * SPIKE_CONTEXT + n - 1 - i];
+    if (s->weights[i] > best) best = s->weights[i];
+  }
+  for (i = 0; i < n; ++i) {
+    const int32_t octaves = round_shift(best - s->weights[i], 8);
+    sum += s->weights[i] = octaves > 8 ? 0 : 256 >> octaves;
+  }
+  return sum;
+}
+
+/* Sets s->sums to the attention of a token, [SPIKE_HEADS][SPIKE_HEAD_SIZE], with 8 fraction bits.
+ */
+static void attend(spike_state* s, int layer, spike_token last, spike_costs* costs) {
+  int head, k;
+  for (head = 0; head < SPIKE_HEADS; ++head) {
+    int32_t* y = s->sums + head * SPIKE_HEAD_SIZE;
+    int32_t sum = weigh_keys(s, layer, head, last, costs);
+    const int is_mean = sum == 0;
+    spike_token token = {0, 0};
+    int n = 0;
+    token.timestep = band_of(s, last);
+    for (k = 0; k < SPIKE_HEAD_SIZE; ++k) y[k] = 0;
+    do {
+      spike_word(*value)[SPIKE_WORDS] = s->values[layer][slot_of(token)][head];
+      const int32_t weight = is_mean ? 1 : s->weights[n];
+      ++n;
+      if (weight == 0) continue;
+      if (!is_mean) costs->attention_products += nonzero_neurons(value);
+      add_values(y, value, weight);
+    } while (next_token(&token, last));
+    if (is_mean) sum = n;
+    for (k = 0; k < SPIKE_HEAD_SIZE; ++k) {
+      if (y[k] == 0) continue;
+      ++costs->attention_scalings;
+      y[k] = limit(round_divide(256 * y[k], sum * SPIKE_TICKS), 0, 255);
+    }
+  }
+}
+
+/* Counts what a token leaves behind: its key, its value, and its part of the sum of all values. */
+static void count_stored(spike_state* s, int layer, int slot, spike_costs* costs) {
+  uint32_t sums = 0;
+  int head;
+  for (head = 0; head < SPIKE_HEADS; ++head)
+    sums += 2 * nonzero_neurons(s->values[layer][slot][head]);
+  if (SPIKE_RELATIVE) sums = 0;
+  costs->attention_products += sums;
+  costs->attention_bytes += (SPIKE_TICKS * SPIKE_HIDDEN + 7) / 8 + SPIKE_HIDDEN + 4 * sums;
+}
+
+#if SPIKE_ROUTING
+/* Sets s->gates from the attention in s->input, with 8 fraction bits. */
+static void route(spike_state* s, const spike_layer* layer, spike_costs* costs) {
+  int32_t best = INT32_MIN, sum = 0;
+  uint32_t products;
+  int h, k;
+  count_map(costs, apply_map(s, &layer->routing_hidden));
+  for (k = 0; k < layer->routing_hidden.outputs; ++k)
+    s->input[k] = (int16_t)limit(s->sums[k], 0, 32767);
+  products = apply_map(s, &layer->routing_gate);
+  count_map(costs, products);
+  costs->wide_multiply_accumulates += products;
+  costs->gate_products += SPIKE_HIDDEN;
+  for (h = 0; h < SPIKE_HEADS; ++h) {
+    s->gates[h] = s->sums[h];
+    if (s->gates[h] > best) best = s->gates[h];
+  }
+  if (SPIKE_SIGMOID) {
+    for (h = 0; h < SPIKE_HEADS; ++h) {
+      const int32_t gate = s->gates[h], other = power_of_two((uint32_t)(gate < 0 ? -gate : gate));
+      s->gates[h] = round_divide((gate >= 0 ? 65536 : other) * 256, 65536 + other);
+    }
+    return;
+  }
+  costs->softmax_terms += SPIKE_HEADS;
+  for (h = 0; h < SPIKE_HEADS; ++h)
+    sum += s->gates[h] = power_of_two((uint32_t)best - (uint32_t)s->gates[h]);
+  for (h = 0; h < SPIKE_HEADS; ++h) s->gates[h] = round_divide(s->gates[h] * 256, sum);
+}
+#endif
+
+/* Sets s->input to the merged heads. */
+static void merge(spike_state* s, const spike_layer* layer, spike_costs* costs) {
+  int k;
+#if SPIKE_ROUTING
+  int16_t* const y = s->drive[0]; /* which no population needs now */
+  for (k = 0; k < SPIKE_HIDDEN; ++k) y[k] = s->input[k] = (int16_t)s->sums[k];
+  route(s, layer, costs);
+  for (k = 0; k < SPIKE_HIDDEN; ++k) s->sums[k] = s->gates[k / SPIKE_HEAD_SIZE] * y[k];
+#else
+  (void)layer;
+  (void)costs;
+#endif
+  for (k = 0; k < SPIKE_MERGED; ++k) {
+    int32_t sum = s->sums[k];
+    int h;
+    for (h = 1; !SPIKE_CONCAT && h < SPIKE_HEADS; ++h) sum += s->sums[h * SPIKE_HEAD_SIZE + k];
+    if (SPIKE_ROUTING) {
+      sum = round_shift(SPIKE_CONCAT ? sum * SPIKE_HEADS : sum, 8);
+    } else if (!SPIKE_CONCAT) {
+      sum = round_divide(sum, SPIKE_HEADS);
+    }
+    s->input[k] = (int16_t)limit(sum, -32768, 255);
+  }
+}
+
+/* Computes a token from s->input, and adds its cost. */
+static void run_token(spike_state* s, spike_token token, const spike_mapped* embedding,
+                      spike_costs* costs) {
+  const int is_state = token.kind == 1;
+  const int slot = slot_of(token);
+  int layer;
+  memset(s->x, 0, sizeof(s->x));
+  costs->wide_multiply_accumulates += add_map(s, embedding, costs);
+  costs->weight_bytes += (uint32_t)embedding->map.inputs * SPIKE_HIDDEN;
+  for (layer = 0; layer < SPIKE_LAYERS; ++layer) {
+    const spike_layer* w = &layers[layer];
+    code(s, &w->coder, SPIKE_CODER, costs);
+    fire(s, &w->key, token.timestep, s->keys[layer][slot], SPIKE_KEY, costs);
+    fire(s, &w->value, token.timestep, s->values[layer][slot], SPIKE_VALUE, costs);
+    count_stored(s, layer, slot, costs);
+    if (layer + 1 == SPIKE_LAYERS && !is_state) return;
+    fire(s, &w->query, token.timestep, s->query, SPIKE_QUERY, costs);
+    attend(s, layer, token, costs);
+    merge(s, w, costs);
+    add_map(s, &w->attention_output, costs);
+    code(s, &w->ffn_coder, SPIKE_FFN_IN, costs);
+    fire(s, &w->ffn_hidden, token.timestep, NULL, SPIKE_FFN_HIDDEN, costs);
+    costs->weight_bytes += add_map(s, &w->ffn_output, costs);
+    if (!is_state) continue;
+    costs->weight_bytes += SPIKE_HIDDEN * SPIKE_MERGED +
+                           SPIKE_ROUTING * SPIKE_ROUTING_HIDDEN * (SPIKE_HIDDEN + SPIKE_HEADS);
+  }
+}

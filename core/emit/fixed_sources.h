@@ -1,0 +1,18 @@
+// The C that is the same for every policy, compiled into the program; see cmake/EmbedFiles.cmake.
+//
+// Thread-safe.
+#ifndef CORE_EMIT_FIXED_SOURCES_H_
+#define CORE_EMIT_FIXED_SOURCES_H_
+
+#include <map>
+
+#include "absl/strings/string_view.h"
+
+namespace spikeserve {
+
+// Returns the contents of the files of core/emit/c by their names, such as "network.c".
+const std::map<absl::string_view, absl::string_view>& FixedSources();
+
+}  // namespace spikeserve
+
+#endif  // CORE_EMIT_FIXED_SOURCES_H_

@@ -1,0 +1,24 @@
+// Writes the numbers of an integer policy as C tables, for the sources of core/emit/c.
+//
+// Pure functions, thread-safe.
+#ifndef CORE_EMIT_POLICY_TABLES_H_
+#define CORE_EMIT_POLICY_TABLES_H_
+
+#include <cstdint>
+#include <string>
+
+#include "core/model/policy.h"
+
+namespace spikeserve {
+
+struct PolicyTables {
+  std::string text;
+  int64_t bytes = 0;  // of the numbers
+};
+
+// Returns the tables of the weights. REQUIRES: a spiking policy in integer arithmetic.
+PolicyTables TablesOf(const Policy& policy);
+
+}  // namespace spikeserve
+
+#endif  // CORE_EMIT_POLICY_TABLES_H_

@@ -1,0 +1,17 @@
+/* Standard input and output. */
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "port.h"
+
+void port_open(void) {}
+
+void port_read(void* to, size_t size) {
+  if (fread(to, 1, size, stdin) == size) return;
+  fputs("the stream has ended\n", stderr);
+  exit(2);
+}
+
+void port_print(const char* text) { fputs(text, stdout); }
+
+void port_exit(int status) { exit(status); }
