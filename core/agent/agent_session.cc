@@ -9,6 +9,7 @@
 #include "absl/base/attributes.h"
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
+#include "core/agent/repeated_step.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/session/session_value.h"
@@ -134,6 +135,15 @@ bool AgentSession::Together::IsNewDecision(ActCall& call) {
     call.answer = &*session.last_answer;
     // A store may hold an answer of a server that did not check it.
     if (!IsFinite(*session.last_answer)) call.answer = call.session->NonFiniteError();
+    const RepeatedStep repeated = {.step = call.step,
+                                   .observation = call.observation,
+                                   .reward = call.reward,
+                                   .executed = call.executed};
+    if (const auto status =
+            CheckRepeatedStep(repeated, call.session->policy().action_space, session);
+        !status.ok()) {
+      call.answer = status;
+    }
     return false;
   }
   absl::Status status = call.session->CheckNewDecision(call);
@@ -408,6 +418,12 @@ absl::StatusOr<EpisodeSummary> AgentSession::RepeatEnd(const EpisodeEnd& end) {
   }
   return absl::FailedPreconditionError(
       "step: expected at least one decision since the last episode ended, received none");
+}
+
+void AgentSession::CountMissingRewards(int64_t rewards) {
+  if (rewards == 0) return;
+  life_.OnMissingRewards(rewards);
+  served_->observer->OnMissingRewards(rewards);
 }
 
 void AgentSession::Compact() {

@@ -43,11 +43,11 @@ class AgentSession {
   // learning and in recordings. Both are ignored at step 0. The returned answer is valid until the
   // next call that changes the session.
   //
-  // A request for the step that was answered last is a retry: it returns the stored answer,
-  // whatever its other arguments are, and nothing is counted twice. Errors do not change the
-  // session: FAILED_PRECONDITION for any other step than the next one; INVALID_ARGUMENT for an
-  // observation of the wrong length, a number that is not finite or an executed action outside the
-  // action space; INTERNAL, which names the policy, if the policy's answer is not finite.
+  // The step that was answered last, with the same arguments, is a retry: it returns the stored
+  // answer, and nothing is counted twice. Errors do not change the session: FAILED_PRECONDITION for
+  // another step, or other arguments (repeated_step.h); INVALID_ARGUMENT for an observation of the
+  // wrong length, a number that is not finite or an executed action outside the action space;
+  // INTERNAL, which names the policy, if the policy's answer is not finite.
   absl::StatusOr<const Answer*> Act(int64_t step, absl::Span<const float> observation,
                                     double reward,
                                     const std::optional<ReportedAction>& executed = std::nullopt);
@@ -92,11 +92,11 @@ class AgentSession {
   // Returns the contribution whose outcome the last returned summary may lack; null: it lacks none.
   const std::shared_ptr<FleetContribution>& contribution() const { return head_.contribution(); }
 
+  void CountMissingRewards(int64_t rewards);  // that were left out after step 0, and are 0
   // Calls `listener` for the decisions and episodes after this call.
   void AddListener(std::shared_ptr<SessionListener> listener);
 
-  // Frees the engine's context. The next decision rebuilds it.
-  void DropContext() { context_.Drop(); }
+  void DropContext() { context_.Drop(); }  // the next decision makes it again
   // Frees all memory that the session's value does not need. For sessions that have been idle.
   void Compact();
 

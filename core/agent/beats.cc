@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "core/agent/repeated_step.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
@@ -54,10 +55,14 @@ absl::Status CheckPlace(const BeatHistory& history, const Session& session) {
                      ", received ", *history.decision, " for step ", history.step));
   }
   const int64_t first = FirstStep(history) - static_cast<int64_t>(history.skipped_rewards.size());
-  if (first <= session.step) return absl::OkStatus();
-  return absl::FailedPreconditionError(absl::StrCat("history: expected beats from step ",
-                                                    session.step, " on, received those from step ",
-                                                    first, " on"));
+  // A store may have lost what was executed before the first beat, which nothing else tells then.
+  const bool may_lack_action = session.step > 0 && FirstStep(history) == session.step &&
+                               session.options.durability != Durability::kNone;
+  if (first <= session.step && !may_lack_action) return absl::OkStatus();
+  const int64_t latest = may_lack_action ? session.step - 1 : session.step;
+  return absl::FailedPreconditionError(
+      absl::StrCat("history: expected beats from step ", latest, " on, received those from step ",
+                   may_lack_action ? FirstStep(history) : first, " on"));
 }
 
 // Follows the return-to-go over rewards.
@@ -93,8 +98,11 @@ absl::Status CheckBeats(const BeatHistory& history, const AgentSession& agent) {
     auto status = return_to_go.Take(history.skipped_rewards[static_cast<size_t>(i)]);
     if (!status.ok()) return Annotate(status, absl::StrCat("skipped_rewards[", i, "]"));
   }
-  // The executed action of the last beat that the session has is new, too.
-  for (int64_t i = std::max<int64_t>(0, session.step - 1 - first);
+  // The executed action of the last beat that the session has is new, too. The beats that its own
+  // history has are compared.
+  std::optional<ReportedAction> executed;  // at the step before
+  const auto known = std::max<int64_t>(1, static_cast<int64_t>(session.history.size()));
+  for (int64_t i = std::max<int64_t>(0, session.step - known - first);
        i < static_cast<int64_t>(history.size); ++i) {
     const auto index = static_cast<size_t>(i);
     const Beat beat = history.beat(index);
@@ -110,6 +118,13 @@ absl::Status CheckBeats(const BeatHistory& history, const AgentSession& agent) {
       }
       if (status.ok()) status = return_to_go.Take(beat.reward);
     }
+    if (status.ok() && beat.step < session.step) {
+      status = CheckRepeatedStep({.step = beat.step,
+                                  .observation = beat.observation,
+                                  .reward = beat.reward,
+                                  .executed = std::exchange(executed, beat.executed)},
+                                 policy.action_space, session);
+    }
     if (!status.ok()) return Annotate(status, Name(index));
   }
   if (history.end_reward.has_value()) return return_to_go.Take(*history.end_reward);
@@ -119,6 +134,18 @@ absl::Status CheckBeats(const BeatHistory& history, const AgentSession& agent) {
     return status;
   }
   return return_to_go.Take(history.reward);
+}
+
+// Returns whether the reward of `beat` was left out where one is expected.
+bool LacksReward(const Beat& beat) { return beat.step > 0 && !beat.has_reward; }
+
+// Returns how many of the beats from `begin` to before `end` lack their reward.
+int64_t MissingRewards(const BeatHistory& history, int64_t begin, int64_t end) {
+  int64_t missing = 0;
+  for (int64_t step = std::max(begin, FirstStep(history)); step < end; ++step) {
+    missing += LacksReward(history.beat(static_cast<size_t>(step - FirstStep(history)))) ? 1 : 0;
+  }
+  return missing;
 }
 
 // Counts the rewards of the steps before `end` that the session does not have.
@@ -185,13 +212,14 @@ absl::StatusOr<AppendedBeats> AppendBeats(const BeatHistory& history, AgentSessi
   const int64_t first = FirstStep(history);
   const int64_t past = PastOf(history);
   if (past <= std::max(first, session.step)) return result;
+  const int64_t begun = session.step;
   result.dropped =
       Skip(history, std::min(std::max(first, history.step - kHistoryLimit), past - 1), agent);
   bool after_gap = result.dropped > 0;
   while (session.step < past) {
     if (result.appended == most) {
       result.finished = false;
-      return result;
+      break;
     }
     auto index = static_cast<size_t>(session.step - first);
     if (const auto blind = BlindRewards(history, index); !blind.empty()) {
@@ -211,6 +239,7 @@ absl::StatusOr<AppendedBeats> AppendBeats(const BeatHistory& history, AgentSessi
     ++result.appended;
     on_appended(beat);
   }
+  result.missing_rewards = MissingRewards(history, begun, session.step);
   return result;
 }
 

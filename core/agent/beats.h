@@ -32,6 +32,7 @@ struct Beat {
   absl::Span<const float> observation;  // empty: the robot had no valid one
   double reward = 0.0;                  // of the action before
   ReportedAction executed;
+  bool has_reward = true;  // false: it was left out, and `reward` is 0
 };
 
 // The beats directly before a request's step, without a gap.
@@ -49,9 +50,10 @@ struct BeatHistory {
 
 // What AppendBeats has done.
 struct AppendedBeats {
-  int64_t appended = 0;  // with their observations
-  int64_t dropped = 0;   // as rewards only, with or without an observation
-  bool finished = true;  // false: more beats are to be appended by another call
+  int64_t appended = 0;         // with their observations
+  int64_t dropped = 0;          // as rewards only, with or without an observation
+  int64_t missing_rewards = 0;  // of these, after step 0
+  bool finished = true;         // false: more beats are to be appended by another call
 };
 
 // The most beats of one request that are appended with their observations; of longer ones the older
@@ -62,11 +64,13 @@ inline constexpr int64_t kHistoryLimit = 1024;
 inline constexpr int64_t kMostSkippedRewards = 65536;
 
 // Appends the beats that the session does not have, at most `most` of them (at least 1), and calls
-// `on_appended` after each. Returns, without having
-// changed the session: INVALID_ARGUMENT, which names the field, if the history or what follows it
-// is not valid; FAILED_PRECONDITION if it does not reach back to the step that the session expects
-// or belongs to another episode. Returns INTERNAL if the policy's answer to a beat is not finite;
-// the beats before it are appended then. A history that is older than the session adds nothing.
+// `on_appended` after each. Returns, without having changed the session: INVALID_ARGUMENT, which
+// names the field, if the history or what follows it is not valid; FAILED_PRECONDITION if it does
+// not reach back to the step that the session expects, belongs to another episode, or has another
+// content of steps that the session has (repeated_step.h). The first beat for a stored
+// session is not the one that it expects: its server may have lost what was executed before it.
+// Returns INTERNAL if the policy's answer to a beat is not finite; the beats before it are
+// appended then. A history that is older than the session adds nothing.
 //
 // A beat without an observation counts as a skipped reward: the context begins again behind it.
 // Such beats at the end of the history are taken only if `history` has an observation or ends the

@@ -53,6 +53,10 @@ class SessionObserver {
   virtual void OnExpired() {}
   // A request asked again for an answer that was given.
   virtual void OnRepeated() {}
+  // A request repeated a step with another content than the one that was taken, and was refused.
+  virtual void OnConflict() {}
+  // Rewards after step 0 were left out, and counted as 0.
+  virtual void OnMissingRewards(int64_t /*rewards*/) {}
   // A robot reported what it did since its last report.
   virtual void OnReport(const BeatCounts& /*beats*/) {}
   // A request for a decision was refused or failed; the session is unchanged.

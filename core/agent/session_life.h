@@ -111,6 +111,10 @@ class SessionLife {
     episodes_.Add({.episode_return = episode_return});
   }
 
+  void OnMissingRewards(int64_t rewards) { missing_rewards_ += rewards; }
+
+  // Returns the rewards after step 0 that were left out, and counted as 0.
+  int64_t missing_rewards() const { return missing_rewards_; }
   std::vector<ThinnedSeries<Decisions>::Point> decisions() const { return decisions_.Points(); }
   std::vector<ThinnedSeries<Episodes>::Point> episodes() const { return episodes_.Points(); }
 
@@ -126,6 +130,7 @@ class SessionLife {
   ThinnedSeries<Episodes> episodes_;
   double return_sum_ = 0.0;
   double last_return_ = 0.0;
+  int64_t missing_rewards_ = 0;
 };
 
 }  // namespace spikeserve

@@ -195,7 +195,11 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
     span.Fail(act.status);
     if (!act.status.ok()) continue;
     const Session& session = entry.agent.session();
-    if (calls[i].is_retry) entry.served->observer->OnRepeated();
+    if (calls[i].is_retry) {
+      entry.served->observer->OnRepeated();
+    } else if (calls[i].step > 0 && !act.request->has_reward()) {
+      entry.agent.CountMissingRewards(1);
+    }
     if (entry.shadow != nullptr && !calls[i].is_retry) {
       entry.shadow_steps.push_back(MakeShadowStep(act.request->observation(), act.request->reward(),
                                                   calls[i].executed.has_value(), session));

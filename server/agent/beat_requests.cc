@@ -20,7 +20,8 @@ class RequestBeats {
     return {.step = beat.step(),
             .observation = beat.observation(),
             .reward = beat.reward(),
-            .executed = FromProto(beat.executed())};
+            .executed = FromProto(beat.executed()),
+            .has_reward = beat.has_reward()};
   }
 
  private:
@@ -111,11 +112,13 @@ absl::StatusOr<bool> TakeBeats(const v1::ActRequest& request, absl::Duration rec
   *budget -= done.appended;
   progress->appended += done.appended;
   progress->dropped += done.dropped;
+  agent->CountMissingRewards(done.missing_rewards);
   if (done.dropped > 0) observer.OnSkippedBeats(done.dropped);
   progress->spent += clock.Now() - start;
   progress->finished = done.finished;
   if (!progress->finished) return false;
-  if (request.step() < agent->session().step) return true;  // asks for an answer that was given
+  // Asks again for an answer that was given, or for none.
+  if (request.step() < agent->session().step) return !request.observation().empty();
   progress->expired = is_late;
   if (is_late) observer.OnExpired();
   if (!progress->expired && !request.observation().empty()) return true;

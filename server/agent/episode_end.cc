@@ -130,6 +130,7 @@ absl::Status EndEpisodeOf(SessionEntry& entry, const v1::EndEpisodeRequest& requ
   const EpisodeEnd end = EndOf(request, agent.policy());
   Span merge = StartMerge(call, entry);
   const auto summary = agent.EndEpisode(end);
+  if (summary.ok() && !repeats && !request.has_reward()) agent.CountMissingRewards(1);
   merge.Fail(summary.status());
   merge.End();
   return AnswerWith(summary, entry, response);

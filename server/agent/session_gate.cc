@@ -5,6 +5,7 @@
 #include <functional>
 #include <utility>
 
+#include "core/agent/repeated_step.h"
 #include "core/session/session_id.h"
 #include "server/base/expected_decision.h"
 
@@ -96,12 +97,17 @@ absl::Status SessionGate::Refused(const CallContext& context, const Place& place
   // its step is.
   const bool may_be_outdated = context.may_claim && journal != nullptr && journal->is_shared() &&
                                (IsAhead(place, session) || !place.is_of_session);
-  if (!may_be_outdated) {
-    return WithExpectedDecision(
-        refusal, {.decision = session.decisions, .episode = session.episode, .step = session.step});
+  if (may_be_outdated) {
+    journal->Abandon();
+    return NoSuchSession(session.id);
   }
-  journal->Abandon();
-  return NoSuchSession(session.id);
+  absl::Status status = refusal;
+  if (TakeConflict(&status)) {
+    entry.served->observer->OnConflict();
+    return status;
+  }
+  return WithExpectedDecision(
+      status, {.decision = session.decisions, .episode = session.episode, .step = session.step});
 }
 
 bool SessionGate::WaitsForClaim(const CallContext& context, const absl::Status& status) {

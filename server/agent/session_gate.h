@@ -99,8 +99,8 @@ class SessionGate {
   static absl::Status MovedError();
 
   // Returns the error for a request at `place` that the session has refused with the
-  // FAILED_PRECONDITION `refusal`: what the session expects, or, if this copy of it may be an old
-  // one and may be claimed, NOT_FOUND. The copy is lost then.
+  // FAILED_PRECONDITION `refusal`: what the session expects, if `refusal` is no conflict, or, if
+  // this copy of it may be an old one and may be claimed, NOT_FOUND. The copy is lost then.
   static absl::Status Refused(const CallContext& context, const Place& place,
                               const absl::Status& refusal, SessionEntry& entry)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex);

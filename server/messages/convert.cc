@@ -254,6 +254,7 @@ v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delt
   proto.set_spikes(session.spikes);
   proto.set_energy_joules(session.energy_joules);
   proto.set_decisions(session.decisions);
+  proto.set_missing_rewards(agent.life().missing_rewards());
   proto.set_head_drift(agent.HeadDrift());
   if (include_head_delta) {
     const Eigen::VectorXf delta = agent.HeadDelta();

@@ -176,6 +176,12 @@ Metrics::Metrics()  // #lizard forgives(length): a table
       repeated_requests_(Register(BuildCounter(), "spikeserve_repeated_requests_total",
                                   "Requests for an answer that was given before: the first one was "
                                   "late or lost.")),
+      conflicting_requests_(Register(
+          BuildCounter(), "spikeserve_conflicting_requests_total",
+          "Requests that repeat a step with another content, and were refused: two robots may use "
+          "one session_id.")),
+      missing_rewards_(Register(BuildCounter(), "spikeserve_missing_rewards_total",
+                                "Rewards after step 0 that requests left out. They count as 0.")),
       action_age_(Register(BuildHistogram(), "spikeserve_action_age_seconds",
                            "Time from the observation to the execution of the oldest action that "
                            "a robot executed since its last report.")),
@@ -329,6 +335,8 @@ RobotHandles Metrics::AddRobots(const std::string& version, const prometheus::La
           .skipped = add_with(appended_beats_, "known", "reward"),
           .expired = add(expired_requests_),
           .repeated = add(repeated_requests_),
+          .conflicting = add(conflicting_requests_),
+          .missing_rewards = add(missing_rewards_),
           .age = add(action_age_, RobotSeconds()),
           .gap = add(fresh_gap_, RobotSeconds())};
 }

@@ -178,6 +178,8 @@ class Metrics {
   prometheus::Family<prometheus::Counter>& appended_beats_;
   prometheus::Family<prometheus::Counter>& expired_requests_;
   prometheus::Family<prometheus::Counter>& repeated_requests_;
+  prometheus::Family<prometheus::Counter>& conflicting_requests_;
+  prometheus::Family<prometheus::Counter>& missing_rewards_;
   prometheus::Family<prometheus::Histogram>& action_age_;
   prometheus::Family<prometheus::Histogram>& fresh_gap_;
   prometheus::Counter* reaped_idle_;

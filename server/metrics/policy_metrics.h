@@ -70,6 +70,8 @@ struct RobotHandles {
   prometheus::Counter* skipped;               // beats
   prometheus::Counter* expired;               // requests
   prometheus::Counter* repeated;              // requests
+  prometheus::Counter* conflicting;           // requests
+  prometheus::Counter* missing_rewards;
   prometheus::Histogram* age;
   prometheus::Histogram* gap;
 };
@@ -153,6 +155,10 @@ class PolicyMetrics final : public SessionObserver {
   void OnSkippedBeats(int64_t beats) override;
   void OnExpired() override { robots_.get().expired->Increment(); }
   void OnRepeated() override { robots_.get().repeated->Increment(); }
+  void OnConflict() override { robots_.get().conflicting->Increment(); }
+  void OnMissingRewards(int64_t rewards) override {
+    robots_.get().missing_rewards->Increment(static_cast<double>(rewards));
+  }
   void OnReport(const BeatCounts& beats) override;
   void OnNonFinite() override;
   void OnEpisodeEnd(double episode_return) override;

@@ -19,15 +19,15 @@ std::unique_ptr<T[]> Reserve(size_t count) {
 }  // namespace
 
 BeatLog::BeatLog(size_t kept, size_t observation_size, const ActionShape& shape)
-    : kept_(kept),
-      reward_slots_(kept + kMostSkipped),
+    : kept_(kept + 1),
+      reward_slots_(kept_ + kMostSkipped),
       observation_size_(observation_size),
       shape_(shape),
-      observations_(Reserve<float>(kept * observation_size)),
-      continuous_(Reserve<float>(kept * shape.size())),
-      discrete_(std::make_unique<int64_t[]>(kept)),
+      observations_(Reserve<float>(kept_ * observation_size)),
+      continuous_(Reserve<float>(kept_ * shape.size())),
+      discrete_(std::make_unique<int64_t[]>(kept_)),
       rewards_(Reserve<double>(reward_slots_)),
-      is_blind_(kept) {
+      is_blind_(kept_) {
   episodes_.emplace_back();
 }
 
@@ -46,6 +46,11 @@ bool BeatLog::is_too_long() const {
 }
 
 uint64_t BeatLog::kept_from() const { return std::max(base_, next_ > kept_ ? next_ - kept_ : 0); }
+
+uint64_t BeatLog::kept_from(const RobotEpisode& episode) const {
+  const size_t outside = episode.ending.has_value() ? episode.ending->last.size() : 1;
+  return std::min(kept_from(), episode.past() - outside);
+}
 
 uint64_t BeatLog::rewards_from() const {
   return std::max(base_, next_ > reward_slots_ ? next_ - reward_slots_ : 0);
@@ -88,18 +93,22 @@ BeatView BeatLog::At(uint64_t number) const {
 
 BeatView BeatLog::BeatOf(const RobotEpisode& episode, uint64_t number) const {
   if (Has(number)) return At(number);
-  const Ending& ending = *episode.ending;
-  return {ending.observation, ending.reward, ending.executed.view()};
+  const std::vector<KeptBeat>& last = episode.ending->last;
+  const KeptBeat& beat = last[number + last.size() - episode.past()];
+  return {beat.observation, beat.reward, beat.executed.view()};
 }
 
 std::future<absl::StatusOr<v1::EndEpisodeResponse>> BeatLog::End(EpisodeOutcome outcome) {
   RobotEpisode& episode = episodes_.back();
-  const BeatView last = At(next_ - 1);
   Ending& ending = episode.ending.emplace();
   ending.outcome = std::move(outcome);
-  ending.observation.assign(last.observation.begin(), last.observation.end());
-  ending.reward = last.reward;
-  ending.executed.Assign(last.executed);
+  for (uint64_t number = next_ - std::min<uint64_t>(2, episode.steps); number < next_; ++number) {
+    const BeatView beat = At(number);
+    KeptBeat& kept = ending.last.emplace_back();
+    kept.observation.assign(beat.observation.begin(), beat.observation.end());
+    kept.reward = beat.reward;
+    kept.executed.Assign(beat.executed);
+  }
   auto summary = ending.summary.get_future();
   episodes_.push_back({.index = episode.index + 1, .first = episode.past()});
   return summary;
@@ -109,7 +118,10 @@ uint64_t BeatLog::HistoryBegin() const {
   const RobotEpisode& episode = asked();
   // The executed action of the last beat that the server has may be missing there.
   uint64_t begin = std::max(episode.first, acknowledged_ > 0 ? acknowledged_ - 1 : 0);
-  begin = std::max(begin, std::min(kept_from(), episode.past() - 1));
+  if (kept_from(episode) > begin) {
+    begin = kept_from(episode);
+    if (begin == acknowledged_) ++begin;  // the context starts behind what is not known
+  }
   if (HistoryPast() - begin <= most()) return begin;
   // The server takes beats without an observation only with what follows them, so that a history
   // of these alone would bring nothing. They count as rewards all the same.
@@ -161,7 +173,7 @@ void BeatLog::FillEnd(v1::EndEpisodeRequest* request) const {
   request->set_truncated(outcome.truncated);
   if (outcome.target_return.has_value()) request->set_target_return(*outcome.target_return);
   request->mutable_observation()->Assign(outcome.observation.begin(), outcome.observation.end());
-  ToProto(ending.executed.view(), shape_, request->mutable_executed_action());
+  ToProto(ending.last.back().executed.view(), shape_, request->mutable_executed_action());
   request->set_episode(episode.index);
   request->set_steps(static_cast<int64_t>(episode.steps));
 }
@@ -192,9 +204,7 @@ Ending BeatLog::Settle(bool is_stored) {
     settled_.push_back(std::move(episodes_.front()));
     settled_.back().ending = {.outcome = ending.outcome,
                               .summary = {},  // nobody waits for the next answer
-                              .observation = ending.observation,
-                              .reward = ending.reward,
-                              .executed = ending.executed};
+                              .last = ending.last};
     if (settled_.size() > kMostEpisodes) settled_.pop_front();
   }
   episodes_.pop_front();

@@ -1,9 +1,10 @@
 // The beats of the robot that the server may not have. Nothing here waits.
 //
 // Beats are numbered from 0, over all episodes of the pilot, and the last ones are kept in a ring:
-// their observations, their executed actions, and for a longer time their rewards. So nothing is
-// lost and nothing is counted twice, whatever the link does. The memory is reserved once, and
-// touched as it is needed.
+// their observations, their executed actions, and for a longer time their rewards. A history begins
+// one beat before the one that the server expects, with what was executed there, or the server's
+// context starts behind a gap. So nothing is lost and nothing is counted twice, whatever the link
+// does. The memory is reserved once, and touched as it is needed.
 //
 // An episode goes through these states, and never back:
 //
@@ -48,14 +49,20 @@ struct BeatView {
   ActionView executed;                  // of the newest beat: what was executed so far, if anything
 };
 
+// A beat outside the ring.
+struct KeptBeat {
+  std::vector<float> observation;
+  double reward = 0.0;
+  ActionValue executed;
+};
+
 // How an episode has ended, and who waits for its summary.
 struct Ending {
   EpisodeOutcome outcome;
   std::promise<absl::StatusOr<v1::EndEpisodeResponse>> summary;
-  // The last beat, which outlasts the ring because EndEpisode needs it.
-  std::vector<float> observation;
-  double reward = 0.0;
-  ActionValue executed;
+  // The last two beats, or one if there is no other, which outlast the ring: EndEpisode needs the
+  // last one, and its place in the session needs the one before.
+  std::vector<KeptBeat> last;
 };
 
 struct RobotEpisode {
@@ -70,7 +77,8 @@ struct RobotEpisode {
 
 class BeatLog {
  public:
-  // Keeps `kept` beats with `observation_size` numbers each.
+  // Keeps `kept` beats, at least 2, that the server may miss, and one before them, with
+  // `observation_size` numbers each.
   BeatLog(size_t kept, size_t observation_size, const ActionShape& shape);
 
   // The episode of the robot's next beat, and the one that the server's session is at.
@@ -146,6 +154,7 @@ class BeatLog {
 
  private:
   uint64_t kept_from() const;
+  uint64_t kept_from(const RobotEpisode& episode) const;  // with its ending
   uint64_t rewards_from() const;
   size_t SlotOf(uint64_t number) const { return number % kept_; }
   double RewardOf(uint64_t number) const { return rewards_[number % reward_slots_]; }

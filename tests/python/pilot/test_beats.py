@@ -67,8 +67,9 @@ def test_everything_counts_once(service):
     assert len({answer.action.SerializeToString() for answer in answers}) == 1
     # A request that was overtaken by the next one.
     robot.execute(answers[0].action)
+    overtaken = robot.request(0, observed_at=START)
     robot.act(8)
-    assert service.Act(**robot.request(0, step=8, decision=8, observed_at=START)).next_step == 9
+    assert service.Act(**overtaken).next_step == 9
     assert code_of(service.Act, **first) == grpc.StatusCode.FAILED_PRECONDITION
     assert robot.value() == values[8]
 
@@ -303,9 +304,10 @@ def test_the_server_sees_its_robots():
         robot = Robot(service, policy="pendulum", period_seconds=0.02, labels={"robot": "arm-7"})
         report = {"fresh": 10, "held": 5, "local": 3, "safe": 2, "late_answers": 4, "oldest_age_seconds": 0.3}
         report["invalid_observations"] = 1
+        again = robot.request(0, report=report)
         answer = robot.act(report=report)
         assert answer.next_step == 1
-        service.Act(**robot.request(0, step=0, decision=0, report=report))  # sent again
+        service.Act(**again)
         for source, beats in (("fresh", 10), ("held", 5), ("local", 3), ("safe", 2)):
             assert metric(addresses, "spikeserve_beats_total", policy="pendulum", source=source) == beats
         assert metric(addresses, "spikeserve_late_answers_total") == 4

@@ -114,25 +114,31 @@ class Flight:
 
     def check_session(self, client):
         """Checks that the session at the server equals one that was never disturbed, bit for bit."""
+        with undisturbed() as other:
+            self.check_equal(client, other)
+
+    def check_equal(self, client, other):
+        """As check_session. `other` is connected to a server that nothing disturbs."""
         self.check_summaries()
-        with contextlib.ExitStack() as stack:
-            flags = []
-            if self.session.durability:
-                folder = stack.enter_context(tempfile.TemporaryDirectory())
-                flags.append(f"--session_store=file:{folder}")
-            server = stack.enter_context(restartable_server(*flags))
-            other = stack.enter_context(spikeserve.Client(server.address))
-            opening = self.session.to_wire(self.policy)
-            opening.session_id, opening.period_seconds = self.pilot.session_id, self.period
-            other.call("OpenSession", opening)
-            session = spikeserve.Session(other, self.pilot.session_id)
-            for beats, last in zip(self.episodes, self.endings, strict=False):
-                before = None
-                for observation, reward, action in beats:
-                    session.act(observation, reward, executed_action=before)
-                    before = action
-                session.end_episode(last, terminated=True, executed_action=before)
-            assert exported(client, self.pilot.session_id) == exported(other, session.session_id)
+        opening = self.session.to_wire(self.policy)
+        opening.session_id, opening.period_seconds = self.pilot.session_id, self.period
+        other.call("OpenSession", opening)
+        session = spikeserve.Session(other, self.pilot.session_id)
+        for beats, last in zip(self.episodes, self.endings, strict=False):
+            before = None
+            for observation, reward, action in beats:
+                session.act(observation, reward, executed_action=before)
+                before = action
+            session.end_episode(last, terminated=True, executed_action=before)
+        assert exported(client, self.pilot.session_id) == exported(other, session.session_id)
+
+
+@contextlib.contextmanager
+def undisturbed():
+    """Yields a client of a server with a store."""
+    with tempfile.TemporaryDirectory() as folder, restartable_server(f"--session_store=file:{folder}") as server:
+        with spikeserve.Client(server.address) as client:
+            yield client
 
 
 def exported(client, session_id):

@@ -4,16 +4,19 @@ import contextlib
 import itertools
 import math
 import re
+import signal
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import spikeserve
-from restartable_server import RestartableServer
+from redis_servers import WITHOUT_REDIS
+from restartable_server import RestartableServer, restartable_server
 from serving import metric, page_of, running_server
 from spikeserve.piloting import robot_clock
-from test_pilot import WAIT, Flight, client, fly  # noqa: F401
+from test_pilot import LEARNING, WAIT, Flight, client, fly  # noqa: F401
 
 
 def test_a_server_that_denies_the_session_has_not_the_last_word(tmp_path, fly):
@@ -42,6 +45,35 @@ def test_a_server_that_denies_the_session_has_not_the_last_word(tmp_path, fly):
             flight.check_summaries()
             assert flight.pilot.session_id == first
             assert flight.pilot.stats().reopened == 0
+
+
+@WITHOUT_REDIS
+def test_what_a_kill_loses_the_robot_sends_again(redis, fly):
+    """ASYNC: two ends of episodes were answered and never stored, nor was what was executed around them."""
+    options = replace(LEARNING, durability="ASYNC")
+    with restartable_server(f"--session_store=redis://127.0.0.1:{redis.port}") as server:
+        with spikeserve.Client(server.address) as client, fly(client, "cartpole", local=False, session=options) as flight:
+            for _ in range(2):
+                flight.until("fresh")
+                flight.fly(10)
+                redis.process.send_signal(signal.SIGSTOP)
+                for _ in range(2):
+                    flight.fly(5)
+                    flight.until("fresh")
+                    flight.end()
+                flight.until("fresh")
+                for summary in flight.summaries:
+                    summary.result(WAIT)
+                server.kill()
+                redis.kill()  # with what has arrived since it stopped
+                flight.until("safe")
+                redis.start()
+                server.start()
+            flight.until("fresh")
+            flight.end()
+            flight.check_session(client)
+            stats = flight.pilot.stats()
+            assert stats.reopened == stats.lost_episodes == 0
 
 
 def test_a_blind_robot_is_not_reported_fresh(fly):

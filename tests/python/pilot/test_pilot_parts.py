@@ -110,6 +110,8 @@ class Robot:
         assert request.decision == episode.first_decision + request.step
         begin = request.step - len(request.history)
         assert begin - len(request.skipped_rewards) <= len(self.session)
+        if self.session and request.step > len(self.session) and not request.skipped_rewards:
+            assert begin < len(self.session)  # with what was executed there, which a store may have lost
         for reward in request.skipped_rewards[len(self.session) - begin :] if begin > len(self.session) else ():
             self.session.append((None, reward))
         for beat in request.history:
@@ -174,9 +176,27 @@ def test_of_beats_that_are_not_kept_the_rewards_travel():
     robot = Robot(kept=10)
     for _ in range(30):
         robot.beat()
-    assert robot.log.dropped == 20
+    assert robot.log.dropped == 19
     assert robot.ask()
-    assert robot.session == [(None, n) for n in range(20)] + [(n, n) for n in range(20, 30)]
+    assert robot.session == [(None, n) for n in range(19)] + [(n, n) for n in range(19, 30)]
+
+
+@pytest.mark.parametrize("kept", [2, 3, 5, 100])
+def test_a_server_that_lost_beats_is_told_what_was_executed_before_them(kept):
+    """Or its context starts behind the step that it expects."""
+    for known, ends in itertools.product(range(12), (False, True)):
+        robot = Robot(kept)
+        for _ in range(12):
+            robot.beat()
+            robot.ask()
+        del robot.session[known:]
+        assert robot.log.rewind(known, None)
+        if ends:
+            robot.end()
+        robot.beat()
+        assert robot.ask() == (not ends)
+        assert len(robot.session) == 13 - ends
+        assert kept < 100 or robot.session == [(n, n) for n in range(13 - ends)]
 
 
 def test_a_server_that_lost_beats_gets_them_again():
@@ -274,7 +294,7 @@ def test_a_new_session_has_the_whole_running_episode():
     assert robot.log.begin_again() == []
     robot.beat()
     assert robot.ask()
-    assert robot.session == [(None, n) for n in range(21)] + [(n, n) for n in range(21, 31)]
+    assert robot.session == [(None, n) for n in range(20)] + [(n, n) for n in range(20, 31)]
     assert robot.log.running.lost_steps == 0
     # Beats that the server has refused are not sent to the next session.
     assert robot.log.begin_again(keeps_beats=False) == []

@@ -50,8 +50,10 @@ def play(session, actions=(), retry=False):
         costs.append((decision.stats.spikes_by_stage, decision.stats.multiply_accumulates))
         if retry:
             again = spikeserve.Session(session._client, session.session_id, step)
-            # The stored answer, whatever the retry says was executed.
-            assert again.act(observation, 1.0, executed_action=0).stats == decision.stats
+            if step > 0:
+                with pytest.raises(spikeserve.FailedPreconditionError, match="executed_action: expected index 1 "):
+                    again.act(observation, 1.0, executed_action=0)
+            assert again.act(observation, 1.0, executed_action=executed).stats == decision.stats
     return costs
 
 

@@ -79,7 +79,7 @@ TEST_F(ActTogetherTest, ARetryAndABadRequestLeaveTheOthersAlone) {
   const std::vector<float> bad = {1.0f, std::numeric_limits<float>::infinity(), 1.0f};
   const std::string untouched = SerializeSession(sessions[1]->session());
   std::vector<ActCall> calls = {
-      {.session = sessions[0].get(), .step = 0, .observation = bad},
+      {.session = sessions[0].get(), .step = 0, .observation = observation},
       {.session = sessions[1].get(), .step = 0, .observation = bad},
       {.session = sessions[2].get(), .step = 0, .observation = observation},
       {.session = sessions[3].get(), .step = 4, .observation = observation}};

@@ -3,10 +3,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <limits>
 #include <numeric>
 #include <set>
 
+#include "core/agent/repeated_step.h"
 #include "core/engine/energy.h"
 #include "core/journal/session_bytes.h"
 #include "core/session/session_value.h"
@@ -77,12 +79,53 @@ TEST_F(AgentSessionTest, RetryGetsTheStoredAnswerAndCountsNothing) {
     clock_.Advance(absl::Seconds(1));
     if (t % 2 == 0) agent.AppendPendingAction();
     if (t % 3 == 0) agent.DropContext();
-    const auto retry = agent.Act(t, std::vector<float>{1.0f}, kNan);
+    const auto retry = agent.Act(t, ObservationAt(t), t == 0 ? kNan : RewardAt(t));
     ASSERT_TRUE(retry.ok()) << retry.status();
     EXPECT_EQ(**retry, answer);
     EXPECT_EQ(SerializeSession(agent.session()), before);
   }
   EXPECT_EQ(observer_->decisions.size(), 12u);
+}
+
+// Of a second robot with the same session id: it would get the answers of the first one.
+TEST_F(AgentSessionTest, ARepeatedStepWithAnotherContentIsRefused) {
+  AgentSession agent = NewAgent();
+  for (int64_t t = 0; t < 3; ++t) MustAct(agent, t);
+  const int64_t one = 1;
+  const int64_t zero = 0;
+  ASSERT_TRUE(agent.Act(3, ObservationAt(3), 0.5, one).ok());
+  const std::string before = SerializeSession(agent.session());
+  std::vector<float> other = ObservationAt(3);
+  other[2] = 0.25f;
+  const auto refuse = [&](const std::string& message, const std::vector<float>& observation,
+                          double reward, const std::optional<ReportedAction>& executed) {
+    absl::Status status = agent.Act(3, observation, reward, executed).status();
+    EXPECT_TRUE(TakeConflict(&status)) << status;
+    ExpectRefusal(agent, absl::StatusCode::kFailedPrecondition, message, status, before);
+  };
+  const std::vector<float> same = ObservationAt(3);
+  refuse("observation[2]: expected ", other, 0.5, one);
+  refuse(" for step 3, received 0.25; another robot", other, 0.5, one);
+  refuse("observation: expected 3 numbers", {1.0f}, 0.5, one);
+  refuse("reward: expected about 0.5", same, 0.75, one);
+  refuse(", received nan", same, kNan, one);
+  refuse("executed_action: expected index 1 ", same, 0.5, zero);
+  EXPECT_TRUE(agent.Act(3, same, 0.5, one).ok());
+  EXPECT_TRUE(agent.Act(3, same, 0.5).ok());  // says nothing of the action
+  EXPECT_EQ(observer_->decisions.size(), 4u);
+}
+
+// As far as a float32 of the return-to-go tells rewards apart.
+TEST_F(AgentSessionTest, ARepeatedRewardIsKnownAgain) {
+  AgentSession agent = NewAgent();
+  MustAct(agent, 0);
+  for (int64_t t = 1; t < 400; ++t) {
+    const double reward = (t % 7 == 0 ? 1e5 : 1.0) * std::sin(static_cast<double>(t));
+    ASSERT_TRUE(agent.Act(t, ObservationAt(t), reward).ok());
+    const auto again = agent.Act(t, ObservationAt(t), reward);
+    ASSERT_TRUE(again.ok()) << again.status();
+    EXPECT_FALSE(agent.Act(t, ObservationAt(t), reward + 0.1).ok());
+  }
 }
 
 TEST_F(AgentSessionTest, OtherStepsAreRefused) {

@@ -135,7 +135,8 @@ TEST_P(LearningSessionTest, RetriesNeverLearn) {
   for (int64_t t = 0; t < 10; ++t) {
     Play(agent, t, t + 1);
     const std::string before = SerializeSession(agent.session());
-    ASSERT_TRUE(agent.Act(t, ObservationAt(t + 1), 1e9).ok());
+    ASSERT_TRUE(agent.Act(t, ObservationAt(t), RewardAt(t)).ok());
+    EXPECT_FALSE(agent.Act(t, ObservationAt(t + 1), 1e9).ok());
     EXPECT_EQ(SerializeSession(agent.session()), before);
   }
   End(agent);

@@ -100,6 +100,10 @@ class Robot {
     const int64_t begin = request.step() - request.history_size();
     const auto known = static_cast<int64_t>(session.size());
     EXPECT_LE(begin - request.skipped_rewards_size(), known);
+    // Of a stored session, what was executed before the expected step may be lost.
+    if (known > 0 && request.step() > known && request.skipped_rewards_size() == 0) {
+      EXPECT_LT(begin, known);
+    }
     for (int64_t step = known; step < begin; ++step) {
       session.push_back(NAN);  // of which only the reward is known
       const auto i = static_cast<int>(step - begin + request.skipped_rewards_size());
@@ -190,11 +194,35 @@ TEST(BeatLogTest, ALongHistoryTravelsInParts) {
 TEST(BeatLogTest, OfBeatsThatAreNotKeptTheRewardsTravel) {
   Robot robot(10);
   for (int i = 0; i < 30; ++i) robot.Beat();
-  EXPECT_EQ(robot.log.dropped(), 20);
+  EXPECT_EQ(robot.log.dropped(), 19);
   EXPECT_TRUE(robot.Ask());
   EXPECT_EQ(robot.rewards, 435.0);
-  EXPECT_TRUE(std::isnan(robot.session[19]));
-  EXPECT_EQ(robot.session[20], 20.0f);
+  EXPECT_TRUE(std::isnan(robot.session[18]));
+  EXPECT_EQ(robot.session[19], 19.0f);
+}
+
+// Whatever the server expects, it is told what was executed before, or the context starts behind.
+TEST(BeatLogTest, AServerThatLostBeatsIsToldWhatWasExecutedBeforeThem) {
+  for (const size_t kept : {2, 3, 5, 100}) {
+    for (size_t known = 0; known < 12; ++known) {
+      for (const bool ends : {false, true}) {
+        Robot robot(kept);
+        for (int i = 0; i < 12; ++i) {
+          robot.Beat();
+          robot.Ask();
+        }
+        robot.session.resize(known);
+        EXPECT_TRUE(robot.log.Rewind(known, std::nullopt));
+        if (ends) robot.log.End({.reward = 1.0});
+        robot.Beat();
+        EXPECT_EQ(robot.Ask(), !ends);
+        EXPECT_EQ(robot.session.size(), ends ? 12 : 13);
+        if (kept == 100) {
+          EXPECT_FALSE(std::isnan(robot.session[known]));
+        }
+      }
+    }
+  }
 }
 
 TEST(BeatLogTest, TheLastBeatOfAnEpisodeOutlastsTheRing) {

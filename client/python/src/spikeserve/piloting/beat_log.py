@@ -12,7 +12,8 @@ counted twice, whatever the link does. An episode goes through these states, and
 
 The server's session is at the oldest episode, or at the one after it if the answer to the end of
 the oldest one is under way or lost. So at most one end is under way: the server repeats the answer
-to the last end only.
+to the last end only. A history begins one beat before the one that the server expects, with what
+was executed there, or the server's context starts behind a gap.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from spikeserve.wire import METHODS, Message, message_class
 MOST_EPISODES = 64  # whose ends the server may miss
 MOST_SKIPPED = 65536  # rewards of one request
 MOST_BYTES = 1 << 20  # of the history in one request
+LEAST_BEATS = 3  # of an episode that are kept: one that the server has, and two that it may miss
 
 
 @dataclass
@@ -117,6 +119,8 @@ class Episode:
         of these alone would bring nothing. They count as rewards all the same.
         """
         begin = max(self.acknowledged - 1, self.first)
+        if begin == self.acknowledged > 0:
+            begin += 1  # the context starts behind what is not known
         newest = self.steps - (1 if self.ending is None else 0)
         if newest - begin <= most:
             return begin
@@ -203,7 +207,7 @@ class BeatLog:
     """The episodes that the server's session does not have completely. Not thread-safe."""
 
     def __init__(self, kept_beats: int, observation_size: int) -> None:
-        self._kept_beats = kept_beats
+        self._kept_beats = kept_beats + 1  # and one that the server has
         self._bytes = 4 * observation_size + 64  # of a beat on the wire
         self.is_stored = False  # a store has the session, and may be behind its server
         self.settled: collections.deque[Episode] = collections.deque()  # the store may lack the end
@@ -241,7 +245,7 @@ class BeatLog:
         self.running.beats.append(beat)
         kept = sum(len(e.beats) for e in self.settled) + sum(len(e.beats) for e in self.episodes)
         for episode in (*self.settled, *self.episodes) if kept > self._kept_beats else ():
-            while kept > self._kept_beats and len(episode.beats) > 1:
+            while kept > self._kept_beats and len(episode.beats) > LEAST_BEATS:
                 self.dropped += int(episode.drop_oldest())
                 kept -= 1
         return self.running.steps - 1
