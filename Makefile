@@ -12,7 +12,7 @@ export CCACHE_NOHASHDIR := 1
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
 .PHONY: demo measure-setup test test-all test-slow test-arm64 test-arm64-short golden build dist site reference playground bench attacks chaos trace soak \
-  sanitize fuzz format clean \
+  sanitize fuzz format clean help \
   setup configure
 
 # Installs and builds only the server and spikectl. PLAY=1 keeps playing. A build folder that is configured already keeps its other targets.
@@ -100,6 +100,7 @@ reference: configure
 	cmake --build $(BUILD) --target spikeserve spikectl spikeload spiketrain
 	/usr/bin/python3 deploy/release/reference.py $(BIN) docs/reference
 
+# Builds everything.
 build: configure
 	cmake --build $(BUILD)
 
@@ -147,10 +148,17 @@ fuzz:
 	$(SETUP) server build clang
 	tests/fuzz/run.sh $(FUZZ_SECONDS)
 
+# Rewrites the format of the C++ code.
 format:
 	$(SETUP) clang
 	clang-format -i $(SOURCES)
 
+# Lists the targets.
+help:
+	@awk '/^# / { text = text substr($$0, 2) } /^[a-z][a-z0-9-]*:/ && !/:=/ && text { sub(/:.*/, ""); \
+	  sub(/\. .*/, ".", text); if (!seen[$$0]++) printf "%-16s%s\n", $$0, text } !/^# |^[A-Z_]+ / { text = "" }' $(firstword $(MAKEFILE_LIST))
+
+# Removes what was built.
 clean:
 	rm -rf build
 

@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/dataset/recordings.h"
@@ -27,8 +29,13 @@ absl::StatusOr<Evaluation> Decide(const DecidedEpisodesFlags& flags,
                                   const std::shared_ptr<const Policy>& policy) {
   if (flags.recordings.empty()) {
     absl::StatusOr<Evaluation> played = Evaluate(policy, flags.options);
-    if (!played.ok()) return NameFlag(played.status());
-    return played;
+    if (played.ok()) return played;
+    if (absl::StartsWith(played.status().message(), "environment:")) {
+      return absl::Status(played.status().code(),
+                          absl::StrCat("--policy: ", played.status().message(),
+                                       "; --recordings takes episodes of every environment"));
+    }
+    return NameFlag(played.status());
   }
   const auto recordings = ReadRecordings(flags.recordings, policy->environment);
   if (!recordings.ok()) return Annotate(recordings.status(), "--recordings");

@@ -63,8 +63,10 @@ void AppendTraffic(const EnergyAccount& account, std::string* text) {
 }
 
 void AppendSum(absl::string_view name, double policy, double dense, std::string* text) {
-  absl::StrAppendFormat(text, "%-35s %10.2f nJ %25.2f nJ, %.1f times as much\n", name, policy,
-                        dense, dense / policy);
+  const bool dense_costs_more = dense >= policy;
+  absl::StrAppendFormat(text, "%-35s %10.2f nJ %25.2f nJ; %s costs %.1f times as much\n", name,
+                        policy, dense, dense_costs_more ? "the dense one" : "the policy",
+                        dense_costs_more ? dense / policy : policy / dense);
 }
 
 }  // namespace
