@@ -117,7 +117,8 @@ std::future<absl::StatusOr<v1::EndEpisodeResponse>> BeatLog::End(EpisodeOutcome 
 uint64_t BeatLog::HistoryBegin() const {
   const RobotEpisode& episode = asked();
   // The executed action of the last beat that the server has may be missing there.
-  uint64_t begin = std::max(episode.first, acknowledged_ > 0 ? acknowledged_ - 1 : 0);
+  const uint64_t expected = std::min(acknowledged_, HistoryPast());
+  uint64_t begin = std::max(episode.first, expected > 0 ? expected - 1 : 0);
   if (kept_from(episode) > begin) {
     begin = kept_from(episode);
     if (begin == acknowledged_) ++begin;  // the context starts behind what is not known

@@ -213,6 +213,16 @@ def test_a_server_that_lost_beats_gets_them_again():
     assert not robot.log.rewind(22, None)
 
 
+def test_a_request_sent_again_tells_what_was_executed_before():
+    """Its first answer may be that of a server that has died since."""
+    robot = Robot()
+    for _ in range(3):
+        robot.beat()
+    assert robot.ask()
+    request = robot.log.oldest.request("id", robot.log.most)
+    assert (request.step, len(request.history)) == (2, 1)
+
+
 def test_a_step_without_an_observation_is_sent_as_one():
     robot = Robot()
     for sees in (True, True, False, False):

@@ -251,6 +251,17 @@ TEST(BeatLogTest, AServerThatLostBeatsGetsThemAgain) {
   EXPECT_FALSE(robot.log.Rewind(22, std::nullopt));
 }
 
+// Its first answer may be that of a server that has died since.
+TEST(BeatLogTest, ARequestSentAgainTellsWhatWasExecutedBefore) {
+  Robot robot(100);
+  for (int i = 0; i < 3; ++i) robot.Beat();
+  EXPECT_TRUE(robot.Ask());
+  v1::ActRequest request;
+  robot.log.FillRequest(&request);
+  EXPECT_EQ(request.step(), 2);
+  EXPECT_EQ(request.history_size(), 1);
+}
+
 TEST(BeatLogTest, AStepWithoutAnObservationIsSentAsOne) {
   Robot robot(100);
   for (const bool sees : {true, true, false, false}) {

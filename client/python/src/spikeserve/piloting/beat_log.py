@@ -118,10 +118,10 @@ class Episode:
         The server takes beats without an observation only with what follows them, so that a history
         of these alone would bring nothing. They count as rewards all the same.
         """
-        begin = max(self.acknowledged - 1, self.first)
+        newest = self.steps - (1 if self.ending is None else 0)
+        begin = max(min(self.acknowledged, newest) - 1, self.first)
         if begin == self.acknowledged > 0:
             begin += 1  # the context starts behind what is not known
-        newest = self.steps - (1 if self.ending is None else 0)
         if newest - begin <= most:
             return begin
         last = min(self.steps - 1, self.acknowledged + MOST_SKIPPED)
