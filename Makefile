@@ -11,7 +11,7 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo measure-setup test test-all test-slow test-arm64 test-arm64-short golden build dist site reference playground bench attacks chaos trace soak \
+.PHONY: demo measure-setup test test-all test-slow test-arm64 test-arm64-short test-chips golden build dist site reference playground bench attacks chaos trace soak \
   sanitize fuzz format clean help \
   setup configure
 
@@ -45,7 +45,7 @@ test-all: setup test
 
 # The tests that take hours; CONTRIBUTING.md lists them.
 test-slow: build setup
-	$(SETUP) chart collector ros
+	$(SETUP) chart collector ros microcontrollers
 	$(MAKE) playground
 	ctest --test-dir $(BUILD) --label-regex slow --no-tests=error --output-on-failure
 
@@ -70,6 +70,13 @@ test-arm64-short:
 	@test -e build/release/build.ninja || cmake --preset release --log-level=WARNING
 	cmake --build build/release --target spikeserve
 	python3 tests/arm64/short.py
+
+# Runs three policies on an emulated Cortex-M0+, Cortex-M4 and RV32, as the C that `spikectl emit-c` writes. The slow tests run
+# all policies on more processors.
+test-chips: configure
+	$(SETUP) microcontrollers
+	cmake --build $(BUILD) --target chip_stream environment_stepper spikectl
+	ctest --test-dir $(BUILD) --tests-regex '^test_(emitted_c|chips)$$' --no-tests=error --output-on-failure
 
 # Rewrites the hashes of the shipped policies' answers in tests/golden and prints which changed.
 golden: configure

@@ -16,13 +16,14 @@
 # | chart   | helm and kube-apiserver, for slow tests of the chart, in BUILD_DIR/kubernetes; only when named      |
 # | collector | a collector of OpenTelemetry, for a slow test of traces, in BUILD_DIR/collector; only when named |
 # | ros     | rclpy from wheels for Python 3.11, for slow tests of the node, in BUILD_DIR/ros; only when named    |
+# | microcontrollers | compilers and emulators of Cortex-M and RISC-V, for `make test-chips`; only when named  |
 # | playground | Emscripten, for `make playground`; only when named                                              |
 set -euo pipefail
 cd "$(dirname "$0")/.."
 build_dir=${1:-build}
 shift || true
 usual_parts=(server build clang tests full chips interop arm64 release)
-all_parts=("${usual_parts[@]}" chart collector ros playground)
+all_parts=("${usual_parts[@]}" chart collector ros microcontrollers playground)
 
 packages_server=(
   g++ make cmake ninja-build ccache git pkg-config ca-certificates
@@ -46,6 +47,10 @@ packages_release=(lintian debootstrap buildah uidmap qemu-user-static etcd-serve
 packages_chart=(etcd-server golang-go)
 packages_collector=(golang-go)
 packages_ros=(python3 python3-venv)
+packages_microcontrollers=(
+  gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm gcc-riscv64-unknown-elf picolibc-riscv64-unknown-elf qemu-system-misc
+  gcc-multilib  # -m32
+)
 packages_playground=(emscripten cmake ninja-build ccache dpkg-dev libeigen3-dev nlohmann-json3-dev)
 # Other sources of Node.js bring npm along, and conflict with Debian's.
 command -v npm >/dev/null || packages_interop+=(nodejs npm)

@@ -19,7 +19,8 @@
 
 static spike_state state;
 static uint8_t value[MOST_VALUE];
-static uint64_t hash = 0xcbf29ce484222325u;
+static uint64_t hash = 0xcbf29ce484222325u, instructions;
+static uint32_t decisions, most_instructions;
 
 static void add(const void* bytes, size_t size) {
   const uint8_t* byte = bytes;
@@ -51,15 +52,21 @@ static void decide(int must_fail) {
   spike_report report;
   spike_error error;
   double reward;
+  uint32_t clock;
   port_read(observation, sizeof(observation));
   reward = take_double();
   if (!must_fail && take_byte()) {
     port_read(&executed, sizeof(executed));
     given = &executed;
   }
+  clock = port_clock();
   error = spike_decide(&state, observation, reward, given, &action);
+  clock = port_since(clock);
   require((error == SPIKE_OK) == !must_fail, "spike_decide\n");
   if (must_fail) return;
+  ++decisions;
+  instructions += clock;
+  if (clock > most_instructions) most_instructions = clock;
   require(spike_counts(&state, &report) == SPIKE_OK, "spike_counts\n");
   add(&action, sizeof(action));
   add(&report.return_to_go, 4);
@@ -103,10 +110,18 @@ static void end_episode(void) {
           "spike_end_episode\n");
 }
 
-int main(void) {
+static void print_hexadecimal(uint64_t number, int last) {
   char text[18];
+  int i;
+  for (i = 0; i < 16; ++i) text[i] = "0123456789abcdef"[(number >> (60 - 4 * i)) & 15];
+  text[16] = (char)last;
+  text[17] = 0;
+  port_print(text);
+}
+
+int main(void) {
   size_t size;
-  int i, call;
+  int call;
   port_open();
   require(spike_init(&state) == SPIKE_OK, "spike_init\n");
   require(spike_end_episode(&state, 0.0, 0, NULL, NULL) == SPIKE_ORDER, "the order of calls\n");
@@ -135,10 +150,10 @@ int main(void) {
         require(0, "the stream\n");
     }
   }
-  for (i = 0; i < 16; ++i) text[i] = "0123456789abcdef"[(hash >> (60 - 4 * i)) & 15];
-  text[16] = '\n';
-  text[17] = 0;
-  port_print(text);
+  print_hexadecimal(hash, ' ');
+  print_hexadecimal(decisions == 0 ? 0 : instructions / decisions, ' ');
+  print_hexadecimal(most_instructions, ' ');
+  print_hexadecimal(port_stack(), '\n');
   port_exit(0);
   return 0;
 }

@@ -38,7 +38,8 @@ class Emitted:
 
     def compile(self, compiler, *flags, program="chip_play.c", port="port_host.c", out="play"):
         sources = [SOURCES / program, *([SOURCES / port] if port else [])]
-        run(*compiler, *C99, f"-I{self.folder}", f"-I{SOURCES}", self.folder / "spike_policy.c", *sources, *flags, "-o", self.folder / out)
+        where = [f"-I{self.folder}", f"-I{SOURCES}", "-o", self.folder / out]
+        run(*compiler, *C99, *where, self.folder / "spike_policy.c", *sources, *flags)
         return self.folder / out
 
 
@@ -49,3 +50,9 @@ def emit(file, folder, decisions):
     stream = Path(folder) / "stream"
     answers = run(CHIP_STREAM, file, sizes["policy"], sizes["version"], digest, decisions, stream)
     return Emitted(Path(folder), sizes, stream, answers.strip().zfill(16))
+
+
+def play(emitted, program):
+    """Returns the hash of what a program of this machine answers to the stream."""
+    with open(emitted.stream, "rb") as stream:
+        return subprocess.run([program], stdin=stream, check=True, capture_output=True, text=True).stdout.split()[0]

@@ -15,3 +15,9 @@ void port_read(void* to, size_t size) {
 void port_print(const char* text) { fputs(text, stdout); }
 
 void port_exit(int status) { exit(status); }
+
+uint32_t port_clock(void) { return 0; }
+
+uint32_t port_since(uint32_t clock) { return clock; }
+
+uint32_t port_stack(void) { return 0; }

@@ -3,14 +3,9 @@
 import subprocess
 
 import pytest
-from emitted import C99, CHIP_STREAM, ROOT, SPIKECTL, emit, name_of, run, shipped
+from emitted import C99, CHIP_STREAM, ROOT, SPIKECTL, emit, name_of, play, run, shipped
 
 SANITIZED = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-
-
-def play(emitted, program):
-    with open(emitted.stream, "rb") as stream:
-        return subprocess.run([program], stdin=stream, check=True, capture_output=True, text=True).stdout.strip()
 
 
 @pytest.mark.parametrize("file", shipped(), ids=name_of)
