@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <string>
+#include <utility>
 
 #include "core/engine/energy.h"
 
@@ -48,10 +49,15 @@ Json ToJson(const Counts& counts, const ModelConfig& config) {
   for (const auto& [stage, name] : EnumNames(Stage())) {
     if (counts.spikes(stage) > 0) stages[std::string(name)] = counts.spikes(stage);
   }
-  return {{"spikes", counts.total_spikes()},
-          {"spikes_by_stage", stages},
-          {"synaptic_operations", counts.synaptic_operations()},
-          {"energy_joules", DefaultEnergy(counts, config)}};
+  Json json = {{"spikes", counts.total_spikes()},
+               {"spikes_by_stage", stages},
+               {"synaptic_operations", counts.synaptic_operations()},
+               {"energy_joules", DefaultEnergy(counts, config)}};
+  for (const auto& [field, model] : {std::pair("int_sram_energy_joules", EnergyModel::kIntSram45nm),
+                                     std::pair("int_energy_joules", EnergyModel::kInt45nm)}) {
+    if (const auto joules = EstimateEnergy(model, counts, config)) json[field] = *joules;
+  }
+  return json;
 }
 
 }  // namespace

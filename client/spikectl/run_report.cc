@@ -111,8 +111,8 @@ nlohmann::ordered_json RunToJson(const std::vector<EpisodeRecord>& episodes) {
   return {{"episodes", std::move(list)},
           {"mean_return", MeanReturn(episodes)},
           {"spikes_per_decision", PerDecision(static_cast<double>(sum.spikes), sum)},
-          {"energy_joules_per_decision", JoulesPerDecision(kDefaultEnergyModel, sum).value_or(0.0)},
-          {"energy_model", std::string(ToString(kDefaultEnergyModel))},
+          {"energy_joules_per_decision", JoulesPerDecision(ShownModel(sum), sum).value_or(0.0)},
+          {"energy_model", std::string(ToString(ShownModel(sum)))},
           {"energy_models", std::move(models)},
           {"p50_seconds", sum.latency.Quantile(0.5)},
           {"p99_seconds", sum.latency.Quantile(0.99)}};

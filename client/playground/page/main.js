@@ -60,11 +60,16 @@ function decide(enough = () => true) {
   show(decision, milliseconds);
 }
 
+/** Returns the energy with memory, or for a policy in float32 that of horowitz_45nm. */
+function joulesOf(stats) {
+  return stats.int_sram_energy_joules ?? stats.energy_joules;
+}
+
 function record({seed, answer: {stats}, episode_return, ended}) {
   if (!episode || episode.ended) episode = {seed, steps: 0, spikes: 0, joules: 0};
   episode.steps += 1;
   episode.spikes += stats.spikes;
-  episode.joules += stats.energy_joules;
+  episode.joules += joulesOf(stats);
   episode.ended = ended;
   if (!ended) return;
   const cells = [seed, fixed(episode_return, 3), episode.steps, count(episode.spikes), si(episode.joules, 'J')];
@@ -79,7 +84,7 @@ function show(decision, milliseconds) {
     ['Policy', get('policy').value, decision.mode],
     ['Return so far', fixed(decision.episode_return), `step ${step}, seed ${decision.seed}`],
     ['Spikes', count(stats.spikes), 'this decision'],
-    ['Energy', si(stats.energy_joules, 'J'), 'estimate'],
+    ['Energy', si(joulesOf(stats), 'J'), 'estimate'],
     ['Time', si(milliseconds / 1000, 's'), 'in this browser'],
   ];
   get('session-tiles').replaceChildren(...tiles.map(([label, value, note]) => element('div', {},

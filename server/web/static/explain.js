@@ -1,5 +1,5 @@
 // Draws one decision: what it decided and from what, the spikes by layer and stage, routing gates and attention.
-import {count, element, fixed, si} from './format.js';
+import {count, element, fixed, isNumber, si} from './format.js';
 
 export const STAGES = ['coder', 'phase', 'query', 'key', 'value', 'ffn_in', 'ffn_hidden', 'readout'];
 const RASTER_HEIGHT = 150;  // CSS pixels of every raster, whatever its population
@@ -49,6 +49,12 @@ function bars(title, rows, note) {
   return element('figure', {}, element('figcaption', {textContent: title}), ...rows, ...quiet);
 }
 
+/** Returns the energy with memory and without, or for a policy in float32 that of horowitz_45nm. */
+function energyText(stats) {
+  if (!isNumber(stats.int_sram_energy_joules)) return `${si(stats.energy_joules, 'J')} by horowitz_45nm`;
+  return `${si(stats.int_sram_energy_joules, 'J')} by int_sram_45nm, ${si(stats.int_energy_joules, 'J')} without memory`;
+}
+
 /** Says what the decision was in a sentence, and shows its input, its alternatives and its cost. */
 function summary(decision) {
   const {answer} = decision;
@@ -57,7 +63,7 @@ function summary(decision) {
   const sentence = element('p', {className: 'verdict'}, 'Action ', element('strong', {textContent: action}),
     ` at step ${answer.step} of episode ${decision.episode}, with return-to-go ${fixed(answer.return_to_go, 1)}: ` +
     `${count(Number(answer.stats.spikes))} spikes, ` +
-    `${si(answer.stats.energy_joules, 'J')} by horowitz_45nm (estimate).`);
+    `${energyText(answer.stats)} (estimate).`);
   const largest = Math.max(...decision.observation.map(Math.abs), 1e-9);
   const observation = bars('Observation', decision.observation.map((x, i) =>
     barRow(`${i}`, Math.abs(x) / largest, fixed(x, 3))), `policy ${decision.policy}/${decision.version}, ${decision.mode}`);

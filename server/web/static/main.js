@@ -5,7 +5,7 @@
 import {Charts} from './charts.js';
 import {Comparisons} from './comparisons.js';
 import {fetchJson} from './fetch.js';
-import {element, healthOf, nameOf, sessionLink, setText} from './format.js';
+import {element, healthOf, isNumber, nameOf, sessionLink, setText} from './format.js';
 import {Policies} from './policies.js';
 import {Servers} from './servers.js';
 import {SessionView} from './session.js';
@@ -83,12 +83,19 @@ function showProblem(error) {
   document.body.classList.toggle('lost', seconds >= LOST_SECONDS);
 }
 
+/** Chooses the first energy model, that with memory, or the first that has a figure, until somebody chooses. */
+function chooseModel({energy_models: models, versions}) {
+  const choice = get('energy-model');
+  if (choice.dataset.chosen) return;
+  const hasFigure = ({name}) => versions.some((row) => isNumber(row.energy_joules_per_decision?.[name]));
+  choice.value = (models.find(hasFigure) ?? models[0]).name;
+}
+
 /** Offers the energy models that the server knows, and shows what each of them counts. */
 function showModels(models) {
   const choice = get('energy-model');
   if (models.length === choice.options.length) return;
   choice.replaceChildren(...models.map(({name}) => element('option', {value: name, textContent: name})));
-  choice.value = models.find((model) => model.default).name;
   get('models').replaceChildren(...models.flatMap((model) => [
     element('dt', {textContent: model.name}),
     element('dd', {textContent: `Counts ${model.counts}. Leaves out ${model.leaves_out}. Applies to ${model.applies_to}.`}),
@@ -131,6 +138,7 @@ async function update(turn) {
   state.answered = Date.now();
   document.body.classList.remove('lost');
   showModels(status.energy_models);
+  chooseModel(status);
   const store = status.replica ? ` · ${status.replica}, one of ${status.replicas} on ${status.store}` : '';
   setText(get('version'), status.version + store);
   const health = healthOf(status);
@@ -151,7 +159,10 @@ get('pause').addEventListener('click', ({target}) => {
   target.setAttribute('aria-pressed', String(target.getAttribute('aria-pressed') !== 'true'));
 });
 get('window').addEventListener('change', () => update(turn++).catch(showProblem));
-get('energy-model').addEventListener('change', draw);
+get('energy-model').addEventListener('change', ({target}) => {
+  target.dataset.chosen = true;
+  draw();
+});
 addEventListener('hashchange', navigate);
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', draw);
 navigate();

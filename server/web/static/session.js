@@ -155,7 +155,7 @@ export class SessionView {
       {label: 'Spikes / decision', value: decisions ? fixed(Number(session.spikes) / decisions) : NOTHING,
        note: `${count(Number(session.spikes))} spikes`},
       {label: 'Time of a decision', value: si(counted ? seconds / counted : undefined, 's'), note: 'mean'},
-      {label: 'Energy', value: si(session.energy_joules, 'J'), note: 'estimate'},
+      {label: 'Energy', value: si(session.energy_joules, 'J'), note: 'horowitz_45nm, no memory'},
     ]);
     if (!this.plots) {
       this.chartBox.replaceChildren();

@@ -104,6 +104,7 @@ def test_membranes_depend_on_the_sizes_only(stats):
 def test_the_page_of_the_documentation_is_that_of_the_program(addresses):
     models = status_of(addresses)["energy_models"]
     assert [model["name"] for model in models if model["default"]] == ["horowitz_45nm"]
+    assert [model["name"] for model in models][:2] == ["int_sram_45nm", "int_45nm"], "memory first"
     table = page_of("energy.md").read_text().split("<!-- energy models -->\n")[1].split("<!--")[0]
     _, _, *rows = table.splitlines()
     assert rows == [

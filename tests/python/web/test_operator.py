@@ -16,7 +16,7 @@ from security import ADMIN
 from serving import SHIPPED_POLICIES, Service, running_server
 from test_watching import get, wait_for
 
-ENERGY_MODEL = "horowitz_45nm"
+ENERGY_MODEL = "int_sram_45nm"
 WEAK_ROBOT = "arm-03"
 
 
