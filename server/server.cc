@@ -370,33 +370,38 @@ absl::Status Server::StartHttp() {
     ASSIGN_OR_RETURN(http_tls_, TlsContext::Create(options_.tls, Protocol::kHttp1));
     certificates_.Add(http_tls_.get());
   }
-  http_calls_ = std::make_unique<HttpCalls>(transport_.get(), options_.transport_limits);
-  inference_pages_ = std::make_unique<const InferencePages>(authenticator_.get(), http_calls_.get(),
-                                                            options_.max_message_bytes);
-  grpc_web_pages_ = std::make_unique<const GrpcWebPages>(authenticator_.get(), http_calls_.get(),
-                                                         options_.max_message_bytes);
+  http_calls_ = std::make_unique<HttpCalls>(
+      HttpCalls::Parts{.transport = transport_.get(),
+                       .authenticator = authenticator_.get(),
+                       .metrics = metrics_.get(),
+                       .clock = &clock_,
+                       .limits = options_.transport_limits,
+                       .max_message_bytes = options_.max_message_bytes});
+  inference_pages_ = std::make_unique<const InferencePages>(http_calls_.get());
+  grpc_web_pages_ = std::make_unique<const GrpcWebPages>(http_calls_.get());
   const InferencePages& inference = *inference_pages_;
   const GrpcWebPages& grpc_web = *grpc_web_pages_;
   ASSIGN_OR_RETURN(
       auto http,
-      HttpServer::Start(
-          {.listen = address,
-           .tls = http_tls_.get(),
-           .local_names_only = local_names_only,
-           .origins = *Origins::Parse("--http_origins", options_.http_origins),
-           .clock = &clock_,
-           .accept_body =
-               [&inference, &grpc_web](const HttpRequest& request) {
-                 return GrpcWebPages::Has(request) ? grpc_web.AcceptBody(request)
-                                                   : inference.AcceptBody(request);
-               },
-           .bodies = &transport_->budgets().all,
-           .max_body_bytes = options_.transport_limits.max_bytes_in_flight},
-          [this, &inference, &grpc_web](const HttpRequest& request, const HttpServer::Done& done) {
-            if (GrpcWebPages::Has(request)) return grpc_web.Answer(request, done);
-            if (InferencePages::Has(request.path)) return inference.Answer(request, done);
-            pages_.Answer(request, done);
-          }));
+      HttpServer::Start({.listen = address,
+                         .tls = http_tls_.get(),
+                         .local_names_only = local_names_only,
+                         .origins = *Origins::Parse("--http_origins", options_.http_origins),
+                         .clock = &clock_,
+                         .accept_body =
+                             [&inference, &grpc_web](const HttpRequest& request) {
+                               return GrpcWebPages::Has(request) ? grpc_web.AcceptBody(request)
+                                                                 : inference.AcceptBody(request);
+                             }},
+                        [this, &inference, &grpc_web](HttpRequest request, HttpServer::Done done) {
+                          if (GrpcWebPages::Has(request)) {
+                            return grpc_web.Answer(std::move(request), std::move(done));
+                          }
+                          if (InferencePages::Has(request.path)) {
+                            return inference.Answer(std::move(request), std::move(done));
+                          }
+                          pages_.Answer(std::move(request), std::move(done));
+                        }));
   http_ = std::move(http);
   history_ticker_ =
       std::make_unique<Periodic>(ServerHistory::kInterval, [this] { history_.Tick(); });

@@ -46,6 +46,7 @@ struct BeatHistory {
   absl::Span<const float> observation;   // of the request; empty: it asks for no decision
   double reward = 0.0;                   // of the request
   std::optional<double> end_reward = std::nullopt;  // the last one of an episode that ends
+  bool is_checked = false;                          // an earlier call has appended beats of it
 };
 
 // What AppendBeats has done.

@@ -34,6 +34,12 @@ absl::StatusOr<std::shared_ptr<const Credential>> AdmitToPages(const Authenticat
   return caller;
 }
 
+absl::Status AcquireRate(const Credential& caller, const Method& method, absl::Duration now) {
+  Tenant& tenant = *caller.tenant();
+  return method.cost == Cost::kDecision ? tenant.AcquireDecision(now)
+                                        : tenant.AcquireCall(method.cost, now);
+}
+
 absl::Status CheckStillAdmitted(const Credential& caller, int64_t request_bytes,
                                 int64_t max_message_bytes) {
   RETURN_IF_ERROR(caller.CheckValid());

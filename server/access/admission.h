@@ -11,6 +11,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "absl/time/time.h"
 #include "server/access/authenticator.h"
 #include "server/base/method.h"
 
@@ -28,6 +29,10 @@ absl::StatusOr<std::shared_ptr<const Credential>> Admit(const Authenticator& aut
 // page.
 absl::StatusOr<std::shared_ptr<const Credential>> AdmitToPages(const Authenticator& authenticator,
                                                                absl::string_view authorization);
+
+// Counts one call of `method`, or its first decision, at time `now` of a monotonic clock. Returns
+// RESOURCE_EXHAUSTED if the tenant's rate is exceeded.
+absl::Status AcquireRate(const Credential& caller, const Method& method, absl::Duration now);
 
 // Checks a further request on a stream whose caller was admitted. Returns UNAUTHENTICATED if the
 // token has expired or was revoked since then, and otherwise the errors of CheckSize.

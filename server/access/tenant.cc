@@ -1,5 +1,6 @@
 #include "server/access/tenant.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 
@@ -90,6 +91,11 @@ absl::Status Tenant::AcquireCall(Cost cost, absl::Duration now) {
                             "calls_per_second.", NameOf(cost), ": the limit of tenant ", name_,
                             " is reached; try again in ", absl::FormatDuration(wait))),
                         wait);
+}
+
+int64_t Tenant::LongestMessage(int64_t limit) const {
+  const int64_t own = max_message_bytes_.load(std::memory_order_relaxed);
+  return own == 0 ? limit : std::min(own, limit);
 }
 
 absl::Status Tenant::CheckMessage(int64_t bytes) const {

@@ -75,6 +75,9 @@ class Tenant final : public SessionQuota {
   // Returns RESOURCE_EXHAUSTED if a request of `bytes` is longer than max_message_bytes.
   absl::Status CheckMessage(int64_t bytes) const;
 
+  // Returns the length of its longest request in bytes; `limit` is that of the server.
+  int64_t LongestMessage(int64_t limit) const;
+
   // What the calls of this tenant store in the transport.
   ByteBudget& bytes_in_flight() { return bytes_in_flight_; }
 

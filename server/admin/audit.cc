@@ -14,12 +14,22 @@ using Json = nlohmann::json;
 
 // What a line needs beside the request and the states: names, and the message of an error.
 constexpr size_t kNamesBytes = 4096;
+// The longest request that a line has as a whole.
+constexpr size_t kRequestBytes = 16 << 10;
 // By how much a state may grow, and its text when it is escaped.
 constexpr size_t kEscaped = 2;
 
 Json MessageJson(const google::protobuf::Message& message) {
   const auto text = MessageToJson(message);
   return text.ok() ? Json::parse(*text, nullptr, /*allow_exceptions=*/false) : Json();
+}
+
+// Returns a request as JSON, or its beginning if it is long.
+std::string RequestText(const google::protobuf::Message& message) {
+  std::string text = MessageJson(message).dump();
+  if (text.size() <= kRequestBytes) return text;
+  const Json shortened = {{"begins", text.substr(0, kRequestBytes / 4)}, {"bytes", text.size()}};
+  return shortened.dump(-1, ' ', /*ensure_ascii=*/true, Json::error_handler_t::replace);
 }
 
 // Returns the policy that a request names, or an empty string.
@@ -61,15 +71,18 @@ absl::Status Audit::RunAndRecord(const Method& method, const CallContext& contex
                       .tenant = context.caller->tenant()->name(),
                       .peer = context.peer,
                       .policy = PolicyOf(request),
-                      .request = MessageJson(request).dump()};
+                      .request = RequestText(request)};
   // An agent's call changes nothing that is served.
   const bool changes = method.access == Access::kOperatorOnly;
   entry.is_operators = changes;
-  if (changes) entry.before = StateOf(request);
-  size_t reserved = kNamesBytes + kEscaped * (entry.request.size() + 2 * entry.before.size());
-  if (auto room = log_->Reserve(reserved); !room.ok()) {
-    if (!allow_unrecorded_) return room;
-    reserved = 0;
+  size_t reserved = 0;
+  if (changes) {
+    entry.before = StateOf(request);
+    reserved = kNamesBytes + kEscaped * (entry.request.size() + 2 * entry.before.size());
+    if (auto room = log_->Reserve(reserved); !room.ok()) {
+      if (!allow_unrecorded_) return room;
+      reserved = 0;
+    }
   }
   entry.outcome = change();
   if (changes) entry.after = StateOf(request);

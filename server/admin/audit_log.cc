@@ -8,6 +8,8 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cstdio>
+#include <limits>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
@@ -21,6 +23,12 @@ namespace spikeserve {
 namespace {
 
 using Json = nlohmann::json;
+
+// Room on the disk behind the lines, which is kept for those of operators.
+constexpr size_t kReserveBytes = 1 << 20;
+
+// Of the file with the calls of agents, of which the one before is kept.
+constexpr off_t kAgentsBytes = 8 << 20;
 
 constexpr char kTimeFormat[] = "%Y-%m-%dT%H:%M:%E3SZ";
 
@@ -107,15 +115,20 @@ class LockedFile {
     return RemoveTornLine();
   }
 
-  // Makes sure that `bytes` more fit.
+  off_t size() const { return size_; }
+
+  // Makes sure that `bytes` more fit, and, if there is room, the reserve behind them.
   absl::Status MakeRoom(size_t bytes) {
+    const bool has_reserve =
+        fallocate(fd_, FALLOC_FL_KEEP_SIZE, size_, static_cast<off_t>(bytes + kReserveBytes)) == 0;
     struct rlimit limit = {};
     if (getrlimit(RLIMIT_FSIZE, &limit) == 0 && limit.rlim_cur != RLIM_INFINITY &&
         static_cast<rlim_t>(size_) + bytes > limit.rlim_cur) {
       errno = EFBIG;
       return Error("append");
     }
-    if (bytes == 0 || fallocate(fd_, FALLOC_FL_KEEP_SIZE, size_, static_cast<off_t>(bytes)) == 0) {
+    if (has_reserve || bytes == 0 ||
+        fallocate(fd_, FALLOC_FL_KEEP_SIZE, size_, static_cast<off_t>(bytes)) == 0) {
       return absl::OkStatus();
     }
     // Some file systems cannot reserve room.
@@ -130,12 +143,18 @@ class LockedFile {
 
   // Appends a line as a whole, or nothing of it.
   absl::Status Append(absl::string_view line) {
+    RETURN_IF_ERROR(Write(line));
+    return fsync(fd_) == 0 ? absl::OkStatus() : TakeBack(Error("flush"));
+  }
+
+  // As Append, but does not wait until the line is on the disk.
+  absl::Status Write(absl::string_view line) {
     for (absl::string_view left = line; !left.empty();) {
       const ssize_t written = write(fd_, left.data(), left.size());
       if (written <= 0) return TakeBack(Error("append"));
       left.remove_prefix(static_cast<size_t>(written));
     }
-    return fsync(fd_) == 0 ? absl::OkStatus() : TakeBack(Error("flush"));
+    return absl::OkStatus();
   }
 
  private:
@@ -204,6 +223,22 @@ absl::Status AuditLog::Append(absl::string_view line) {
   return file.Append(line);
 }
 
+absl::Status AuditLog::AppendOfAgent(absl::string_view line) {
+  const std::string path = absl::StrCat(path_, ".agents");
+  absl::MutexLock lock(&agents_mutex_);
+  const auto append = [&](off_t most) -> absl::Status {
+    LockedFile file(path);
+    RETURN_IF_ERROR(file.Prepare());
+    if (file.size() < most) return file.Write(line);
+    return absl::ResourceExhaustedError(absl::StrCat(path, ": expected fewer bytes"));
+  };
+  if (append(kAgentsBytes).ok()) return absl::OkStatus();
+  // Too long, or the disk is full: the file before makes room. Another server that has the file
+  // open goes on in the renamed one with one line at most.
+  (void)rename(path.c_str(), absl::StrCat(path, ".1").c_str());
+  return append(std::numeric_limits<off_t>::max());
+}
+
 absl::Status AuditLog::Reserve(size_t bytes) {
   if (path_.empty()) return absl::OkStatus();
   absl::MutexLock lock(&mutex_);
@@ -235,25 +270,28 @@ absl::Status AuditLog::Record(AuditEntry entry, size_t reserved) {
                  {"error", entry.outcome.message()},
                  {"before", entry.before},
                  {"after", entry.after}});
+  auto status = entry.is_operators ? RecordOfOperator(std::move(entry), reserved)
+                : path_.empty()    ? absl::OkStatus()
+                                   : AppendOfAgent(LineOf(entry));
+  if (status.ok()) return status;
+  LogError(absl::StrCat(kind, " not recorded"), {{"error", status.message()}});
+  return absl::DataLossError(
+      absl::StrCat("--audit_log: expected to record the action, which has ended with ", code, ": ",
+                   status.message()));
+}
+
+absl::Status AuditLog::RecordOfOperator(AuditEntry entry, size_t reserved) {
   absl::MutexLock lock(&mutex_);
   reserved_ -= reserved;
   absl::Status status;
-  if (!path_.empty()) {
-    status = Append(LineOf(entry));
-    if (!status.ok()) {
-      AuditEntry without_states = entry;
-      without_states.before.clear();
-      without_states.after.clear();
-      status = Append(LineOf(without_states));
-    }
-    if (!status.ok()) {
-      LogError(absl::StrCat(kind, " not recorded"), {{"error", status.message()}});
-      status = absl::DataLossError(
-          absl::StrCat("--audit_log: expected to record the action, which has ended with ", code,
-                       ": ", status.message()));
-    }
+  if (!path_.empty()) status = Append(LineOf(entry));
+  if (!status.ok()) {
+    AuditEntry without_states = entry;
+    without_states.before.clear();
+    without_states.after.clear();
+    status = Append(LineOf(without_states));
   }
-  if (entry.is_operators) Remember(std::move(entry));
+  Remember(std::move(entry));
   return status;
 }
 

@@ -9,7 +9,13 @@
 //
 // Each line of the file is one entry, a JSON object. A line is there as a whole or not at all: what
 // a full disk or a power cut leaves of one is removed. The file is opened for each entry, so it may
-// be renamed at any time to rotate it. Thread-safe.
+// be renamed at any time to rotate it.
+//
+// Calls of agents are in a file beside it, "audit.jsonl.agents", which is renamed to ".agents.1"
+// when it is long. They are not flushed, and take neither the time nor the disk of operators: room
+// for a thousand lines or so behind those of the log is kept on the disk.
+//
+// Thread-safe.
 #ifndef SERVER_ADMIN_AUDIT_LOG_H_
 #define SERVER_ADMIN_AUDIT_LOG_H_
 
@@ -43,8 +49,8 @@ struct AuditEntry {
   absl::Status outcome = absl::OkStatus();
   std::string before = "";  // JSON
   std::string after = "";   // JSON
-  // False: the call of an agent, which changes nothing that is served. The entry is in the file or
-  // the log alone, because such calls are frequent.
+  // False: the call of an agent, which changes nothing that is served. Last() does not return it,
+  // because such calls are frequent.
   bool is_operators = true;
 };
 
@@ -57,8 +63,8 @@ class AuditLog {
   // Errors name --audit_log and the path.
   static absl::StatusOr<std::unique_ptr<AuditLog>> Open(const std::string& path);
 
-  // Reserves room on the disk for an entry of `bytes`, until Record() is called with them. Returns
-  // UNAVAILABLE, which names the path, if there is none. OK without a file.
+  // Reserves room on the disk for an entry of an operator of `bytes`, until Record() is called with
+  // them. Returns UNAVAILABLE, which names the path, if there is none. OK without a file.
   absl::Status Reserve(size_t bytes);
 
   // Writes an entry to the disk before it returns, without its states if only that fits. `reserved`
@@ -74,12 +80,16 @@ class AuditLog {
  private:
   explicit AuditLog(std::string path) : path_(std::move(path)) {}
 
+  absl::Status RecordOfOperator(AuditEntry entry, size_t reserved);
+  // Appends a line to the file of agents.
+  absl::Status AppendOfAgent(absl::string_view line);
   void Remember(AuditEntry entry) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   // Appends a line to the file and flushes it to the disk. Leaves room for what is reserved.
   absl::Status Append(absl::string_view line) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   const std::string path_;  // empty: no file
+  absl::Mutex agents_mutex_;
   mutable absl::Mutex mutex_;
   size_t reserved_ ABSL_GUARDED_BY(mutex_) = 0;             // bytes
   std::deque<AuditEntry> entries_ ABSL_GUARDED_BY(mutex_);  // the latest last

@@ -59,7 +59,7 @@ void AddCommits(DecisionRequest& act, const Place& place, bool has_decided) {
 }
 
 // Takes the beats of a request. Returns whether the decision is to be made now.
-bool TakeBeatsOf(DecisionRequest& act, const Clock& clock, int64_t* budget)
+bool TakeBeatsOf(DecisionRequest& act, const Clock& clock, BeatBudget* budget)
     ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->mutex) {
   SessionEntry& entry = *act.entry;
   const bool is_new = entry.journal == nullptr || entry.journal->is_new();
@@ -120,7 +120,7 @@ void Conclude(DecisionRequest& act, bool is_new) ABSL_EXCLUSIVE_LOCKS_REQUIRED(a
 
 // Ends the episode of a request with end_episode, behind its history. The history of a request that
 // was answered before is known.
-void TakeEnd(DecisionRequest& act, const Clock& clock, int64_t* budget)
+void TakeEnd(DecisionRequest& act, const Clock& clock, BeatBudget* budget)
     ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->mutex) {
   const v1::ActRequest& request = *act.request;
   AgentSession& agent = act.entry->agent;
@@ -142,7 +142,7 @@ void TakeEnd(DecisionRequest& act, const Clock& clock, int64_t* budget)
 
 }  // namespace
 
-void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
+void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock, BeatBudget* budget) {
   absl::InlinedVector<std::shared_ptr<SessionEntry>, 1> entries;
   for (const DecisionRequest* act : acts) entries.push_back(act->entry);
   SPIKESERVE_DCHECK(std::find(entries.begin(), entries.end(), nullptr) == entries.end());
@@ -150,19 +150,18 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock) {
   const SessionLocks locks(entries);
   absl::InlinedVector<ActCall, 1> calls;
   absl::InlinedVector<DecisionRequest*, 1> deciding;  // the requests of `calls`
-  int64_t budget = kBeatsPerGroup;
-  absl::Duration begun;  // of the decisions
+  absl::Duration begun;                               // of the decisions
   for (DecisionRequest* act : acts) {
     act->entry->mutex.AssertHeld();
     AgentSession& agent = act->entry->agent;
     if (act->entry->journal != nullptr) act->entry->journal->WriteAgainIfMissing(agent.session());
     act->beats.finished = true;  // also if it had to wait for another request
     if (act->request->has_end_episode()) {
-      TakeEnd(*act, clock, &budget);
+      TakeEnd(*act, clock, budget);
       continue;
     }
     if (HasBeats(*act->request)) {
-      const bool decides = TakeBeatsOf(*act, clock, &budget);
+      const bool decides = TakeBeatsOf(*act, clock, budget);
       if (!act->is_finished()) continue;
       begun = clock.Now();
       if (!decides) {

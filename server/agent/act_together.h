@@ -29,6 +29,7 @@ struct DecisionRequest {
   bool is_next = false;  // true: decides at the step that the session expects, so never a retry
   std::shared_ptr<SessionEntry> entry = nullptr;  // only while it is decided
   absl::Status status = absl::OkStatus();
+  std::string policy = "";  // of the session; empty: none was found
   // When the request was received, by the clock; used if it has beats (beat_requests.h).
   absl::Duration received = absl::ZeroDuration();
   BeatProgress beats = {};       // of a request with beats
@@ -43,7 +44,8 @@ struct DecisionRequest {
 // Computes the decision of each of `acts` and sets its `response`, or its `status` to the error,
 // and adds what the answer waits for to its context. The results equal those of deciding one after
 // the other, bit for bit. Thread-safe. REQUIRES: each has its `entry`, and no two the same.
-void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock);
+// `budget` bounds the beats that are appended.
+void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock, BeatBudget* budget);
 
 }  // namespace spikeserve
 

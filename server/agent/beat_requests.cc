@@ -10,6 +10,11 @@
 namespace spikeserve {
 namespace {
 
+// How many beats are appended between two looks at the clock.
+constexpr int64_t kBeatsPerLook = 4;
+// So many steps are checked, or skipped, in less time than one beat takes.
+constexpr int64_t kChecks = 128;
+
 // Returns views of the beats of a request.
 class RequestBeats {
  public:
@@ -85,7 +90,7 @@ std::optional<ReportedAction> ExecutedBefore(const v1::ActRequest& request) {
 
 absl::StatusOr<bool> TakeBeats(const v1::ActRequest& request, absl::Duration received,
                                const Clock& clock, SessionObserver& observer, bool is_new_session,
-                               AgentSession* agent, RobotLink* robot, int64_t* budget,
+                               AgentSession* agent, RobotLink* robot, BeatBudget* budget,
                                BeatProgress* progress,
                                absl::FunctionRef<void(const Beat&)> on_appended) {
   const absl::Duration start = clock.Now();
@@ -106,16 +111,27 @@ absl::StatusOr<bool> TakeBeats(const v1::ActRequest& request, absl::Duration rec
   BeatHistory history = HistoryOf(request, beats);
   const bool is_late = !request.observation().empty() && IsExpired(request, start, *robot);
   if (is_late) history.observation = {};  // no decision follows the beats
-  progress->finished = *budget > 0;
-  if (!progress->finished) return false;
-  ASSIGN_OR_RETURN(const auto done, AppendBeats(history, agent, *budget, on_appended));
-  *budget -= done.appended;
-  progress->appended += done.appended;
-  progress->dropped += done.dropped;
-  agent->CountMissingRewards(done.missing_rewards);
-  if (done.dropped > 0) observer.OnSkippedBeats(done.dropped);
+  progress->finished = false;
+  if (!progress->checked) {
+    const auto checks = static_cast<int64_t>(history.size + history.skipped_rewards.size());
+    if (budget->beats > 0) budget->beats = std::max<int64_t>(1, budget->beats - checks / kChecks);
+  }
+  while (!progress->finished && budget->beats > 0) {
+    history.is_checked = progress->checked;
+    const auto done =
+        AppendBeats(history, agent, std::min(budget->beats, kBeatsPerLook), on_appended);
+    --budget->beats;  // also for what is refused
+    if (!done.ok()) return done.status();
+    budget->beats -= std::max<int64_t>(0, done->appended - 1) + done->dropped / kChecks;
+    progress->checked = true;
+    progress->appended += done->appended;
+    progress->dropped += done->dropped;
+    agent->CountMissingRewards(done->missing_rewards);
+    if (done->dropped > 0) observer.OnSkippedBeats(done->dropped);
+    progress->finished = done->finished;
+    if (clock.Now() >= budget->until) budget->beats = 0;
+  }
   progress->spent += clock.Now() - start;
-  progress->finished = done.finished;
   if (!progress->finished) return false;
   // Asks again for an answer that was given, or for none.
   if (request.step() < agent->session().step) return !request.observation().empty();

@@ -27,12 +27,20 @@ struct BeatProgress {
   int64_t dropped = 0;   // beats
   absl::Duration spent;  // on appending
   bool started = false;
+  bool checked = false;  // the whole history
   bool finished = true;  // false: the request continues with its next part
   bool expired = false;
 };
 
 // The most beats that one group of requests appends.
 inline constexpr int64_t kBeatsPerGroup = 32;
+
+// What the requests of one turn of a loop may append together, so that those without history wait
+// for as little as if there were one such request.
+struct BeatBudget {
+  int64_t beats = kBeatsPerGroup;
+  absl::Duration until = absl::InfiniteDuration();  // time of the clock
+};
 
 // Returns whether `request` has any of it. The other functions are for these requests.
 inline bool HasBeats(const v1::ActRequest& request) {
@@ -48,14 +56,14 @@ inline bool HasPastBeats(const v1::ActRequest& request) {
 // Returns the action that was executed before the request's step, if it says so.
 std::optional<ReportedAction> ExecutedBefore(const v1::ActRequest& request);
 
-// Takes the next part of a request that was received at `received`: appends at most `budget` beats,
-// which it reduces, and all but the last ones of the request if `budget` is too small. Sets
-// `progress`. Returns whether the decision is to be made now; false: it is not yet, or not at all.
-// Calls `on_appended` for each beat. Errors as for AppendBeats, and INVALID_ARGUMENT for
+// Takes the next part of a request that was received at `received`: appends beats as far as
+// `budget` goes, which it reduces; rewards of skipped steps, and checks, count as a part of a beat.
+// Sets `progress`. Returns whether the decision is to be made now; false: it is not yet, or not at
+// all. Calls `on_appended` for each beat. Errors as for AppendBeats, and INVALID_ARGUMENT for
 // valid_until without observed_at.
 absl::StatusOr<bool> TakeBeats(const v1::ActRequest& request, absl::Duration received,
                                const Clock& clock, SessionObserver& observer, bool is_new_session,
-                               AgentSession* agent, RobotLink* robot, int64_t* budget,
+                               AgentSession* agent, RobotLink* robot, BeatBudget* budget,
                                BeatProgress* progress,
                                absl::FunctionRef<void(const Beat&)> on_appended);
 

@@ -20,6 +20,8 @@ namespace spikeserve {
 
 struct CallContext {
   const Credential* caller = nullptr;  // never null for a handler; outlives the request
+  // The first decision was counted at the tenant's rate when the caller was admitted.
+  bool has_paid = false;
   // Set for methods whose calls are recorded in the audit log.
   Peer peer = {};
   // Receives what is done after the answer was sent. Null for methods that defer nothing.
@@ -31,6 +33,8 @@ struct CallContext {
   bool may_claim = false;
   // The store has had the session for this request, and this server has taken it over.
   bool has_claimed = false;
+  // The id of the session to open is that of another tenant's.
+  bool id_is_taken = false;
   // The session of a request that only reads, if this server does not hold it: as the store has it.
   // It stays with its owner. Null: none was read.
   std::shared_ptr<SessionEntry> read = nullptr;

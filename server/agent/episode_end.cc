@@ -6,6 +6,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "core/action/reported_action.h"
+#include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/session/session_value.h"
@@ -108,6 +109,11 @@ absl::Status CheckEndBehindHistory(const v1::ActRequest& request, const Policy& 
     return absl::InvalidArgumentError(
         absl::StrCat("observation: expected none, because the request has end_episode, received ",
                      request.observation_size(), " values"));
+  }
+  if (!end.session_id().empty() && end.session_id() != request.session_id()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("end_episode.session_id: expected none, or that of the request, received ",
+                     Quoted(end.session_id())));
   }
   if (!request.has_decision() || !end.has_episode()) {
     return absl::InvalidArgumentError(

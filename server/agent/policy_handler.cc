@@ -30,6 +30,17 @@ namespace {
 // Callers wait this long when a session has to wait for the store.
 constexpr absl::Duration kStoreRetryDelay = absl::Seconds(1);
 
+// So many rewards of skipped steps take about as long as a decision.
+constexpr int64_t kSkippedPerDecision = 128;
+
+// What the beats of one turn take, beyond the one that crosses it: a few decisions.
+constexpr absl::Duration kBeatTime = absl::Microseconds(200);
+
+// Returns how many decisions the beats of a request count as.
+int64_t BeatsOf(const DecisionRequest& act) {
+  return act.beats.appended + act.beats.dropped / kSkippedPerDecision;
+}
+
 absl::Status CheckLabels(const google::protobuf::Map<std::string, std::string>& labels) {
   if (labels.size() > LabelLimits::kLabels) {
     return absl::InvalidArgumentError(absl::StrCat(
@@ -183,10 +194,15 @@ absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id
   absl::StatusOr<std::string> id = std::move(session_id);
   if (id->empty()) id = NewSessionId();
   if (!id.ok()) return id.status();
+  const std::string& tenant = context.caller->tenant()->name();
+  const auto other = store_->Peek(*id);
+  if (context.id_is_taken || (other != nullptr && other->tenant != tenant)) {
+    id = SessionGate::OwnId(tenant, *id);
+  }
   ASSIGN_OR_RETURN(const auto route, ChooseRoute(request, *id, *registry_->catalog()));
   const ServedPolicy& served = *route.served;
   ASSIGN_OR_RETURN(auto options, OptionsFromProto(request, served));
-  options.tenant = context.caller->tenant()->name();
+  options.tenant = tenant;
   options.durability = durability;
   SessionExtras extras;
   extras.id = *id;
@@ -213,7 +229,7 @@ absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id
             .id = *id, .tenant = options.tenant, .policy_file = PolicyFileOf(served)},
         durability, /*decisions=*/0, durability_.journals);
   }
-  ToProto(*id, options, served, response);
+  ToProto(request.session_id().empty() ? *id : request.session_id(), options, served, response);
   const std::shared_ptr<SessionJournal> journal = extras.journal;
   auto status = store_->Open(route.served, std::move(options), std::move(extras)).status();
   // A session that was refused is never written, so that nothing of it can be waited for.
@@ -252,7 +268,7 @@ absl::Status PolicyHandler::OpenAgain(CallContext& context, SessionEntry& entry,
     context.commits.push_back(
         {.journal = entry.journal, .position = journal->written(), .opens = opens});
   }
-  ToProto(session.id, opened, *entry.served, response);
+  ToProto(request.session_id(), opened, *entry.served, response);
   return absl::OkStatus();
 }
 
@@ -277,9 +293,11 @@ absl::Status PolicyHandler::ActNext(CallContext& context, const v1::ActRequest& 
 }
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
-    const CallContext& context, const v1::ActRequest& request) const {
+    CallContext& context, const v1::ActRequest& request) const {
   const Credential& caller = *context.caller;
-  RETURN_IF_ERROR(caller.tenant()->AcquireDecision(clock_->Now()));
+  if (!std::exchange(context.has_paid, false)) {
+    RETURN_IF_ERROR(caller.tenant()->AcquireDecision(clock_->Now()));
+  }
   auto entry = gate_->Find(context, request.session_id());
   if (!entry.ok()) return entry;
   RETURN_IF_ERROR(CheckMayPlay(caller, **entry));
@@ -287,6 +305,10 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
   const absl::Status writable = (*entry)->journal->CheckWritable();
   if (writable.ok()) return entry;
   return RetryDelay(writable).has_value() ? writable : WithRetryDelay(writable, kStoreRetryDelay);
+}
+
+BeatBudget PolicyHandler::NewBudget() const {
+  return {.beats = kBeatsPerGroup, .until = clock_->Now() + kBeatTime};
 }
 
 void PolicyHandler::CountBeats(const Credential& caller, int64_t beats) const {
@@ -306,7 +328,8 @@ absl::Status PolicyHandler::ActOne(CallContext& context, const v1::ActRequest& r
                          .entry = std::move(entry),
                          .received = clock_->Now()};
   do {
-    DecideActs({&act}, *clock_);
+    BeatBudget budget;
+    DecideActs({&act}, *clock_, &budget);
   } while (!act.is_finished());
   if (act.status.ok()) context.deferred->Add(std::move(act.entry), shadows_);
   return act.status;
@@ -314,9 +337,9 @@ absl::Status PolicyHandler::ActOne(CallContext& context, const v1::ActRequest& r
 
 // A group ends before a request whose session is in the group already, so that the decisions of one
 // session are made in order.
-void PolicyHandler::ActMany(
-    absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
-    absl::FunctionRef<void(absl::Span<DecisionRequest* const>)> answered) const {
+void PolicyHandler::ActMany(absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
+                            absl::FunctionRef<void(absl::Span<DecisionRequest* const>)> answered,
+                            BeatBudget* budget) const {
   absl::InlinedVector<DecisionRequest*, 1>
       found;                                 // of the group, without requests that were refused
   size_t begin = 0;                          // of the group
@@ -330,12 +353,13 @@ void PolicyHandler::ActMany(
     return !held.empty() && absl::c_linear_search(held, act.request->session_id());
   };
   const auto answer_group = [&](size_t end) {
-    DecideActs(found, *clock_);
+    BeatBudget of_group;
+    DecideActs(found, *clock_, budget == nullptr ? &of_group : budget);
     for (size_t i = 0; i < found.size(); ++i) {
       DecisionRequest* const act = found[i];
       auto entry = std::exchange(act->entry, nullptr);
       conclude(act);
-      const int64_t beats = act->beats.appended - appended[i];
+      const int64_t beats = BeatsOf(*act) - appended[i];
       if (beats > 0) CountBeats(*act->context->caller, beats);
       if (act->status.ok()) deferred->Add(std::move(entry), shadows_);
     }
@@ -349,6 +373,8 @@ void PolicyHandler::ActMany(
     act.status = absl::OkStatus();
     act.beats.finished = !is_held(act);
     if (!act.beats.finished) continue;
+    // A request that goes on with its history has counted already.
+    if (act.beats.started) act.context->has_paid = true;
     auto entry = FindForDecision(*act.context, *act.request);
     act.status = entry.status();
     if (!entry.ok()) {
@@ -364,8 +390,9 @@ void PolicyHandler::ActMany(
     act.beats.finished = !is_held(act);
     if (!act.beats.finished) continue;
     act.entry = *std::move(entry);
+    act.policy = act.entry->served->name;
     found.push_back(&act);
-    appended.push_back(act.beats.appended);
+    appended.push_back(BeatsOf(act));
   }
   answer_group(acts.size());
 }
@@ -378,7 +405,7 @@ absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
 
 int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request,
                                  int first, v1::ActBatchResponse* response, absl::Duration received,
-                                 BeatProgress* beats) const {
+                                 BeatProgress* beats, BeatBudget* budget) const {
   SPIKESERVE_DCHECK(CheckBatch(request).ok());
   SPIKESERVE_DCHECK(first >= 0 && first <= request.requests_size());
   const int limit =
@@ -398,7 +425,8 @@ int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest
                      .beats = std::exchange(*beats, {})});
   }
   for (DecisionRequest& item : items) acts.push_back(&item);
-  ActMany(acts, context.deferred, [](absl::Span<DecisionRequest* const> /*group*/) {});
+  ActMany(
+      acts, context.deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, budget);
   for (const DecisionRequest& item : items) {
     if (!item.is_finished()) {
       response->mutable_results()->RemoveLast();
@@ -442,6 +470,10 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindReadable(
     const CallContext& context, const std::string& id) const {
   if (context.read != nullptr) return context.read;
   auto entry = store_->Peek(id);
+  if (entry == nullptr || !context.caller->CanRead(entry->tenant)) {
+    const std::string& tenant = context.caller->tenant()->name();
+    entry = tenant.empty() ? nullptr : store_->Peek(SessionGate::OwnId(tenant, id));
+  }
   if (entry != nullptr && context.caller->CanRead(entry->tenant)) return entry;
   return NoSuchSession(id);
 }
@@ -451,6 +483,7 @@ absl::Status PolicyHandler::GetSession(CallContext& context, const v1::GetSessio
   ASSIGN_OR_RETURN(const auto entry, FindReadable(context, request.session_id()));
   absl::MutexLock lock(&entry->mutex);
   *response = ToProto(entry->agent, request.include_head_delta());
+  response->set_session_id(request.session_id());
   return absl::OkStatus();
 }
 
@@ -492,6 +525,9 @@ absl::Status PolicyHandler::CloseSession(CallContext& context,
   const std::string& tenant = context.caller->tenant()->name();
   ASSIGN_OR_RETURN(const auto entry, gate_->Find(context, request.session_id()));
   auto status = store_->Close(request.session_id(), tenant);
+  if (absl::IsNotFound(status)) {
+    status = store_->Close(SessionGate::OwnId(tenant, request.session_id()), tenant);
+  }
   if (!status.ok() || entry->journal == nullptr) return status;
   // The store refuses the end if another server has taken the session over. ASYNC sessions wait for
   // this, too, unless the store cannot be reached: then the end is written when it comes back.

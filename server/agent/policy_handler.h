@@ -77,8 +77,12 @@ class PolicyHandler {
   // part of `acts`, so that its answers can be sent before the next group is decided. A request
   // with many beats may be left unfinished, as is one whose session is to be taken over, and then
   // those behind it for the same session are, too.
+  // `budget` bounds the beats of all; null: those of each group.
   void ActMany(absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
-               absl::FunctionRef<void(absl::Span<DecisionRequest* const> group)> answered) const;
+               absl::FunctionRef<void(absl::Span<DecisionRequest* const> group)> answered,
+               BeatBudget* budget = nullptr) const;
+  // Returns the budget of one turn that begins now.
+  BeatBudget NewBudget() const;
   // Takes over the session of a request that waits for that, as SessionGate::Claim does.
   void Claim(const DecisionRequest& act, const SessionRecovery::Post& post,
              SessionRecovery::Done done) const {
@@ -91,8 +95,8 @@ class PolicyHandler {
   // is a group of its own. If it has not finished, returns `first`, and the next call goes on with
   // it, by `beats`. REQUIRES: CheckBatch returned OK.
   int ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request, int first,
-                    v1::ActBatchResponse* response, absl::Duration received,
-                    BeatProgress* beats) const;
+                    v1::ActBatchResponse* response, absl::Duration received, BeatProgress* beats,
+                    BeatBudget* budget = nullptr) const;
   absl::Status EndEpisode(CallContext& context, const v1::EndEpisodeRequest& request,
                           v1::EndEpisodeResponse* response) const;
   absl::Status GetSession(CallContext& context, const v1::GetSessionRequest& request,
@@ -134,7 +138,7 @@ class PolicyHandler {
   // Counts one decision of the caller's tenant and returns the session of `request`. Returns
   // RESOURCE_EXHAUSTED if the tenant exceeds its limit.
   absl::StatusOr<std::shared_ptr<SessionEntry>> FindForDecision(
-      const CallContext& context, const v1::ActRequest& request) const;
+      CallContext& context, const v1::ActRequest& request) const;
   // `is_next` as DecisionRequest::is_next.
   absl::Status ActOne(CallContext& context, const v1::ActRequest& request, bool is_next,
                       v1::ActResponse* response) const;

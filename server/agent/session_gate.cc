@@ -87,6 +87,15 @@ struct SessionGate::Search {
   std::map<std::string, absl::Status> unclaimed = {};
 };
 
+absl::StatusOr<std::shared_ptr<SessionEntry>> SessionGate::Find(const CallContext& context,
+                                                                const std::string& id) const {
+  const std::string& tenant = context.caller->tenant()->name();
+  auto entry = store_.Find(id, tenant);
+  if (entry.ok() || tenant.empty()) return entry;
+  auto own = store_.Find(OwnId(tenant, id), tenant);
+  return own.ok() ? own : entry;
+}
+
 void SessionGate::Enter(CallContext* context) const { context->may_claim = recovery_ != nullptr; }
 
 absl::Status SessionGate::Refused(const CallContext& context, const Place& place,
@@ -201,6 +210,12 @@ void SessionGate::OnFound(Search& search, const std::string& id, const absl::Sta
   EndSpan(claimed, &search.span);
   GatedRequest& request = *search.request;
   if (request.is_over()) return request.Answer(search.status);
+  if (absl::IsNotFound(claimed) && absl::IsAlreadyExists(search.status)) {
+    // Another tenant has a session of this id in the store.
+    request.call_context().commits.clear();
+    request.call_context().id_is_taken = true;
+    return request.HandleAgain({});
+  }
   if (!claimed.ok() && !request.has_items()) {
     return request.Answer(failed ? claimed : search.status);
   }

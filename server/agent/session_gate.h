@@ -19,6 +19,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/str_cat.h"
 #include "core/agent/head_log.h"
 #include "core/open_sessions/session_store.h"
 #include "server/agent/call_context.h"
@@ -80,8 +81,12 @@ class SessionGate {
   // Returns an open session of the caller's tenant, and counts it as used. NOT_FOUND: it is not
   // here.
   absl::StatusOr<std::shared_ptr<SessionEntry>> Find(const CallContext& context,
-                                                     const std::string& id) const {
-    return store_.Find(id, context.caller->tenant()->name());
+                                                     const std::string& id) const;
+
+  // Returns the id under which the server has a session of `tenant` whose client has chosen the id
+  // of another tenant's session. Neither tenant learns of the other.
+  static std::string OwnId(const std::string& tenant, const std::string& id) {
+    return absl::StrCat(tenant, "/", id);
   }
 
   // Returns true if a request that has ended with `status` is to be handled again when its session

@@ -62,8 +62,8 @@ void MetricHistory::Add(const std::vector<prometheus::MetricFamily>& families, a
   SPIKESERVE_DCHECK(empty_ || now >= end_);
   if (empty_) start_ = now;
   end_ = now;
-  for (auto& [name, all] : families_) {
-    for (auto& [labels, series] : all) series.present = false;
+  for (auto& [name, family] : families_) {
+    for (auto& [labels, series] : family.series) series.present = false;
   }
   for (const prometheus::MetricFamily& family : families) {
     for (const auto& metric : family.metric) AddSeries(family.name, metric, family.type, now);
@@ -72,14 +72,27 @@ void MetricHistory::Add(const std::vector<prometheus::MetricFamily>& families, a
   Forget(now);
 }
 
-void MetricHistory::AddSeries(const std::string& family, const prometheus::ClientMetric& metric,
+void MetricHistory::Index(const MetricSeries& series, Family* family) {
+  MetricLabels version;
+  for (const char* name : {"policy", "version"}) {
+    const auto label = series.labels.find(name);
+    if (label == series.labels.end()) return;
+    version.insert(*label);
+  }
+  family->by_version[std::move(version)].push_back(&series);
+}
+
+void MetricHistory::AddSeries(const std::string& name, const prometheus::ClientMetric& metric,
                               prometheus::MetricType type, absl::Duration now) {
   MetricLabels labels;
   for (const auto& label : metric.label) labels.emplace(label.name, label.value);
-  MetricSeries& series = families_[family][labels];
+  Family& family = families_[name];
+  MetricSeries& series = family.series[labels];
   const std::vector<double> values = ValuesOf(metric, type);
   if (series.values.size() != values.size()) {
+    const bool is_new = series.values.empty();
     series.labels = std::move(labels);
+    if (is_new) Index(series, &family);
     series.bounds.clear();
     series.values.assign(values.size(), {});
     series.offsets.assign(values.size(), 0.0);
@@ -102,11 +115,15 @@ void MetricHistory::AddSeries(const std::string& family, const prometheus::Clien
 void MetricHistory::Forget(absl::Duration now) {
   if (now - thinned_ < kThinInterval) return;
   thinned_ = now;
-  for (auto& [name, all] : families_) {
-    for (auto& [labels, series] : all) {
+  for (auto& [name, family] : families_) {
+    for (auto& [labels, series] : family.series) {
       for (StepFunction& steps : series.values) steps.Thin(now - kExact, now - kOldest);
     }
-    std::erase_if(all, [&](const auto& item) { return item.second.seen < now - kOldest; });
+    const size_t forgotten = std::erase_if(
+        family.series, [&](const auto& item) { return item.second.seen < now - kOldest; });
+    if (forgotten == 0) continue;
+    family.by_version.clear();
+    for (const auto& [labels, series] : family.series) Index(series, &family);
   }
 }
 
@@ -114,7 +131,12 @@ Selection MetricHistory::Select(absl::string_view family, const MetricLabels& la
   Selection selection;
   const auto found = families_.find(family);
   if (found == families_.end()) return selection;
-  for (const auto& item : found->second) {
+  const Family& all = found->second;
+  if (labels.size() == 2 && labels.contains("policy") && labels.contains("version")) {
+    const auto version = all.by_version.find(labels);
+    return version == all.by_version.end() ? selection : version->second;
+  }
+  for (const auto& item : all.series) {
     const MetricSeries& series = item.second;
     const bool matches = std::all_of(labels.begin(), labels.end(), [&series](const auto& wanted) {
       const auto label = series.labels.find(wanted.first);

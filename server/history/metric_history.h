@@ -75,7 +75,8 @@ class MetricHistory {
   void Add(const std::vector<prometheus::MetricFamily>& families, absl::Duration now);
 
   // Returns the series of a family whose labels include `labels`, also those that are not exported
-  // any more. The pointers are valid until the next Add.
+  // any more. The pointers are valid until the next Add. Looks at no series of another version if
+  // `labels` are a policy and a version.
   Selection Select(absl::string_view family, const MetricLabels& labels = {}) const;
 
   // The time of the first and the last Add. Zero before.
@@ -87,7 +88,16 @@ class MetricHistory {
                  prometheus::MetricType type, absl::Duration now);
   void Forget(absl::Duration now);
 
-  std::map<std::string, std::map<MetricLabels, MetricSeries>, std::less<>> families_;
+  // The series of one name.
+  struct Family {
+    std::map<MetricLabels, MetricSeries> series;
+    std::map<MetricLabels, Selection> by_version;  // by the labels policy and version alone
+  };
+
+  // Adds a series to the index of its family.
+  static void Index(const MetricSeries& series, Family* family);
+
+  std::map<std::string, Family, std::less<>> families_;
   bool empty_ = true;
   absl::Duration start_ = absl::ZeroDuration();
   absl::Duration end_ = absl::ZeroDuration();

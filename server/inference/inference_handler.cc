@@ -329,13 +329,14 @@ absl::Status InferenceHandler::Decide(CallContext& context, const ModelInferRequ
 absl::Status InferenceHandler::End(CallContext& context, const SequenceRequest& sequence) const {
   // The action of the last decision is not carried out, so a recording ends with the observation of
   // that decision.
+  const bool terminated = !sequence.truncated || sequence.terminated;
   if (const auto entry = gate_->Find(context, sequence.session_id); entry.ok()) {
     absl::MutexLock lock(&(*entry)->mutex);
-    if ((*entry)->recorder != nullptr) (*entry)->recorder->CutOff(sequence.terminated);
+    if ((*entry)->recorder != nullptr) (*entry)->recorder->CutOff(terminated);
   }
   v1::EndEpisodeRequest end;
   end.set_session_id(sequence.session_id);
-  end.set_terminated(!sequence.truncated || sequence.terminated);
+  end.set_terminated(terminated);
   end.set_truncated(sequence.truncated);
   v1::EndEpisodeResponse ended;
   RETURN_IF_ERROR(sessions_->EndEpisode(context, end, &ended));

@@ -16,6 +16,18 @@
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {
+
+// Refers to a member of a body, which is not copied: it may be long.
+struct Member {
+  const nlohmann::json* json = nullptr;  // null: absent
+};
+
+static absl::Status ReadJson(absl::string_view /*field*/, const nlohmann::json& value,
+                             Member* result) {
+  result->json = &value;
+  return absl::OkStatus();
+}
+
 namespace {
 
 using Json = nlohmann::json;
@@ -46,15 +58,16 @@ absl::Status ReadParameter(const std::string& field, const Json& value,
   return absl::OkStatus();
 }
 
-// Reads all members of `json` but `reserved`, whose value it moves there.
-absl::Status ReadParameters(const std::string& field, const std::map<std::string, Json>& json,
-                            const char* reserved, Json* value, Parameters* parameters) {
+// Reads all members of `json` but `reserved`, which it stores in `value` unless it is null.
+absl::Status ReadParameters(const std::string& field, const std::map<std::string, Member>& json,
+                            const char* reserved, Member* value, Parameters* parameters) {
   for (const auto& [name, member] : json) {
     if (name == reserved) {
-      *value = member;
+      if (!member.json->is_null()) *value = member;
       continue;
     }
-    RETURN_IF_ERROR(ReadParameter(absl::StrCat(field, ".", name), member, &(*parameters)[name]));
+    RETURN_IF_ERROR(
+        ReadParameter(absl::StrCat(field, ".", name), *member.json, &(*parameters)[name]));
   }
   return absl::OkStatus();
 }
@@ -87,27 +100,27 @@ class InferReader {
   explicit InferReader(absl::string_view bytes) : bytes_(bytes) {}
 
   absl::StatusOr<HttpInferRequest> Read(const Json& json) {
-    std::map<std::string, Json> parameters;
-    std::vector<Json> inputs;
-    std::vector<Json> outputs;
+    std::map<std::string, Member> parameters;
+    std::vector<Member> inputs;
+    std::vector<Member> outputs;
     JsonObject object("", json);
     object.Optional("id", request_.message.mutable_id());
     object.Optional("parameters", &parameters);
     object.Required("inputs", &inputs);
     object.Optional("outputs", &outputs);
     RETURN_IF_ERROR(object.Finish());
-    Json binary;
+    Member binary;
     auto status = ReadParameters("parameters", parameters, kBinaryOutputs, &binary,
                                  request_.message.mutable_parameters());
-    if (status.ok() && !binary.is_null()) {
-      status = ReadJson(absl::StrCat("parameters.", kBinaryOutputs), binary,
+    if (status.ok() && binary.json != nullptr) {
+      status = ReadJson(absl::StrCat("parameters.", kBinaryOutputs), *binary.json,
                         &request_.outputs.by_default);
     }
     for (size_t i = 0; i < inputs.size() && status.ok(); ++i) {
-      status = ReadInput(absl::StrCat("inputs[", i, "]"), inputs[i]);
+      status = ReadInput(absl::StrCat("inputs[", i, "]"), *inputs[i].json);
     }
     for (size_t i = 0; i < outputs.size() && status.ok(); ++i) {
-      status = ReadOutput(absl::StrCat("outputs[", i, "]"), outputs[i]);
+      status = ReadOutput(absl::StrCat("outputs[", i, "]"), *outputs[i].json);
     }
     if (!status.ok()) return status;
     if (!bytes_.empty()) {
@@ -123,8 +136,8 @@ class InferReader {
     auto& tensor = *request_.message.add_inputs();
     std::string& raw = *request_.message.add_raw_input_contents();
     std::vector<int64_t> shape;
-    std::map<std::string, Json> parameters;
-    std::optional<Json> data;
+    std::map<std::string, Member> parameters;
+    Member data;
     JsonObject object(field, json);
     object.Required("name", tensor.mutable_name());
     object.Required("datatype", tensor.mutable_datatype());
@@ -133,19 +146,20 @@ class InferReader {
     object.Optional("data", &data);
     RETURN_IF_ERROR(object.Finish());
     tensor.mutable_shape()->Add(shape.begin(), shape.end());
-    Json size;
+    Member size;
     RETURN_IF_ERROR(ReadParameters(absl::StrCat(field, ".parameters"), parameters, kBinarySize,
                                    &size, tensor.mutable_parameters()));
-    if (size.is_null() == !data.has_value()) {
+    if ((size.json == nullptr) == (data.json == nullptr)) {
       return absl::InvalidArgumentError(absl::StrCat(field, ": expected either data or parameters.",
                                                      kBinarySize, ", received ",
-                                                     data.has_value() ? "both" : "neither"));
+                                                     data.json != nullptr ? "both" : "neither"));
     }
-    if (!size.is_null())
-      return TakeBytes(absl::StrCat(field, ".parameters.", kBinarySize), size, &raw);
+    if (size.json != nullptr) {
+      return TakeBytes(absl::StrCat(field, ".parameters.", kBinarySize), *size.json, &raw);
+    }
     // The handler refuses other types by name.
     if (tensor.datatype() != "FP32") return absl::OkStatus();
-    return AppendFloats(absl::StrCat(field, ".data"), *data, 1, &raw);
+    return AppendFloats(absl::StrCat(field, ".data"), *data.json, 1, &raw);
   }
 
   absl::Status TakeBytes(const std::string& field, const Json& json, std::string* raw) {
@@ -164,17 +178,17 @@ class InferReader {
 
   absl::Status ReadOutput(const std::string& field, const Json& json) {
     auto& output = *request_.message.add_outputs();
-    std::map<std::string, Json> parameters;
+    std::map<std::string, Member> parameters;
     JsonObject object(field, json);
     object.Required("name", output.mutable_name());
     object.Optional("parameters", &parameters);
     RETURN_IF_ERROR(object.Finish());
-    Json binary;
+    Member binary;
     auto status = ReadParameters(absl::StrCat(field, ".parameters"), parameters, kBinaryOutput,
                                  &binary, output.mutable_parameters());
-    if (!status.ok() || binary.is_null()) return status;
+    if (!status.ok() || binary.json == nullptr) return status;
     bool wanted = false;
-    status = ReadJson(absl::StrCat(field, ".parameters.", kBinaryOutput), binary, &wanted);
+    status = ReadJson(absl::StrCat(field, ".parameters.", kBinaryOutput), *binary.json, &wanted);
     if (status.ok()) {
       (wanted ? request_.outputs.binary : request_.outputs.json).insert(output.name());
     }

@@ -23,7 +23,7 @@ struct SequenceRequest {
   std::string session_id;
   bool start = false;
   bool end = false;
-  bool terminated = false;  // how the episode has ended; only beside `end`, both false: unknown
+  bool terminated = false;  // how the episode ended, only beside `end`; both false: so
   bool truncated = false;
   std::string token;  // that the answer to the start had; empty: none
 };

@@ -151,7 +151,8 @@ Metrics::Metrics()  // #lizard forgives(length): a table
       rpc_duration_(Register(
           BuildHistogram(), "spikeserve_rpc_duration_seconds",
           "Time to handle one call, measured on the server, by method and gRPC status code. For "
-          "ActStream and ModelStreamInfer: one request on the stream.")),
+          "ActStream and ModelStreamInfer: one request on the stream. Act and ActStream also have "
+          "the label policy, for the first 100 policies.")),
       beats_(Register(BuildCounter(), "spikeserve_beats_total",
                       "Beats of robots, as they report them, by the source of the action that was "
                       "executed: fresh (an answer in time), held (the last action again), local "
@@ -361,14 +362,32 @@ void Metrics::KeepSeries() {
   keeps_series_ = true;
 }
 
-void Metrics::ObserveRpc(const Method& method, absl::StatusCode code, absl::Duration duration) {
-  auto& slot = rpc_durations_[method.index][static_cast<size_t>(code)];
+Metrics::RpcDurations* Metrics::DurationsOf(absl::string_view policy) {
+  if (policy.empty()) return nullptr;
+  {
+    absl::ReaderMutexLock lock(&policies_mutex_);
+    const auto found = policy_durations_.find(policy);
+    if (found != policy_durations_.end()) return found->second.get();
+    if (policy_durations_.size() >= kMostPolicies) return nullptr;
+  }
+  absl::MutexLock lock(&policies_mutex_);
+  auto& durations = policy_durations_[policy];
+  if (durations == nullptr) durations = std::make_unique<RpcDurations>(AllMethods().size());
+  return durations.get();
+}
+
+void Metrics::ObserveRpc(const Method& method, absl::StatusCode code, absl::Duration duration,
+                         absl::string_view policy) {
+  RpcDurations* const of_policy = DurationsOf(policy);
+  RpcDurations& durations = of_policy == nullptr ? rpc_durations_ : *of_policy;
+  auto& slot = durations[method.index][static_cast<size_t>(code)];
   prometheus::Histogram* histogram = slot.load(std::memory_order_acquire);
   if (histogram == nullptr) {
     // Two threads may reach this at once; the family returns the same histogram to both. Abseil's
     // names of the codes are those of gRPC.
-    histogram = &rpc_duration_.Add(
-        {{"method", method.name}, {"code", absl::StatusCodeToString(code)}}, RpcSeconds());
+    prometheus::Labels labels = {{"method", method.name}, {"code", absl::StatusCodeToString(code)}};
+    if (of_policy != nullptr) labels.emplace("policy", policy);
+    histogram = &rpc_duration_.Add(labels, RpcSeconds());
     slot.store(histogram, std::memory_order_release);
   }
   histogram->Observe(absl::ToDoubleSeconds(duration));

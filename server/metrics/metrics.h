@@ -21,7 +21,9 @@
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
+#include "absl/container/flat_hash_map.h"
 #include "absl/status/status.h"
+#include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "core/agent/served_policy.h"
@@ -75,8 +77,11 @@ class Metrics {
   // Counts a response with NaN or infinity that was not sent, and logs it. `policy` may be empty.
   void CountNonFiniteAnswer(const std::string& policy);
 
-  // Records the duration of one call. For ActStream and ModelStreamInfer: of one request.
-  void ObserveRpc(const Method& method, absl::StatusCode code, absl::Duration duration);
+  // Records the duration of one call. For ActStream and ModelStreamInfer: of one request. `policy`
+  // is that of the session that decided; empty: none, or several. Each of the first 100 policies
+  // that decide has series of its own, which begin with its first call.
+  void ObserveRpc(const Method& method, absl::StatusCode code, absl::Duration duration,
+                  absl::string_view policy = "");
 
   // Counts sessions that were closed because they were idle for the time-to-live.
   void CountReaped(int64_t sessions) { reaped_idle_->Increment(static_cast<double>(sessions)); }
@@ -110,6 +115,13 @@ class Metrics {
 
  private:
   static constexpr int kCodes = 17;  // gRPC status codes
+  static constexpr size_t kMostPolicies = 100;
+
+  // The histograms of calls, by AllMethods() and code; null: not yet created.
+  using RpcDurations = std::vector<std::array<std::atomic<prometheus::Histogram*>, kCodes>>;
+
+  // Returns the histograms of the calls of a policy; null if it has none of its own.
+  RpcDurations* DurationsOf(absl::string_view policy) ABSL_LOCKS_EXCLUDED(policies_mutex_);
 
   // The time series of one policy version.
   struct VersionSeries {
@@ -193,7 +205,10 @@ class Metrics {
       ABSL_GUARDED_BY(versions_mutex_);  // by name/number
 
   // Created when a method first returns a code, because most pairs never occur.
-  std::vector<std::array<std::atomic<prometheus::Histogram*>, kCodes>> rpc_durations_;  // by method
+  RpcDurations rpc_durations_;
+  absl::Mutex policies_mutex_;
+  absl::flat_hash_map<std::string, std::unique_ptr<RpcDurations>> policy_durations_
+      ABSL_GUARDED_BY(policies_mutex_);
 };
 
 }  // namespace spikeserve

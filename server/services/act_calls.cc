@@ -64,7 +64,7 @@ class ActStreamCall::Item final : public QueuedAct,
   void OnGranted() override { call_->OnGranted(); }
   void Answer(const absl::Status& status) override {
     call_->EndSpan(status, &call_context().span);
-    call_->Answer(messages_, status, request_bytes_, received_);
+    call_->Answer(messages_, status, request_bytes_, received_, act().policy);
   }
 
  private:
@@ -85,7 +85,8 @@ void ActOneCall::Handle() {
 
 void ActBatchCall::Handle() {
   auto status = PolicyHandler::CheckBatch(request());
-  if (status.ok() && request().requests().empty()) {  // otherwise its requests count
+  // Otherwise its requests count.
+  if (status.ok() && request().requests().empty() && !call_context().has_paid) {
     status = caller().tenant()->AcquireDecision(context().clock->Now());
   }
   // Counted before the first decision: a batch that was decided must be answered.
@@ -97,11 +98,12 @@ void ActBatchCall::Handle() {
   queue_.AddBatch(std::static_pointer_cast<ActBatchCall>(shared_from_this()));
 }
 
-bool ActBatchCall::DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) {
+bool ActBatchCall::DecideGroup(const PolicyHandler& handler, DeferredWork* deferred,
+                               BeatBudget* budget) {
   if (call() == nullptr) return true;
   call_context().deferred = deferred;
-  decided_ =
-      handler.ActBatchGroup(call_context(), request(), decided_, response(), received_at_, &beats_);
+  decided_ = handler.ActBatchGroup(call_context(), request(), decided_, response(), received_at_,
+                                   &beats_, budget);
   if (decided_ < request().requests_size()) return false;
   refusal_ = RefusalWithin(*response());
   ExplainMissing();
@@ -168,7 +170,7 @@ bool ActStreamCall::HoldRequests() {
 void ActStreamCall::HandleTooLong(size_t length, const absl::Status& error) {
   Messages unread;
   CountRequest(length);
-  Answer(unread, error, length, context().clock->Now());
+  Answer(unread, error, length, context().clock->Now(), "");
 }
 
 void ActStreamCall::OnGranted() {
@@ -177,8 +179,8 @@ void ActStreamCall::OnGranted() {
 }
 
 void ActStreamCall::Answer(Messages& messages, const absl::Status& status, size_t request_bytes,
-                           absl::Duration received) {
-  Observe(status, received);
+                           absl::Duration received, absl::string_view policy) {
+  Observe(status, received, policy);
   --in_progress_;
   in_progress_bytes_ -= request_bytes;
   if (call() == nullptr) return;

@@ -32,6 +32,7 @@ class ActOneCall final : public UnaryCall<v1::ActRequest, v1::ActResponse>, publ
   std::vector<std::string> MissingSessions(const absl::Status& /*status*/) override { return {}; }
   // A decision is made and stored whether its caller waits for it or not.
   bool is_over() override { return false; }
+  absl::string_view observed_policy() const override { return act().policy; }
 
   ActQueue& queue_;
 };
@@ -45,7 +46,8 @@ class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchRes
   ActBatchCall(const ServiceContext* context, Call* call, const Method& method, ActQueue* queue)
       : UnaryCall(context, call, method), queue_(*queue) {}
 
-  bool DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) override;
+  bool DecideGroup(const PolicyHandler& handler, DeferredWork* deferred,
+                   BeatBudget* budget) override;
 
  private:
   void Handle() override;
@@ -86,7 +88,7 @@ class ActStreamCall final : public ServiceCall {
   void OnGranted();
   // Sends the answer to a request of `request_bytes` that was `received` then.
   void Answer(Messages& messages, const absl::Status& status, size_t request_bytes,
-              absl::Duration received);
+              absl::Duration received, absl::string_view policy);
   // Counts a request in progress. Returns how many there are.
   size_t CountRequest(size_t bytes);
   // Counts what the requests in progress occupy. Returns false if that exceeds a limit.

@@ -49,29 +49,35 @@ void ActQueue::AskForTurn() {
 void ActQueue::Run() {
   loop_.events().thread().AssertCurrent();
   running_ = true;
+  // The beats of one turn are bounded, whatever the number of sessions. Requests that wait for
+  // their next part come before new ones.
+  BeatBudget budget = handler_.NewBudget();
+  BeatBudget none = {.beats = 0};
+  BeatBudget* const of_new = batches_.empty() && turns_.empty() ? &budget : &none;
   for (size_t i = 0; i < queues_.size(); ++i) {
     if (added_[i].empty()) continue;
     Acts acts = std::exchange(added_[i], {});
     if (queues_[i] == this) {
-      Decide(std::move(acts));
+      Decide(std::move(acts), of_new);
       continue;
     }
     auto foreign = std::make_shared<Foreign>(Foreign{this, std::move(acts)});
     queues_[i]->loop_.events().Post(
         [owner = queues_[i], foreign] { owner->foreign_.push_back(foreign); });
   }
-  for (const auto& foreign : std::exchange(foreign_, {})) DecideForeign(foreign);
-  if (!batches_.empty()) DecideBatchGroup();
-  if (!turns_.empty()) DecideWaiting();
+  for (const auto& foreign : std::exchange(foreign_, {})) DecideForeign(foreign, of_new);
+  batch_is_first_ = !batch_is_first_;
+  if (!batches_.empty()) DecideBatchGroup(turns_.empty() || batch_is_first_ ? &budget : &none);
+  if (!turns_.empty()) DecideWaiting(&budget);
   if (!batches_.empty() || !turns_.empty()) AskForTurn();
   running_ = false;
 }
 
-void ActQueue::DecideBatchGroup() {
+void ActQueue::DecideBatchGroup(BeatBudget* budget) {
   const std::shared_ptr<QueuedBatch> batch = std::move(batches_.front());
   batches_.pop_front();
   DeferredWork deferred;
-  const bool done = batch->DecideGroup(handler_, &deferred);
+  const bool done = batch->DecideGroup(handler_, &deferred, budget);
   loop_.FlushWrites();
   deferred.Run();
   if (!done) batches_.push_back(batch);
@@ -147,15 +153,15 @@ ActQueue::Acts ActQueue::HoldBack(ActQueue* from, Acts acts) {
   return others;
 }
 
-void ActQueue::DecideWaiting() {
+void ActQueue::DecideWaiting(BeatBudget* budget) {
   const std::string id = std::move(turns_.front());
   turns_.pop_front();
   std::deque<Waiting>& behind = waiting_[id];
   Waiting first = std::move(behind.front());
   behind.pop_front();
   DeferredWork deferred;
-  handler_.ActMany({&first.act->act()}, &deferred,
-                   [](absl::Span<DecisionRequest* const> /*group*/) {});
+  handler_.ActMany(
+      {&first.act->act()}, &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, budget);
   const bool is_finished = first.act->act().is_finished();
   const bool waits_for_claim = first.act->act().waits_for_claim;
   if (is_finished) {
@@ -174,12 +180,12 @@ void ActQueue::DecideWaiting() {
   deferred.Run();
 }
 
-void ActQueue::Decide(Acts added) {
+void ActQueue::Decide(Acts added, BeatBudget* budget) {
   const Acts acts = HoldBack(this, std::move(added));
   DeferredWork deferred;
   const auto requests = RequestsOf(acts);
   size_t answered = 0;
-  handler_.ActMany(requests, &deferred, [&](absl::Span<DecisionRequest* const> group) {
+  const auto answer = [&](absl::Span<DecisionRequest* const> group) {
     for (size_t i = 0; i < group.size(); ++i) {
       const auto& act = acts[answered + i];
       if (act->act().is_finished()) {
@@ -191,14 +197,15 @@ void ActQueue::Decide(Acts added) {
     answered += group.size();
     loop_.FlushWrites();
     deferred.Run();
-  });
+  };
+  handler_.ActMany(requests, &deferred, answer, budget);
 }
 
-void ActQueue::DecideForeign(const std::shared_ptr<Foreign>& foreign) {
+void ActQueue::DecideForeign(const std::shared_ptr<Foreign>& foreign, BeatBudget* budget) {
   Acts acts = HoldBack(foreign->from, std::exchange(foreign->acts, {}));
   DeferredWork deferred;
-  handler_.ActMany(RequestsOf(acts), &deferred,
-                   [](absl::Span<DecisionRequest* const> /*group*/) {});
+  handler_.ActMany(
+      RequestsOf(acts), &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, budget);
   for (auto& act : acts) {
     if (act->act().is_finished()) {
       foreign->acts.push_back(std::move(act));

@@ -25,6 +25,7 @@ class QueuedAct {
  public:
   virtual ~QueuedAct() = default;
   DecisionRequest& act() { return act_; }
+  const DecisionRequest& act() const { return act_; }
   // Called when act() has its status, on the thread of the loop that the request came from.
   virtual void OnDecided() = 0;
 
@@ -37,8 +38,9 @@ class QueuedBatch {
  public:
   virtual ~QueuedBatch() = default;
   // Decides the next group of at most kMaxSessionsPerGroup requests. Returns true if none is left.
-  // Called on the thread of the loop that the call came from.
-  virtual bool DecideGroup(const PolicyHandler& handler, DeferredWork* deferred) = 0;
+  // Called on the thread of the loop that the call came from. `budget` is that of the turn.
+  virtual bool DecideGroup(const PolicyHandler& handler, DeferredWork* deferred,
+                           BeatBudget* budget) = 0;
 };
 
 class ActQueue {
@@ -75,15 +77,15 @@ class ActQueue {
     std::shared_ptr<QueuedAct> act;
   };
 
-  void Decide(Acts added);
-  void DecideBatchGroup();
-  void DecideForeign(const std::shared_ptr<Foreign>& foreign);
+  void Decide(Acts added, BeatBudget* budget);
+  void DecideBatchGroup(BeatBudget* budget);
+  void DecideForeign(const std::shared_ptr<Foreign>& foreign, BeatBudget* budget);
   // Lets a request wait for its turn, behind the others of its session.
   void Wait(ActQueue* from, std::shared_ptr<QueuedAct> act);
   // Queues every request whose session already has a pending one. Returns the rest.
   Acts HoldBack(ActQueue* from, Acts acts);
   // Handles a part of the first request of one session that waits.
-  void DecideWaiting();
+  void DecideWaiting(BeatBudget* budget);
   // Takes over session `id`, for whose first request that waits it is not here.
   void Claim(const std::string& id);
   void OnClaimed(const std::string& id, const absl::Status& claimed);
@@ -103,7 +105,8 @@ class ActQueue {
   // that are not, in the order of their turns.
   absl::flat_hash_map<std::string, std::deque<Waiting>> waiting_;
   std::deque<std::string> turns_;
-  bool running_ = false;  // in Run(), and no further turn was asked for
+  bool batch_is_first_ = false;  // in the next turn that both a batch and another wait for
+  bool running_ = false;         // in Run(), and no further turn was asked for
 };
 
 }  // namespace spikeserve

@@ -22,6 +22,7 @@ class HealthService::CheckCall : public CallHandler {
   size_t message_limit() const override { return kMessageLimit; }
 
   void OnMessage(absl::string_view message) override {
+    received_ = true;
     grpc::health::v1::HealthCheckRequest request;
     if (auto status = ParseRequest(message, &request); !status.ok()) {
       return call_->Finish(status);
@@ -32,7 +33,10 @@ class HealthService::CheckCall : public CallHandler {
     call_->Finish(absl::ResourceExhaustedError(
         absl::StrCat("message: expected at most ", kMessageLimit, " bytes, received ", length)));
   }
-  void OnHalfClose() override {}
+  void OnHalfClose() override {
+    if (received_) return;
+    call_->Finish(absl::InternalError("message: expected one request, received none"));
+  }
   void OnClosed() override { call_ = nullptr; }
   void OnDrain() override {}
 
@@ -54,6 +58,9 @@ class HealthService::CheckCall : public CallHandler {
 
   HealthService& service_;
   Call* call_;  // null after the call is over
+
+ private:
+  bool received_ = false;
 };
 
 // Confined to the thread of its loop, except loop().

@@ -31,12 +31,14 @@ bool IsFaultOfServer(absl::StatusCode code) {
 void ServiceCall::Start() {
   SPIKESERVE_DCHECK(call_ != nullptr && !caller_.ok());  // called once, before the call is over
   const absl::Duration start = context_.clock->Now();
-  if (admission_.ok()) {
-    caller_ = Admit(*context_.authenticator, call_->head().authorization, method_);
-    admission_ = caller_.status();
-  }
-  if (admission_.ok()) {
-    admission_ = caller().tenant()->AcquireCall(method_.cost, start);
+  const CallHead& head = call_->head();
+  if (admission_.ok() && head.admitted != nullptr) {
+    caller_ = head.admitted;
+    admission_ = caller().CheckValid();
+  } else if (admission_.ok()) {
+    caller_ = Admit(*context_.authenticator, head.authorization, method_);
+    admission_ =
+        caller_.ok() ? caller().tenant()->AcquireCall(method_.cost, start) : caller_.status();
   }
   if (admission_.ok()) {
     const std::shared_ptr<Tenant>& tenant = caller().tenant();

@@ -66,9 +66,9 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   // REQUIRES: the caller was admitted, which holds in HandleMessage() and after it.
   const Credential& caller() const { return **caller_; }
 
-  // Counts a request that started at `start` and ended with `status`.
-  void Observe(const absl::Status& status, absl::Duration start) {
-    context_.metrics->ObserveRpc(method_, status.code(), context_.clock->Now() - start);
+  // Counts a request that started at `start` and ended with `status`; `policy` as for ObserveRpc.
+  void Observe(const absl::Status& status, absl::Duration start, absl::string_view policy = "") {
+    context_.metrics->ObserveRpc(method_, status.code(), context_.clock->Now() - start, policy);
   }
 
   // Begins the span of a request that has arrived; empty if it is not traced. REQUIRES: the call is

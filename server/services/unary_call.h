@@ -61,7 +61,7 @@ class UnaryCall : public ServiceCall, public GatedRequest {
   // Sends the response and the status of `outcome`, after a delay if the call was refused.
   void End(CallOutcome outcome) {
     if (!checked_) CheckResponse(&outcome);
-    Observe(outcome.status, start_);
+    Observe(outcome.status, start_, observed_policy());
     EndSpan(outcome.status, &call_context().span);
     if (call() == nullptr) return;
     // A caller who has to wait for a refusal keeps nothing here, and an answer that waits counts.
@@ -94,6 +94,9 @@ class UnaryCall : public ServiceCall, public GatedRequest {
       *outcome = CallOutcome(std::move(status));
     }
   }
+
+  // Returns the policy that a decision was asked of; empty: the call makes none, or several.
+  virtual absl::string_view observed_policy() const { return ""; }
 
   // Returns what the response occupies beside the messages.
   virtual int64_t framed_bytes() const { return 0; }
@@ -146,6 +149,7 @@ class UnaryCall : public ServiceCall, public GatedRequest {
     if (status.ok()) status = HoldMessages();
     if (!status.ok()) return End(status);
     call_context().caller = &caller();
+    call_context().has_paid = call()->head().admitted != nullptr;
     context().sessions->Enter(&call_context());
     Handle();
   }

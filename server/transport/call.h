@@ -22,10 +22,14 @@
 
 namespace spikeserve {
 
-// What the client sent before its first message.
+class Credential;
+
+// What the client sent before its first message, and what is known of it.
 struct CallHead {
-  std::string path;                                    // "/package.Service/Method"
-  std::string authorization;                           // value of the header; empty: none
+  std::string path;           // "/package.Service/Method"
+  std::string authorization;  // value of the header; empty: none
+  // Set if the caller was admitted, and the call, or its first decision, counted at its rates.
+  std::shared_ptr<const Credential> admitted = nullptr;
   absl::Duration deadline = absl::InfiniteDuration();  // of the loop's clock
   TraceParent trace = {};  // of the header `traceparent`; not valid: none
 };

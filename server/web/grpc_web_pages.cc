@@ -1,5 +1,7 @@
 #include "server/web/grpc_web_pages.h"
 
+#include <algorithm>
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <utility>
@@ -11,8 +13,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
 #include "core/base/json.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
-#include "server/access/admission.h"
 #include "server/base/method.h"
 #include "server/transport/grpc_wire.h"
 
@@ -68,11 +70,26 @@ const Method* UnaryMethodAt(absl::string_view path) {
   return found == methods.end() || found->streams ? nullptr : &*found;
 }
 
+// Returns the length of the body, with its prefix, of a message of `bytes`.
+int64_t BodyBytes(Form form, int64_t bytes) {
+  const int64_t framed = bytes + int64_t{kMessagePrefixBytes};
+  return form == Form::kText ? (framed + 2) / 3 * 4 : framed;
+}
+
+// Returns the least length of a message whose body, with its prefix, has `body_bytes`.
+int64_t MessageBytes(Form form, int64_t body_bytes) {
+  const int64_t bytes = form == Form::kText ? (body_bytes + 3) / 4 * 3 - 2 : body_bytes;
+  return std::max<int64_t>(bytes - int64_t{kMessagePrefixBytes}, 0);
+}
+
 // Returns the message of a request's body, which is one frame.
-absl::StatusOr<std::string> MessageOf(Form form, const std::string& body) {
-  std::string bytes = body;
-  if (form == Form::kText && !absl::Base64Unescape(body, &bytes)) {
-    return absl::InvalidArgumentError("body: expected base64");
+absl::StatusOr<std::string> MessageOf(Form form, HttpRequest* request) {
+  ASSIGN_OR_RETURN(std::string bytes, TakeBody(request));
+  if (form == Form::kText) {
+    const std::string text = std::exchange(bytes, {});
+    if (!absl::Base64Unescape(text, &bytes)) {
+      return absl::InvalidArgumentError("body: expected base64");
+    }
   }
   if (bytes.size() < kMessagePrefixBytes) {
     return absl::InvalidArgumentError(absl::StrCat("body: expected one message with a prefix of ",
@@ -88,7 +105,8 @@ absl::StatusOr<std::string> MessageOf(Form form, const std::string& body) {
                                                    " bytes, received ",
                                                    bytes.size() - kMessagePrefixBytes));
   }
-  return bytes.substr(kMessagePrefixBytes);
+  bytes.erase(0, kMessagePrefixBytes);
+  return bytes;
 }
 
 }  // namespace
@@ -97,7 +115,8 @@ bool GrpcWebPages::Has(const HttpRequest& request) {
   return request.is_post && FormOf(request.content_type).has_value();
 }
 
-std::variant<size_t, HttpResponse> GrpcWebPages::AcceptBody(const HttpRequest& request) const {
+std::variant<AcceptedBody, HttpResponse> GrpcWebPages::AcceptBody(
+    const HttpRequest& request) const {
   const Form form = *FormOf(request.content_type);
   const Method* method = UnaryMethodAt(request.path);
   if (method == nullptr) {
@@ -106,13 +125,23 @@ std::variant<size_t, HttpResponse> GrpcWebPages::AcceptBody(const HttpRequest& r
                                 "streams of requests, received ",
                                 Quoted(request.path))));
   }
-  const auto caller = Admit(authenticator_, request.authorization, *method);
-  if (!caller.ok()) return ResponseOf(form, caller.status());
-  const size_t longest = max_message_bytes_ + kMessagePrefixBytes;
-  return form == Form::kText ? (longest + 2) / 3 * 4 : longest;
+  absl::Duration delay;
+  const int64_t bytes = MessageBytes(form, LeastBody(request));
+  auto accepted = calls_.Admit(request, *method, bytes, &delay);
+  if (!accepted.ok()) {
+    const bool is_too_long =
+        absl::IsResourceExhausted(accepted.status()) && bytes > calls_.max_message_bytes();
+    HttpResponse refusal = is_too_long
+                               ? TooLongError(request, BodyBytes(form, calls_.max_message_bytes()))
+                               : ResponseOf(form, accepted.status());
+    refusal.delay = delay;
+    return refusal;
+  }
+  accepted->longest = static_cast<size_t>(BodyBytes(form, static_cast<int64_t>(accepted->longest)));
+  return *std::move(accepted);
 }
 
-void GrpcWebPages::Answer(const HttpRequest& request, const HttpServer::Done& done) const {
+void GrpcWebPages::Answer(HttpRequest request, HttpServer::Done done) const {
   SPIKESERVE_DCHECK(FormOf(request.content_type).has_value());
   const Form form = *FormOf(request.content_type);
   absl::Duration timeout = absl::InfiniteDuration();
@@ -121,13 +150,12 @@ void GrpcWebPages::Answer(const HttpRequest& request, const HttpServer::Done& do
     if (!parsed.ok()) return done(ResponseOf(form, parsed.status()));
     timeout = *parsed;
   }
-  calls_.Start({.head = {.path = request.path,
-                         .authorization = request.authorization,
-                         .trace = request.trace},
-                .client = request.client,
-                .timeout = timeout,
-                .message = MessageOf(form, request.body)},
-               [form, done](const absl::StatusOr<std::string>& response) {
+  const Method* method = UnaryMethodAt(request.path);
+  calls_.Start({.method = method,
+                .request = std::move(request),
+                .read = [form](HttpRequest* body) { return MessageOf(form, body); },
+                .timeout = timeout},
+               [form, done = std::move(done)](const absl::StatusOr<std::string>& response) {
                  done(ResponseOf(form, response));
                });
 }

@@ -5,11 +5,8 @@
 #ifndef SERVER_WEB_GRPC_WEB_PAGES_H_
 #define SERVER_WEB_GRPC_WEB_PAGES_H_
 
-#include <cstddef>
-#include <cstdint>
 #include <variant>
 
-#include "server/access/authenticator.h"
 #include "server/web/http_call.h"
 #include "server/web/http_message.h"
 #include "server/web/http_server.h"
@@ -19,25 +16,20 @@ namespace spikeserve {
 // Thread-safe.
 class GrpcWebPages {
  public:
-  // The pointers must outlive the pages. `max_message_bytes` is the length of the longest request.
-  GrpcWebPages(const Authenticator* authenticator, HttpCalls* calls, int64_t max_message_bytes)
-      : authenticator_(*authenticator),
-        calls_(*calls),
-        max_message_bytes_(static_cast<size_t>(max_message_bytes)) {}
+  // `calls` must outlive the pages.
+  explicit GrpcWebPages(HttpCalls* calls) : calls_(*calls) {}
 
   // Returns whether the pages answer the request.
   static bool Has(const HttpRequest& request);
 
-  // See HttpServer::AcceptBody: refuses callers whom the call would refuse.
-  std::variant<size_t, HttpResponse> AcceptBody(const HttpRequest& request) const;
+  // See HttpServer::AcceptBody.
+  std::variant<AcceptedBody, HttpResponse> AcceptBody(const HttpRequest& request) const;
 
   // REQUIRES: AcceptBody() accepted the body of `request`.
-  void Answer(const HttpRequest& request, const HttpServer::Done& done) const;
+  void Answer(HttpRequest request, HttpServer::Done done) const;
 
  private:
-  const Authenticator& authenticator_;
   HttpCalls& calls_;
-  const size_t max_message_bytes_;
 };
 
 }  // namespace spikeserve

@@ -3,11 +3,35 @@
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
+#include "server/access/admission.h"
 #include "server/transport/grpc_wire.h"
 #include "server/transport/transport_budgets.h"
 
 namespace spikeserve {
+namespace {
+
+// What one thread reads or writes within about half a millisecond.
+constexpr size_t kShortBytes = 16 << 10;
+
+// Of one tenant; the places of HttpCalls are fewer.
+constexpr size_t kMostWaiting = 1024;
+
+bool IsShort(const HttpRequest& request) {
+  return (request.is_gzip ? request.longest_body : request.body.size()) <= kShortBytes;
+}
+
+}  // namespace
+
+struct HttpCalls::Waiting {
+  HttpCallStart start;
+  HttpCallDone done;
+  absl::Duration deadline;  // of the clock
+  std::shared_ptr<SharedPlaces::Place> place;
+
+  const std::string& tenant() const { return start.request.caller->tenant()->name(); }
+};
 
 // The calls of one loop. Confined to its thread.
 struct HttpCalls::Loop {
@@ -19,33 +43,37 @@ struct HttpCalls::Loop {
 
 class HttpCalls::HttpCall final : public Call {
  public:
-  HttpCall(HttpCalls* owner, Loop* loop, uint64_t number, const HttpCallStart& start,
-           HttpCallDone done)
-      : owner_(*owner),
-        loop_(*loop),
-        number_(number),
-        head_(start.head),
-        client_(start.client),
-        done_(std::move(done)) {
-    head_.deadline = loop->events->now() + start.timeout;
-    if (start.timeout == absl::InfiniteDuration()) return;
-    deadline_timer_ = loop->events->After(start.timeout, [this] {
-      Finish(absl::DeadlineExceededError("the call's deadline has passed"));
-    });
+  HttpCall(HttpCalls* owner, Loop* loop, uint64_t number, std::shared_ptr<Waiting> waiting)
+      : owner_(*owner), loop_(*loop), number_(number), waiting_(std::move(waiting)) {
+    HttpRequest& request = waiting_->start.request;
+    head_ = {.path = waiting_->start.method->path,
+             .authorization = "",
+             .admitted = request.caller,
+             .deadline = waiting_->deadline,
+             .trace = request.trace};
+    if (head_.deadline == absl::InfiniteDuration()) return;
+    const absl::Duration left =
+        std::max(head_.deadline - loop->events->now(), absl::ZeroDuration());
+    deadline_timer_ = loop->events->After(
+        left, [this] { Finish(absl::DeadlineExceededError("the call's deadline has passed")); });
   }
 
   ~HttpCall() override {
     loop_.events->Cancel(deadline_timer_);
     if (handler_ != nullptr) handler_->OnClosed();
     Count(-counted_);
-    owner_.calls_.fetch_sub(1, std::memory_order_relaxed);
   }
 
   void Run(const absl::StatusOr<std::string>& request) {
     loop().thread().AssertCurrent();
     handler_ = loop_.router->Route(this);
     if (finished_ || dropped_) return;
-    if (!request.ok()) return Finish(request.status());
+    if (!request.ok()) {
+      // The caller has used its rate; what it sent is wrong.
+      owner_.parts_.metrics->ObserveRpc(*waiting_->start.method, request.status().code(),
+                                        absl::ZeroDuration());
+      return Finish(request.status());
+    }
     request_bytes_ = static_cast<int64_t>(request->size());
     if (!CountAll()) {
       return Finish(absl::ResourceExhaustedError(
@@ -63,18 +91,21 @@ class HttpCalls::HttpCall final : public Call {
   // Call
   const CallHead& head() const override { return head_; }
   EventLoop& loop() override { return *loop_.events; }
-  Peer peer() const override { return {.address = client_, .certificate = ""}; }
+  Peer peer() const override { return waiting_->start.request.peer; }
   void Send(const google::protobuf::MessageLite& message) override {
     if (!finished_) response_ = message.SerializeAsString();
   }
   void SendFramed(std::string framed) override {
-    if (!finished_) response_ = framed.substr(std::min(framed.size(), kMessagePrefixBytes));
+    if (finished_) return;
+    response_ = std::move(framed);
+    response_.erase(0, kMessagePrefixBytes);
   }
   void Finish(const absl::Status& status) override {
     loop().thread().AssertCurrent();
     if (std::exchange(finished_, true)) return;
     loop_.events->Cancel(deadline_timer_);
-    done_(status.ok() ? absl::StatusOr<std::string>(std::move(response_)) : status);
+    owner_.Answer(waiting_,
+                  status.ok() ? absl::StatusOr<std::string>(std::move(response_)) : status);
     // The handler may be in the middle of a method.
     loop_.events->Post([loop = &loop_, number = number_] { loop->calls.erase(number); });
   }
@@ -100,8 +131,8 @@ class HttpCalls::HttpCall final : public Call {
 
   // Counts `bytes` as the stream of a gRPC call does. Returns false if a limit is exceeded.
   bool Count(int64_t bytes) {
-    TransportBudgets& budgets = owner_.transport_.budgets();
-    const TransportLimits& limits = owner_.limits_;
+    TransportBudgets& budgets = owner_.parts_.transport->budgets();
+    const TransportLimits& limits = owner_.parts_.limits;
     const bool within_group = tenant_ == nullptr
                                   ? budgets.strangers.Count(bytes, limits.max_stranger_bytes)
                                   : tenant_->Count(bytes, limits.max_tenant_bytes);
@@ -112,8 +143,7 @@ class HttpCalls::HttpCall final : public Call {
   Loop& loop_;
   const uint64_t number_;
   CallHead head_;
-  const std::string client_;
-  const HttpCallDone done_;
+  const std::shared_ptr<Waiting> waiting_;
   EventLoop::Timer deadline_timer_;
   std::shared_ptr<CallHandler> handler_;
   std::shared_ptr<ByteBudget> tenant_;  // null: a stranger
@@ -125,9 +155,12 @@ class HttpCalls::HttpCall final : public Call {
   int64_t counted_ = 0;  // both
 };
 
-HttpCalls::HttpCalls(Transport* transport, const TransportLimits& limits)
-    : transport_(*transport), limits_(limits) {
-  for (const auto& loop : transport->loops()) {
+HttpCalls::HttpCalls(const Parts& parts)
+    : parts_(parts),
+      places_(kMostCalls),
+      short_bodies_(kMostWaiting, BackgroundWorker::Priority::kNormal),
+      long_bodies_(kMostWaiting) {
+  for (const auto& loop : parts.transport->loops()) {
     loops_.push_back(std::make_unique<Loop>());
     SPIKESERVE_DCHECK(loop->router() != nullptr);
     loops_.back()->events = &loop->events();
@@ -137,21 +170,74 @@ HttpCalls::HttpCalls(Transport* transport, const TransportLimits& limits)
 
 HttpCalls::~HttpCalls() = default;
 
-void HttpCalls::Start(HttpCallStart start, HttpCallDone done) {
-  if (calls_.fetch_add(1, std::memory_order_relaxed) >= kMostCalls) {
-    calls_.fetch_sub(1, std::memory_order_relaxed);
-    return done(absl::UnavailableError(
-        absl::StrCat("requests: expected at most ", kMostCalls, " at a time; try again later")));
+absl::StatusOr<AcceptedBody> HttpCalls::Admit(const HttpRequest& request, const Method& method,
+                                              int64_t message_bytes, absl::Duration* delay) {
+  const absl::Duration now = parts_.clock->Now();
+  const int64_t most = parts_.max_message_bytes;
+  const auto caller = spikeserve::Admit(*parts_.authenticator, request.authorization, method);
+  absl::Status status = caller.status();
+  int64_t refused_bytes = 0;
+  if (status.ok()) {
+    status = CheckSize(**caller, message_bytes, most);
+    if (!status.ok()) refused_bytes = std::min(message_bytes, most);
   }
+  if (status.ok()) status = AcquireRate(**caller, method, now);
+  if (!status.ok()) {
+    parts_.metrics->ObserveRpc(method, status.code(), absl::ZeroDuration());
+    *delay = parts_.authenticator->RefusalPacerFor(caller).DelayFor(
+        status, static_cast<size_t>(refused_bytes), now);
+    return status;
+  }
+  const std::shared_ptr<Tenant>& tenant = (*caller)->tenant();
+  ByteBudget* const all = &parts_.transport->budgets().all;
+  return AcceptedBody{
+      .longest = static_cast<size_t>(tenant->LongestMessage(most)),
+      .caller = *caller,
+      .held = std::make_shared<HeldBytes>(
+          HeldBytes::Budget{{std::shared_ptr<void>(), all}, parts_.limits.max_bytes_in_flight},
+          HeldBytes::Budget{{tenant, &tenant->bytes_in_flight()}, parts_.limits.max_tenant_bytes})};
+}
+
+void HttpCalls::Start(HttpCallStart start, HttpCallDone done) {
+  SPIKESERVE_DCHECK(start.request.caller != nullptr);
+  auto waiting = std::make_shared<Waiting>();
+  waiting->deadline = parts_.clock->Now() + start.timeout;
+  waiting->start = std::move(start);
+  waiting->done = std::move(done);
+  waiting->place = places_.Take(waiting->tenant());
+  if (waiting->place == nullptr) {
+    return waiting->done(absl::UnavailableError(
+        "requests: expected fewer at a time of this tenant, which has half of those that are "
+        "left; try again later"));
+  }
+  const auto read = [this, waiting] {
+    RunOnLoop(waiting, waiting->start.read(&waiting->start.request));
+  };
+  if (!waiting->start.request.is_post) return read();
+  BackgroundWorker& worker = IsShort(waiting->start.request) ? short_bodies_ : long_bodies_;
+  if (auto status = worker.Submit(waiting->tenant(), read); !status.ok()) waiting->done(status);
+}
+
+void HttpCalls::RunOnLoop(std::shared_ptr<Waiting> waiting, absl::StatusOr<std::string> message) {
   const uint64_t turn = next_.fetch_add(1, std::memory_order_relaxed);
   Loop& loop = *loops_[turn % loops_.size()];
-  loop.events->Post([this, &loop, start = std::move(start), done = std::move(done)]() mutable {
+  loop.events->Post([this, &loop, waiting = std::move(waiting), message = std::move(message)] {
     const uint64_t number = loop.next++;
-    auto call = std::make_unique<HttpCall>(this, &loop, number, start, std::move(done));
+    auto call = std::make_unique<HttpCall>(this, &loop, number, waiting);
     HttpCall& started = *call;
     loop.calls.emplace(number, std::move(call));
-    started.Run(start.message);
+    started.Run(message);
+    waiting->start.request.held.reset();  // the call has counted the message
   });
+}
+
+void HttpCalls::Answer(const std::shared_ptr<Waiting>& waiting,
+                       absl::StatusOr<std::string> response) {
+  if (!response.ok() || response->size() <= kShortBytes) return waiting->done(response);
+  const auto answer = [waiting, response = std::move(response)] { waiting->done(response); };
+  if (auto status = long_bodies_.Submit(waiting->tenant(), answer); !status.ok()) {
+    waiting->done(status);
+  }
 }
 
 }  // namespace spikeserve

@@ -1,11 +1,11 @@
 // A call that came by HTTP/1.1: the answerers of gRPC calls answer it on a loop of the transport,
-// so it is admitted, counted, delayed and measured like theirs.
-//
-// Confined to the thread of its loop, except that Start() may be called on any.
+// so it is counted, delayed and measured like theirs. Rights, size and rate are checked before any
+// of its body is read, and workers read the body.
 #ifndef SERVER_WEB_HTTP_CALL_H_
 #define SERVER_WEB_HTTP_CALL_H_
 
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -17,22 +17,31 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
+#include "core/base/clock.h"
+#include "server/access/authenticator.h"
+#include "server/base/background_worker.h"
+#include "server/base/method.h"
+#include "server/base/shared_places.h"
+#include "server/metrics/metrics.h"
 #include "server/transport/call.h"
 #include "server/transport/limits.h"
 #include "server/transport/transport.h"
+#include "server/web/http_message.h"
 
 namespace spikeserve {
 
 // A call to start.
 struct HttpCallStart {
-  CallHead head;       // without a deadline
-  std::string client;  // IP address
+  const Method* method;
+  HttpRequest request;  // with a caller whom HttpCalls::Admit() has admitted
+  // Makes the serialized message. Runs on a worker for a request with a body; an error ends the
+  // call.
+  std::function<absl::StatusOr<std::string>(HttpRequest* request)> read;
   absl::Duration timeout = absl::InfiniteDuration();
-  absl::StatusOr<std::string> message;  // serialized; an error ends the call once it is admitted
 };
 
-// Takes the end of a call: its response as serialized bytes, or its error. Called once, on the
-// call's loop.
+// Takes the end of a call: its response as serialized bytes, or its error. Called once, on any
+// thread.
 using HttpCallDone = std::function<void(const absl::StatusOr<std::string>& response)>;
 
 // Starts calls on the loops of a transport, in turn.
@@ -40,25 +49,52 @@ using HttpCallDone = std::function<void(const absl::StatusOr<std::string>& respo
 // Thread-safe. To be destroyed after the transport was stopped, and before it is destroyed.
 class HttpCalls {
  public:
-  // REQUIRES: the loops of `transport` have their routers.
-  HttpCalls(Transport* transport, const TransportLimits& limits);
+  // All must outlive the calls.
+  struct Parts {
+    Transport* transport;  // its loops have their routers
+    const Authenticator* authenticator;
+    Metrics* metrics;
+    const Clock* clock;
+    TransportLimits limits;
+    int64_t max_message_bytes;  // of one message of any tenant
+  };
+
+  explicit HttpCalls(const Parts& parts);
   ~HttpCalls();
   HttpCalls(const HttpCalls&) = delete;
   HttpCalls& operator=(const HttpCalls&) = delete;
 
+  // Admits the caller of a request whose message has at least `message_bytes`, and counts the call,
+  // or its first decision, at the rates of the tenant. An error is counted; its answer is to be
+  // sent after `delay`. Errors are those of Admit(), CheckSize(), and of the rates.
+  absl::StatusOr<AcceptedBody> Admit(const HttpRequest& request, const Method& method,
+                                     int64_t message_bytes, absl::Duration* delay);
+
+  // The length of the longest message of any tenant.
+  int64_t max_message_bytes() const { return parts_.max_message_bytes; }
+
+  // `done` gets UNAVAILABLE if the tenant has as many calls as it may have at a time.
   void Start(HttpCallStart start, HttpCallDone done);
 
  private:
   class HttpCall;
   struct Loop;
+  // A call that the loops have not started.
+  struct Waiting;
 
-  static constexpr int64_t kMostCalls = 256;  // at a time
+  static constexpr int64_t kMostCalls = 512;  // at a time; one tenant has half of them
 
-  Transport& transport_;
-  const TransportLimits limits_;
+  void RunOnLoop(std::shared_ptr<Waiting> waiting, absl::StatusOr<std::string> message);
+  // Calls `done` with a response; a long one on a worker.
+  void Answer(const std::shared_ptr<Waiting>& waiting, absl::StatusOr<std::string> response);
+
+  const Parts parts_;
   std::vector<std::unique_ptr<Loop>> loops_;
   std::atomic<uint64_t> next_ = 0;
-  std::atomic<int64_t> calls_ = 0;
+  SharedPlaces places_;
+  // A long body waits for long ones only. Declared last, because their work uses the members above.
+  BackgroundWorker short_bodies_;
+  BackgroundWorker long_bodies_;
 };
 
 }  // namespace spikeserve

@@ -2,8 +2,9 @@
 
 #include <sys/epoll.h>
 
+#include <algorithm>
 #include <array>
-#include <boost/beast/http/empty_body.hpp>
+#include <boost/beast/http/buffer_body.hpp>
 #include <boost/beast/http/parser.hpp>
 #include <limits>
 #include <utility>
@@ -15,8 +16,6 @@
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "server/base/address.h"
-#include "server/base/gzip.h"
-#include "server/inference/inference_json.h"
 
 namespace spikeserve {
 namespace {
@@ -52,7 +51,7 @@ absl::string_view ToView(const View& view) {
 
 }  // namespace
 
-struct HttpConnection::Parser : http::request_parser<http::empty_body> {};
+struct HttpConnection::Parser : http::request_parser<http::buffer_body> {};
 
 HttpConnection::HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot,
                                const HttpServer::Options& options, Owner* owner)
@@ -62,7 +61,7 @@ HttpConnection::HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<C
       owner_(owner),
       parser_(std::make_unique<Parser>()) {
   parser_->header_limit(kMaxHeaderBytes);
-  parser_->body_limit(std::numeric_limits<uint64_t>::max());  // the body does not reach the parser
+  parser_->body_limit(std::numeric_limits<uint64_t>::max());  // which TakeBody() checks
 }
 
 HttpConnection::~HttpConnection() { SPIKESERVE_DCHECK(state_ == State::kClosed); }
@@ -76,21 +75,29 @@ absl::Status HttpConnection::Start() {
 void HttpConnection::Enter(State state, absl::Duration timeout, uint32_t events_to_watch) {
   state_ = state;
   events().Cancel(timer_);
-  timer_ = events().After(timeout, [this] { state_ == State::kFeeding ? Feed() : Close(); });
+  timer_ = events().After(timeout, [this] { OnTimeout(); });
   events().ChangeWatch(socket_->fd(), events_to_watch, this);
+}
+
+void HttpConnection::OnTimeout() {
+  if (state_ == State::kFeeding) return Feed();
+  if (state_ != State::kDelaying) return Close();
+  Enter(State::kWriting, kWriteTimeout, EPOLLOUT);
+  Write();
 }
 
 void HttpConnection::Close() {
   events().thread().AssertCurrent();
   if (std::exchange(state_, State::kClosed) == State::kClosed) return;
-  CountBody(0);
+  request_.held.reset();
   events().Cancel(timer_);
   events().Unwatch(socket_->fd());
   owner_->OnClosed(this);
 }
 
 void HttpConnection::OnReady(uint32_t ready) {
-  if (state_ == State::kAnswering && (ready & (EPOLLHUP | EPOLLERR)) != 0) return Close();
+  const bool waits = state_ == State::kAnswering || state_ == State::kDelaying;
+  if (waits && (ready & (EPOLLHUP | EPOLLERR)) != 0) return Close();
   if (state_ == State::kReading || state_ == State::kReadingBody) return Read();
   if (state_ == State::kWriting) return Write();
   if (state_ == State::kFeeding || state_ == State::kClosing) return DropInput();
@@ -136,85 +143,111 @@ void HttpConnection::ParseHeaders() {
   if (headers.count(http::field::host) > 1) {
     return Answer({.code = 400, .body = "Host: expected one header, received several\n"});
   }
+  const absl::string_view origin = ToView(headers[http::field::origin]);
+  const auto target_host = is_preflight ? "" : DecodeTarget(ToView(headers.target()), &request_);
+  if (!target_host.ok()) {
+    return Answer({.code = 400, .body = std::string(target_host.status().message()) + "\n"});
+  }
   const auto host = headers.find(http::field::host);
-  if (options_.local_names_only && host != headers.end() &&
-      !NamesThisMachine(ToView(host->value()))) {
+  if (options_.local_names_only &&
+      ((host != headers.end() && !NamesThisMachine(ToView(host->value()))) ||
+       (!target_host->empty() && !NamesThisMachine(*target_host)))) {
     return Answer({.code = 403, .body = "Host: expected localhost or a loopback address\n"});
   }
-  const absl::string_view origin = ToView(headers[http::field::origin]);
   origin_headers_ = options_.origins.HeadersFor(origin);
   if (is_preflight) return Answer(options_.origins.Preflight(origin));
-  if (auto status = DecodeTarget(ToView(headers.target()), &request_); !status.ok()) {
-    return Answer({.code = 400, .body = std::string(status.message()) + "\n"});
-  }
+  StoreHeaders();
+  request_.is_post ? StartBody() : Submit();
+}
+
+void HttpConnection::StoreHeaders() {
+  const auto& headers = parser_->get();
   request_.authorization = std::string(ToView(headers[http::field::authorization]));
   request_.trace = ParseTraceParent(ToView(headers["traceparent"]));
   request_.content_type = std::string(ToView(headers[http::field::content_type]));
   request_.grpc_timeout = std::string(ToView(headers["grpc-timeout"]));
   request_.json_length = std::string(ToView(headers["Inference-Header-Content-Length"]));
-  request_.client = slot_->address();
-  request_.is_post ? StartBody() : Submit();
+  request_.peer.address = slot_->address();
+}
+
+HttpResponse HttpConnection::CheckBodyHeaders() {
+  const auto& headers = parser_->get();
+  // Programs before this one may read a body with another header in another way.
+  const absl::string_view transfer = ToView(headers[http::field::transfer_encoding]);
+  const auto transfers = headers.count(http::field::transfer_encoding);
+  const bool is_chunked = absl::EqualsIgnoreCase(transfer, "chunked") && headers.version() == 11;
+  if (transfers > 1 || (transfers == 1 && !is_chunked)) {
+    return JsonError(501, "Transfer-Encoding: expected none, or chunked with HTTP/1.1");
+  }
+  const auto length = parser_->content_length();
+  if (!is_chunked && !length.has_value()) {
+    return JsonError(411, "Content-Length: expected the length of the body, received none");
+  }
+  const absl::string_view encoding = ToView(headers[http::field::content_encoding]);
+  request_.is_gzip =
+      absl::EqualsIgnoreCase(encoding, "gzip") || absl::EqualsIgnoreCase(encoding, "x-gzip");
+  if (headers.count(http::field::content_encoding) > 1 ||
+      (!request_.is_gzip && !encoding.empty() && !absl::EqualsIgnoreCase(encoding, "identity"))) {
+    return JsonError(415, "Content-Encoding: expected gzip or none");
+  }
+  request_.body_length = static_cast<int64_t>(
+      std::min<uint64_t>(length.value_or(0), std::numeric_limits<int64_t>::max()));
+  return {.code = 0, .body = ""};
 }
 
 void HttpConnection::StartBody() {
-  const auto& headers = parser_->get();
   // A browser sends the header with what a page of any site lets it send.
-  if (headers.count(http::field::origin) > 0 && origin_headers_.empty()) {
-    return Refuse(403, "Origin: expected none, or one of --http_origins");
+  if (parser_->get().count(http::field::origin) > 0 && origin_headers_.empty()) {
+    return Answer(JsonError(403, "Origin: expected none, or one of --http_origins"));
   }
+  HttpResponse refused_form = CheckBodyHeaders();
+  request_.peer.certificate = socket_->peer_subject();
   auto accepted = owner_->AcceptBody(request_);
   if (const auto* refusal = std::get_if<HttpResponse>(&accepted)) return Answer(*refusal);
-  const auto length = parser_->content_length();
-  if (!length.has_value()) {
-    return Refuse(411, "Content-Length: expected the length of the body, received none");
-  }
-  const absl::string_view encoding = ToView(headers[http::field::content_encoding]);
-  is_gzip_ = encoding == "gzip";
-  if (!is_gzip_ && !encoding.empty()) {
-    return Refuse(415, "Content-Encoding: expected gzip or none");
-  }
-  longest_body_ = std::get<size_t>(accepted);
-  if (*length > longest_body_) {
-    return Refuse(413, absl::StrCat("Content-Length: expected at most ", longest_body_,
-                                    " (--max_message_bytes), received ", *length));
-  }
-  body_length_ = static_cast<size_t>(*length);
-  const bool waits = absl::EqualsIgnoreCase(ToView(headers[http::field::expect]), "100-continue");
+  if (refused_form.code != 0) return Answer(std::move(refused_form));
+  auto& body = std::get<AcceptedBody>(accepted);
+  request_.longest_body = body.longest;
+  request_.caller = std::move(body.caller);
+  request_.held = std::move(body.held);
+  const bool waits =
+      absl::EqualsIgnoreCase(ToView(parser_->get()[http::field::expect]), "100-continue");
   Enter(State::kReadingBody, kBodyTimeout, EPOLLIN);
-  if (waits && input_.empty() && body_length_ > 0) {
+  if (waits && input_.empty() && !parser_->is_done()) {
     // Nothing was written before, so there is room for these bytes.
     if (socket_->Write(kContinue).bytes != kContinue.size()) return Close();
   }
+  parser_->eager(true);  // takes all chunks that have arrived at once
   TakeBody();
 }
 
-void HttpConnection::Refuse(int code, absl::string_view message) {
-  Answer({.code = code, .content_type = "application/json", .body = HttpErrorBody(message)});
-}
-
 void HttpConnection::TakeBody() {
-  CountBody(input_.size());
-  if (state_ != State::kReadingBody || input_.size() < body_length_) return;
-  input_.resize(body_length_);
-  request_.body = std::exchange(input_, {});
-  CountBody(0);
-  if (is_gzip_) {
-    auto body = Gunzip(request_.body, longest_body_);
-    if (!body.ok()) {
-      return Refuse(absl::IsResourceExhausted(body.status()) ? 413 : 400,
-                    absl::StrCat("body: ", body.status().message()));
+  std::array<char, kReadBytes> piece;
+  bool took = true;
+  while (took && !input_.empty() && !parser_->is_done()) {
+    auto& body = parser_->get().body();
+    body.data = piece.data();
+    body.size = piece.size();
+    boost::system::error_code error;
+    const size_t parsed = parser_->put(boost::asio::buffer(input_), error);
+    took = parsed > 0;
+    input_.erase(0, parsed);
+    request_.body.append(piece.data(), piece.size() - body.size);
+    if (error && error != http::error::need_more && error != http::error::need_buffer) {
+      return Answer(JsonError(400, "body: expected chunks of HTTP/1.1"));
     }
-    request_.body = *std::move(body);
   }
-  Submit();
-}
-
-void HttpConnection::CountBody(size_t bytes) {
-  const auto added =
-      static_cast<int64_t>(bytes) - static_cast<int64_t>(std::exchange(counted_body_, bytes));
-  if (owner_->CountBody(added) || state_ == State::kClosed) return;
-  Answer(
-      {.code = 503, .body = "body: the server holds as many bytes as it may; try again later\n"});
+  const size_t bytes = request_.body.size();
+  if (bytes > request_.longest_body + (request_.is_gzip ? size_t{kGzipOverhead} : 0)) {
+    return Answer(JsonError(413, absl::StrCat("body: expected at most ", request_.longest_body,
+                                              " bytes, received more")));
+  }
+  if (request_.held != nullptr && !request_.held->Set(static_cast<int64_t>(bytes))) {
+    return Answer(
+        {.code = 503, .body = "body: the server holds as many bytes as it may; try again later\n"});
+  }
+  if (parser_->is_done()) return Submit();
+  // What is left is the line of a chunk, or fields behind the last one.
+  if (input_.size() > kMaxHeaderBytes) Answer(JsonError(400, "body: expected chunks of HTTP/1.1"));
 }
 
 void HttpConnection::Submit() {
@@ -224,11 +257,21 @@ void HttpConnection::Submit() {
   owner_->OnRequest(this, std::exchange(request_, {}));
 }
 
-void HttpConnection::Answer(const HttpResponse& response) {
+void HttpConnection::Answer(HttpResponse response) {
   if (state_ == State::kClosed) return;
-  output_ = ToBytes(response, !is_head_, origin_headers_);
-  if (!is_head_) feed_ = response.feed;
+  output_ = HeadersOf(response, origin_headers_);
+  if (!is_head_) {
+    feed_ = std::move(response.feed);
+    // A long body is not copied, and a short one needs no second packet.
+    if (response.body.size() <= kWriteBytes) {
+      output_ += response.body;
+    } else {
+      body_ = std::move(response.body);
+    }
+  }
   input_ = std::string();
+  request_ = {};
+  if (response.delay > absl::ZeroDuration()) return Enter(State::kDelaying, response.delay, 0);
   Enter(State::kWriting, kWriteTimeout, EPOLLOUT);
   Write();
 }
@@ -241,7 +284,9 @@ void HttpConnection::Write() {
     if (result.outcome == Socket::Outcome::kBlocked) return;
     written_ += result.bytes;
   }
-  output_ = std::string();
+  written_ = 0;
+  output_ = std::exchange(body_, {});
+  if (!output_.empty()) return Write();
   if (feed_ != nullptr) return WaitForFeed();
   socket_->ShutDownWriting();
   Enter(State::kClosing, kClosingTimeout, EPOLLIN);

@@ -24,7 +24,8 @@ namespace spikeserve {
 
 // The client has five seconds for the headers of its request, a TLS handshake included, thirty for
 // the body of a POST, and thirty to take the answer, however it divides the bytes. A request has at
-// most 16 KiB of headers; the body of a GET is not read. A body that goes on (HttpFeed) ends when
+// most 16 KiB of headers; the body of a GET is not read. A body is passed on as it came, compressed
+// or not. A body that goes on (HttpFeed) ends when
 // its feed does, when the client leaves, or when it takes nothing for thirty seconds.
 class HttpConnection final : public EventLoop::Source {
  public:
@@ -33,9 +34,7 @@ class HttpConnection final : public EventLoop::Source {
    public:
     virtual EventLoop& events() = 0;
     // See HttpServer::AcceptBody.
-    virtual std::variant<size_t, HttpResponse> AcceptBody(const HttpRequest& request) = 0;
-    // Counts bytes of bodies; fewer than 0 were freed. Returns false if there are too many.
-    virtual bool CountBody(int64_t bytes) = 0;
+    virtual std::variant<AcceptedBody, HttpResponse> AcceptBody(const HttpRequest& request) = 0;
     // Computes the answer to a request, and calls Answer() of the connection later.
     virtual void OnRequest(HttpConnection* connection, HttpRequest request) = 0;
     // Destroys the connection at the end of the turn.
@@ -54,7 +53,7 @@ class HttpConnection final : public EventLoop::Source {
   // Watches the socket. Returns RESOURCE_EXHAUSTED if the system has no memory for that.
   absl::Status Start();
   // Sends the answer to the request and closes the connection in order.
-  void Answer(const HttpResponse& response);
+  void Answer(HttpResponse response);
   // Closes the connection now.
   void Close();
   // Ends a body that goes on. Does nothing to other connections.
@@ -67,21 +66,34 @@ class HttpConnection final : public EventLoop::Source {
   uint64_t number() const { return slot_->number(); }
 
  private:
-  enum class State { kReading, kReadingBody, kAnswering, kWriting, kFeeding, kClosing, kClosed };
+  enum class State {
+    kReading,
+    kReadingBody,
+    kAnswering,
+    kDelaying,
+    kWriting,
+    kFeeding,
+    kClosing,
+    kClosed
+  };
   struct Parser;  // of the library
 
   void Read();
   // Parses what was received. Calls the owner, or answers an invalid request.
   void Parse();
   void ParseHeaders();
+  // Copies the headers of the request that pages need.
+  void StoreHeaders();
   // Reads the body of a POST, if it is accepted.
   void StartBody();
+  // Returns why the form of the body is refused, or a response without a code.
+  HttpResponse CheckBodyHeaders();
+  // Takes what has arrived of the body.
   void TakeBody();
-  // Answers a POST that is not accepted.
-  void Refuse(int code, absl::string_view message);
+  // Acts on the end of the time that the connection may stay in its state.
+  void OnTimeout();
   // Passes `request_` on to the owner.
   void Submit();
-  void CountBody(size_t bytes);
   void Write();
   // Waits until the feed is to be asked again, or the client leaves.
   void WaitForFeed();
@@ -103,13 +115,10 @@ class HttpConnection final : public EventLoop::Source {
   EventLoop::Timer timer_;
   std::string input_;  // received and not yet parsed
   HttpRequest request_;
-  std::string origin_headers_;  // of the answer, for the page that sent the request
-  size_t body_length_ = 0;
-  size_t longest_body_ = 0;         // once it is decompressed
-  bool is_gzip_ = false;            // the body
-  size_t counted_body_ = 0;         // bytes
+  std::string origin_headers_;      // of the answer, for the page that sent the request
   std::shared_ptr<HttpFeed> feed_;  // null: nothing follows `output_`
   std::string output_;
+  std::string body_;    // follows `output_`
   size_t written_ = 0;  // bytes of `output_`
   size_t dropped_ = 0;  // bytes
   bool is_head_ = false;

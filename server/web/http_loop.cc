@@ -1,5 +1,7 @@
 #include "server/web/http_loop.h"
 
+#include <pthread.h>
+
 #include <utility>
 
 #include "absl/time/clock.h"
@@ -39,7 +41,10 @@ absl::Status HttpLoop::Run(std::vector<FileDescriptor> listeners) {
     acceptors_.push_back(std::make_unique<Acceptor>(std::move(listener), accepting));
     RETURN_IF_ERROR(acceptors_.back()->Start());
   }
-  thread_ = std::thread([this] { events_->Run(); });
+  thread_ = std::thread([this] {
+    pthread_setname_np(pthread_self(), "http");  // for those who look at the threads of the process
+    events_->Run();
+  });
   return absl::OkStatus();
 }
 
@@ -75,26 +80,24 @@ void HttpLoop::CloseSoon(uint64_t number) {
   });
 }
 
-std::variant<size_t, HttpResponse> HttpLoop::AcceptBody(const HttpRequest& request) {
+std::variant<AcceptedBody, HttpResponse> HttpLoop::AcceptBody(const HttpRequest& request) {
   if (options_.accept_body != nullptr) return options_.accept_body(request);
   return HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
-}
-
-bool HttpLoop::CountBody(int64_t bytes) {
-  return options_.bodies == nullptr || options_.bodies->Count(bytes, options_.max_body_bytes);
 }
 
 void HttpLoop::OnRequest(HttpConnection* connection, HttpRequest request) {
   const uint64_t number = connection->number();
   // What is posted after the loop has stopped does not run, so `this` is alive when it is used.
-  page_(request, [this, events = events_, number](const HttpResponse& response) {
-    events->Post([this, number, response] { Answer(number, response); });
+  page_(std::move(request), [this, events = events_, number](HttpResponse response) {
+    events->Post([this, number, response = std::move(response)]() mutable {
+      Answer(number, std::move(response));
+    });
   });
 }
 
-void HttpLoop::Answer(uint64_t number, const HttpResponse& response) {
+void HttpLoop::Answer(uint64_t number, HttpResponse response) {
   const auto found = connections_.find(number);
-  if (found != connections_.end()) found->second->Answer(response);
+  if (found != connections_.end()) found->second->Answer(std::move(response));
 }
 
 void HttpLoop::OnClosed(HttpConnection* connection) {

@@ -46,13 +46,12 @@ class HttpLoop final : public ConnectionHost, public HttpConnection::Owner {
   void CloseSoon(uint64_t number) override;
 
   // HttpConnection::Owner
-  std::variant<size_t, HttpResponse> AcceptBody(const HttpRequest& request) override;
-  bool CountBody(int64_t bytes) override;
+  std::variant<AcceptedBody, HttpResponse> AcceptBody(const HttpRequest& request) override;
   void OnRequest(HttpConnection* connection, HttpRequest request) override;
   void OnClosed(HttpConnection* connection) override;
 
  private:
-  void Answer(uint64_t number, const HttpResponse& response);
+  void Answer(uint64_t number, HttpResponse response);
 
   // Shared with the answers that are being computed, which may outlive the server.
   const std::shared_ptr<EventLoop> events_;

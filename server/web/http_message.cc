@@ -1,12 +1,16 @@
 #include "server/web/http_message.h"
 
+#include <algorithm>
 #include <boost/beast/http/status.hpp>
 #include <optional>
 #include <utility>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "core/base/hex.h"
+#include "server/base/gzip.h"
+#include "server/inference/inference_json.h"
 
 namespace spikeserve {
 namespace {
@@ -36,7 +40,30 @@ std::optional<std::string> Decode(absl::string_view text, bool is_query) {
   return decoded;
 }
 
+// Returns the host, with its port, of a target in absolute form (RFC 9112, section 3.2.2), and
+// removes what is before the path; empty for the usual form, and where the path does not follow.
+std::string TakeHost(absl::string_view* target) {
+  for (const absl::string_view scheme : {"http://", "https://"}) {
+    if (!absl::StartsWithIgnoreCase(*target, scheme)) continue;
+    const absl::string_view rest = target->substr(scheme.size());
+    const size_t length = std::min(rest.find_first_of("/?"), rest.size());
+    if (length == 0) break;
+    *target = length == rest.size() ? "/" : rest.substr(length);
+    return std::string(rest.substr(0, length));
+  }
+  return "";
+}
+
 }  // namespace
+
+HttpResponse JsonError(int code, absl::string_view message) {
+  return {.code = code, .content_type = "application/json", .body = HttpErrorBody(message)};
+}
+
+HttpResponse TooLongError(const HttpRequest& request, int64_t most) {
+  return JsonError(413, absl::StrCat("Content-Length: expected at most ", most,
+                                     " (--max_message_bytes), received ", request.body_length));
+}
 
 int HttpCode(absl::StatusCode code) {
   switch (code) {
@@ -59,9 +86,16 @@ int HttpCode(absl::StatusCode code) {
   }
 }
 
-absl::Status DecodeTarget(absl::string_view target, HttpRequest* request) {
+absl::StatusOr<std::string> TakeBody(HttpRequest* request) {
+  std::string body = std::exchange(request->body, {});
+  if (!request->is_gzip) return body;
+  return Gunzip(body, request->longest_body);
+}
+
+absl::StatusOr<std::string> DecodeTarget(absl::string_view target, HttpRequest* request) {
   const absl::Status invalid = absl::InvalidArgumentError(
       "target: expected a path that begins with / and percent-encoded bytes");
+  const std::string host = TakeHost(&target);
   if (target.empty() || target[0] != '/') return invalid;
   const std::pair<absl::string_view, absl::string_view> parts =
       absl::StrSplit(target, absl::MaxSplits('?', 1));
@@ -76,10 +110,10 @@ absl::Status DecodeTarget(absl::string_view target, HttpRequest* request) {
     if (!name || !value) return invalid;
     request->parameters.emplace(*std::move(name), *std::move(value));
   }
-  return absl::OkStatus();
+  return host;
 }
 
-std::string ToBytes(const HttpResponse& response, bool with_body, absl::string_view more_headers) {
+std::string HeadersOf(const HttpResponse& response, absl::string_view more_headers) {
   const auto reason = boost::beast::http::obsolete_reason(
       boost::beast::http::int_to_status(static_cast<unsigned>(response.code)));
   return absl::StrCat(
@@ -89,7 +123,7 @@ std::string ToBytes(const HttpResponse& response, bool with_body, absl::string_v
       // Without a length, the body ends with the connection.
       response.feed == nullptr ? absl::StrCat("Content-Length: ", response.body.size(), "\r\n")
                                : "",
-      "\r\n", with_body ? absl::string_view(response.body) : absl::string_view());
+      "\r\n");
 }
 
 }  // namespace spikeserve

@@ -23,7 +23,6 @@
 #include "core/base/clock.h"
 #include "server/access/tls_context.h"
 #include "server/base/address.h"
-#include "server/base/byte_budget.h"
 #include "server/web/http_message.h"
 #include "server/web/origins.h"
 
@@ -37,10 +36,11 @@ class HttpServer {
   // been destroyed.
   using Done = std::function<void(HttpResponse response)>;
   // Answers a request. Called on the loop's thread: work that takes long belongs on another.
-  using Page = std::function<void(const HttpRequest& request, Done done)>;
-  // Returns the length of the longest body that a POST may have, before any of it is read, or the
-  // answer to a POST that is refused. Called on the loop's thread.
-  using AcceptBody = std::function<std::variant<size_t, HttpResponse>(const HttpRequest& request)>;
+  using Page = std::function<void(HttpRequest request, Done done)>;
+  // Admits the caller of a POST before any of its body is read, or returns the answer to a POST
+  // that is refused. Called on the loop's thread.
+  using AcceptBody =
+      std::function<std::variant<AcceptedBody, HttpResponse>(const HttpRequest& request)>;
 
   struct Options {
     Address listen;
@@ -49,9 +49,6 @@ class HttpServer {
     Origins origins = {};           // whose pages may send a POST, and read answers
     const Clock* clock = nullptr;   // monotonic; must outlive the server
     AcceptBody accept_body = {};    // empty: every POST is answered with 405
-    // Counts the bodies that are being read, at most `max_body_bytes`. Must outlive the server.
-    ByteBudget* bodies = nullptr;
-    int64_t max_body_bytes = 0;
   };
 
   // Returns UNAVAILABLE if it cannot listen on the address.

@@ -1,6 +1,8 @@
 #include "server/web/inference_pages.h"
 
+#include <memory>
 #include <optional>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -9,9 +11,9 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "inference/grpc_service.pb.h"
 #include "nlohmann/json.hpp"
-#include "server/access/admission.h"
 #include "server/inference/inference_json.h"
 
 namespace spikeserve {
@@ -81,13 +83,14 @@ HttpResponse JsonResponse(int code, std::string body) {
   return {.code = code, .content_type = "application/json", .body = std::move(body)};
 }
 
-HttpResponse ErrorResponse(const absl::Status& status) {
-  return JsonResponse(HttpCode(status.code()), HttpErrorBody(status.message()));
+HttpResponse ErrorResponse(const absl::Status& status,
+                           absl::Duration delay = absl::ZeroDuration()) {
+  HttpResponse response = JsonError(HttpCode(status.code()), status.message());
+  response.delay = delay;
+  return response;
 }
 
-HttpResponse UnknownPath() {
-  return JsonResponse(404, HttpErrorBody(absl::StrCat("path: expected ", kPaths)));
-}
+HttpResponse UnknownPath() { return JsonError(404, absl::StrCat("path: expected ", kPaths)); }
 
 // Returns the serialized message of a request without a body.
 std::string MessageOf(const Route& route) {
@@ -109,16 +112,18 @@ std::string MessageOf(const Route& route) {
   }
 }
 
-absl::StatusOr<HttpInferRequest> ReadInfer(const HttpRequest& request, const Route& route) {
+absl::StatusOr<HttpInferRequest> ReadInfer(HttpRequest* request, const Route& route) {
   std::optional<size_t> json_bytes;
-  if (!request.json_length.empty() &&
-      !absl::SimpleAtoi(request.json_length, &json_bytes.emplace())) {
+  if (!request->json_length.empty() &&
+      !absl::SimpleAtoi(request->json_length, &json_bytes.emplace())) {
     return absl::InvalidArgumentError(
         absl::StrCat("Inference-Header-Content-Length: expected a "
                      "length in bytes, received ",
-                     Quoted(request.json_length)));
+                     Quoted(request->json_length)));
   }
-  auto infer = ReadHttpInfer(request.body, json_bytes);
+  const auto body = TakeBody(request);
+  if (!body.ok()) return Annotate(body.status(), "body");
+  auto infer = ReadHttpInfer(*body, json_bytes);
   if (!infer.ok()) return infer;
   infer->message.set_model_name(route.model);
   infer->message.set_model_version(route.version);
@@ -168,50 +173,75 @@ HttpResponse ResponseOf(const Route& route, const std::string& bytes) {
   }
 }
 
+void Infer(HttpCalls& calls, const Route& route, HttpRequest request, HttpServer::Done done) {
+  // What is known of the answer once a worker has read the body, before the call begins.
+  struct Plan {
+    BinaryOutputs outputs;
+    bool is_too_long = false;  // the body
+  };
+  const auto plan = std::make_shared<Plan>();
+  calls.Start({.method = &MethodOf(route),
+               .request = std::move(request),
+               .read = [route, plan](HttpRequest* body) -> absl::StatusOr<std::string> {
+                 auto infer = ReadInfer(body, route);
+                 plan->is_too_long = absl::IsResourceExhausted(infer.status());
+                 if (!infer.ok()) return infer.status();
+                 plan->outputs = std::move(infer->outputs);
+                 return infer->message.SerializeAsString();
+               }},
+              [plan, done = std::move(done)](const absl::StatusOr<std::string>& response) {
+                if (response.ok()) return done(InferResponse(*response, plan->outputs));
+                HttpResponse error = ErrorResponse(response.status());
+                if (plan->is_too_long) error.code = 413;
+                done(std::move(error));
+              });
+}
+
 }  // namespace
 
 bool InferencePages::Has(absl::string_view path) {
   return path == "/v2" || absl::StartsWith(path, "/v2/");
 }
 
-std::variant<size_t, HttpResponse> InferencePages::AcceptBody(const HttpRequest& request) const {
+std::variant<AcceptedBody, HttpResponse> InferencePages::AcceptBody(
+    const HttpRequest& request) const {
   if (!Has(request.path)) return HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
   const auto route = RouteOf(request.path);
   if (!route.has_value()) return UnknownPath();
   if (route->page != Page::kInfer) {
-    return JsonResponse(405, HttpErrorBody("method: expected GET"));
+    return JsonError(405, "method: expected GET");
   }
-  const auto caller = Admit(authenticator_, request.authorization, MethodOf(*route));
-  if (!caller.ok()) return ErrorResponse(caller.status());
-  return max_message_bytes_;
+  absl::Duration delay;
+  auto accepted = calls_.Admit(request, MethodOf(*route), LeastBody(request), &delay);
+  if (accepted.ok()) return *std::move(accepted);
+  if (!absl::IsResourceExhausted(accepted.status()) ||
+      LeastBody(request) <= calls_.max_message_bytes()) {
+    return ErrorResponse(accepted.status(), delay);
+  }
+  HttpResponse refusal = TooLongError(request, calls_.max_message_bytes());
+  refusal.delay = delay;
+  return refusal;
 }
 
-void InferencePages::Answer(const HttpRequest& request, const HttpServer::Done& done) const {
+void InferencePages::Answer(HttpRequest request, HttpServer::Done done) const {
   const auto route = RouteOf(request.path);
   if (!route.has_value()) return done(UnknownPath());
   const bool infers = route->page == Page::kInfer;
   if (infers != request.is_post) {
-    return done(JsonResponse(405, HttpErrorBody("method: expected POST")));
+    return done(JsonError(405, "method: expected POST"));
   }
-  CallHead head = {.path = MethodOf(*route).path,
-                   .authorization = request.authorization,
-                   .trace = request.trace};
-  if (!infers) {
-    return calls_.Start(
-        {.head = std::move(head), .client = request.client, .message = MessageOf(*route)},
-        [route = *route, done](const absl::StatusOr<std::string>& response) {
-          done(response.ok() ? ResponseOf(route, *response) : ErrorResponse(response.status()));
-        });
-  }
-  auto infer = ReadInfer(request, *route);
-  // The caller is admitted and counted before an error of the body is told.
-  auto message =
-      infer.ok() ? absl::StatusOr<std::string>(infer->message.SerializeAsString()) : infer.status();
-  auto outputs = infer.ok() ? std::move(infer->outputs) : BinaryOutputs{};
+  if (infers) return Infer(calls_, *route, std::move(request), std::move(done));
+  const Method* const method = &MethodOf(*route);
+  absl::Duration delay;
+  const auto admitted = calls_.Admit(request, *method, /*message_bytes=*/0, &delay);
+  if (!admitted.ok()) return done(ErrorResponse(admitted.status(), delay));
+  request.caller = admitted->caller;
   calls_.Start(
-      {.head = std::move(head), .client = request.client, .message = std::move(message)},
-      [outputs = std::move(outputs), done](const absl::StatusOr<std::string>& response) {
-        done(response.ok() ? InferResponse(*response, outputs) : ErrorResponse(response.status()));
+      {.method = method,
+       .request = std::move(request),
+       .read = [route = *route](HttpRequest* /*request*/) { return MessageOf(route); }},
+      [route = *route, done = std::move(done)](const absl::StatusOr<std::string>& response) {
+        done(response.ok() ? ResponseOf(route, *response) : ErrorResponse(response.status()));
       });
 }
 

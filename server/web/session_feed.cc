@@ -73,18 +73,19 @@ class Mailbox {
 // Confined to the thread of the loop that asks it, except for its destructor.
 class SessionFeeds::Feed final : public HttpFeed {
  public:
-  Feed(const Parts& parts, std::shared_ptr<Counts> counts, std::shared_ptr<const Credential> caller,
+  Feed(const Parts& parts, std::shared_ptr<SharedPlaces::Place> place,
+       std::shared_ptr<Clients> clients, std::shared_ptr<const Credential> caller,
        std::string client, std::string session)
       : parts_(parts),
-        counts_(std::move(counts)),
+        place_(std::move(place)),
+        clients_(std::move(clients)),
         caller_(std::move(caller)),
         client_(std::move(client)),
         session_(std::move(session)) {}
 
   ~Feed() override {
-    absl::MutexLock lock(&counts_->mutex);
-    --counts_->all;
-    if (--counts_->of_client[client_] == 0) counts_->of_client.erase(client_);
+    absl::MutexLock lock(&clients_->mutex);
+    if (--clients_->feeds[client_] == 0) clients_->feeds.erase(client_);
   }
 
   std::optional<std::string> Next() override {
@@ -138,7 +139,8 @@ class SessionFeeds::Feed final : public HttpFeed {
   }
 
   const Parts parts_;
-  const std::shared_ptr<Counts> counts_;
+  const std::shared_ptr<SharedPlaces::Place> place_;
+  const std::shared_ptr<Clients> clients_;
   const std::shared_ptr<const Credential> caller_;
   const std::string client_;
   const std::string session_;
@@ -156,19 +158,20 @@ absl::StatusOr<std::shared_ptr<HttpFeed>> SessionFeeds::Open(
     const std::string& session) {
   const std::shared_ptr<SessionEntry> entry = parts_.store->Peek(session);
   if (entry == nullptr || !caller->CanRead(entry->tenant)) return NoSuchSession(session);
+  auto place = places_.Take(caller->tenant()->name());
   {
-    absl::MutexLock lock(&counts_->mutex);
-    const auto of_client = counts_->of_client.find(client);
-    if (counts_->all >= kMost ||
-        (of_client != counts_->of_client.end() && of_client->second >= kMostOfClient)) {
+    absl::MutexLock lock(&clients_->mutex);
+    const auto of_client = clients_->feeds.find(client);
+    if (place == nullptr ||
+        (of_client != clients_->feeds.end() && of_client->second >= kMostOfClient)) {
       return absl::ResourceExhaustedError(absl::StrCat("watchers of sessions: expected at most ",
-                                                       kMost, ", and ", kMostOfClient,
+                                                       kMostOfTenant, ", and ", kMostOfClient,
                                                        " of one address; try again later"));
     }
-    ++counts_->all;
-    ++counts_->of_client[client];
+    ++clients_->feeds[client];
   }
-  return std::make_shared<Feed>(parts_, counts_, std::move(caller), client, session);
+  return std::make_shared<Feed>(parts_, std::move(place), clients_, std::move(caller), client,
+                                session);
 }
 
 }  // namespace spikeserve

@@ -29,6 +29,7 @@
 #include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/base/background_worker.h"
+#include "server/base/shared_places.h"
 #include "server/web/http_message.h"
 
 namespace spikeserve {
@@ -37,8 +38,8 @@ namespace spikeserve {
 // not the objects of `Parts` while they are asked for bytes.
 class SessionFeeds {
  public:
-  static constexpr int64_t kMost = 16;         // open feeds
-  static constexpr int64_t kMostOfClient = 4;  // of one IP address
+  static constexpr int64_t kMostOfTenant = 16;  // open feeds; see SharedPlaces
+  static constexpr int64_t kMostOfClient = 4;   // of one IP address
 
   struct Parts {
     SessionStore* store;
@@ -46,7 +47,8 @@ class SessionFeeds {
     BackgroundWorker* worker;  // explains
   };
 
-  explicit SessionFeeds(Parts parts) : parts_(parts), counts_(std::make_shared<Counts>()) {}
+  explicit SessionFeeds(Parts parts)
+      : parts_(parts), places_(2 * kMostOfTenant), clients_(std::make_shared<Clients>()) {}
 
   // Opens a feed of a session that `caller` may read. Returns NOT_FOUND if there is none, and
   // RESOURCE_EXHAUSTED if as many feeds are open as may be.
@@ -57,14 +59,14 @@ class SessionFeeds {
  private:
   class Feed;
   // The open feeds, by the address of the client. Shared with them.
-  struct Counts {
+  struct Clients {
     absl::Mutex mutex;
-    int64_t all ABSL_GUARDED_BY(mutex) = 0;
-    std::map<std::string, int64_t> of_client ABSL_GUARDED_BY(mutex);
+    std::map<std::string, int64_t> feeds ABSL_GUARDED_BY(mutex);
   };
 
   const Parts parts_;
-  const std::shared_ptr<Counts> counts_;
+  SharedPlaces places_;  // of tenants
+  const std::shared_ptr<Clients> clients_;
 };
 
 }  // namespace spikeserve

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/functional/function_ref.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
@@ -57,43 +58,79 @@ HttpResponse JsonResponse(absl::StatusOr<std::string> json) {
           .body = json.ok() ? *std::move(json) : ErrorJson(json.status())};
 }
 
+// Returns what distinguishes the page that a request gets. Only lists of sessions depend on the
+// caller.
+std::string KeyOf(const HttpRequest& request, const Credential& caller) {
+  std::string key = request.path;
+  if (request.path == "/sessions.json") {
+    absl::StrAppend(&key, " ", reinterpret_cast<uintptr_t>(&caller));
+  }
+  for (const auto& [name, value] : request.parameters) {
+    absl::StrAppend(&key, " ", Quoted(name), "=", Quoted(value));
+  }
+  return key;
+}
+
 }  // namespace
 
 StatusPages::StatusPages(Parts parts)
     : parts_(std::move(parts)),
       feeds_({.store = parts_.store, .clock = parts_.clock, .worker = parts_.worker}),
       health_(kMaxWaiting, BackgroundWorker::Priority::kNormal),
+      metrics_(kMaxWaiting, BackgroundWorker::Priority::kNormal),
       pages_(kMaxWaiting) {}
 
-void StatusPages::Answer(const HttpRequest& request, const HttpServer::Done& done) {
-  const absl::Status accepted =
-      request.path == "/healthz"
-          ? health_.Submit([this, done] { done(Health()); })
-          : pages_.Submit(request.client, [this, request, arrived = parts_.clock->Now(), done] {
-              AnswerPage(request, arrived, done);
-            });
-  if (!accepted.ok()) done({.code = 503, .body = absl::StrCat(accepted.message(), "\n")});
-}
-
-void StatusPages::AnswerPage(const HttpRequest& request, absl::Duration arrived,
-                             const HttpServer::Done& done) {
-  const absl::string_view path = request.path;
+void StatusPages::Answer(HttpRequest request, HttpServer::Done done) {
+  const auto submit = [&](BackgroundWorker& worker, std::function<void()> work) {
+    const auto accepted = worker.Submit(request.peer.address, std::move(work));
+    if (!accepted.ok()) done({.code = 503, .body = absl::StrCat(accepted.message(), "\n")});
+  };
+  if (request.path == "/healthz") return submit(health_, [this, done] { done(Health()); });
+  const absl::Duration now = parts_.clock->Now();
   const auto caller = AdmitToPages(*parts_.authenticator, request.authorization);
   if (!caller.ok()) {
     return done({.code = absl::IsUnauthenticated(caller.status()) ? 401 : 403,
-                 .body = absl::StrCat(caller.status().message(), "\n")});
+                 .body = absl::StrCat(caller.status().message(), "\n"),
+                 .delay = DelayOf(caller, caller.status())});
   }
-  if (path == "/metrics") {
-    return done({.code = 200,
-                 .content_type = "text/plain; version=0.0.4; charset=utf-8",
-                 .body = parts_.metrics->ToText()});
+  if (request.path == "/metrics") {
+    return submit(metrics_, [this, round = shared_.Join(request.path), done] {
+      done({.code = 200,
+            .content_type = "text/plain; version=0.0.4; charset=utf-8",
+            .body = *shared_.Get(*round, [this] { return parts_.metrics->ToText(); })});
+    });
   }
-  if (path == "/status.json") return done(JsonResponse(Status(**caller, request)));
-  if (path == "/history.json") return done(JsonResponse(History(request)));
-  if (path == "/sessions.json") return done(JsonResponse(Sessions(*caller, request, arrived)));
-  if (path == "/session.json") return done(JsonResponse(Session(**caller, request)));
-  if (path == "/explain.json") return Explain(*caller, request, done);
-  if (path == "/watch") return Watch(*caller, request, done);
+  if (absl::EndsWith(request.path, ".json")) {
+    const auto status = (*caller)->tenant()->AcquireCall(Cost::kListing, now);
+    if (!status.ok()) {
+      HttpResponse refusal = JsonResponse(status);
+      refusal.delay = DelayOf(caller, status);
+      return done(std::move(refusal));
+    }
+  }
+  submit(pages_, [this, caller = *caller, request, round = shared_.Join(KeyOf(request, **caller)),
+                  done] { AnswerPage(caller, request, *round, done); });
+}
+
+absl::Duration StatusPages::DelayOf(const absl::StatusOr<std::shared_ptr<const Credential>>& caller,
+                                    const absl::Status& refusal) const {
+  return parts_.authenticator->RefusalPacerFor(caller).DelayFor(refusal, /*request_bytes=*/0,
+                                                                parts_.clock->Now());
+}
+
+void StatusPages::AnswerPage(const std::shared_ptr<const Credential>& caller,
+                             const HttpRequest& request, SharedAnswers::Round& round,
+                             const HttpServer::Done& done) {
+  const absl::string_view path = request.path;
+  const auto share = [&](absl::FunctionRef<absl::StatusOr<std::string>()> make) {
+    done(JsonResponse(shared_.Get(round, make)));
+  };
+  if (path == "/status.json") return share([&] { return Status(*caller, request); });
+  if (path == "/history.json") return share([&] { return History(request); });
+  if (path == "/sessions.json") return share([&] { return Sessions(*caller, request); });
+  if (path == "/session.json") return done(JsonResponse(Session(*caller, request)));
+  if (path == "/explain.json") return Explain(caller, request, done);
+  if (path == "/watch") return Watch(caller, request, done);
   done(FileResponse(path));
 }
 
@@ -144,22 +181,12 @@ absl::StatusOr<std::string> StatusPages::Session(const Credential& caller,
   return SessionJson(*parts_.store, caller, query.Get("session"), parts_.unusual_deviations);
 }
 
-absl::StatusOr<std::string> StatusPages::Sessions(const std::shared_ptr<const Credential>& caller,
-                                                  const HttpRequest& request,
-                                                  absl::Duration arrived) {
+absl::StatusOr<std::string> StatusPages::Sessions(const Credential& caller,
+                                                  const HttpRequest& request) const {
   ASSIGN_OR_RETURN(
       const auto query,
       HttpQuery::Parse(request.parameters, {"filter", "sort", "order", "page_size", "page_token"}));
-  absl::MutexLock lock(&list_mutex_);
-  if (arrived < last_list_.began && caller == last_list_.caller &&
-      request.parameters == last_list_.parameters) {
-    return last_list_.json;
-  }
-  const absl::Duration began = parts_.clock->Now();
-  auto json = SessionsJson(*parts_.store, *caller, query);
-  if (!json.ok()) return json;
-  last_list_ = {caller, request.parameters, began, *json};
-  return json;
+  return SessionsJson(*parts_.store, caller, query);
 }
 
 void StatusPages::Explain(const std::shared_ptr<const Credential>& caller,
@@ -185,7 +212,7 @@ void StatusPages::Watch(const std::shared_ptr<const Credential>& caller, const H
                         const HttpServer::Done& done) {
   const auto parsed = HttpQuery::Parse(request.parameters, {"session"});
   if (!parsed.ok()) return done(JsonResponse(parsed.status()));
-  auto feed = feeds_.Open(caller, request.client, parsed->Get("session"));
+  auto feed = feeds_.Open(caller, request.peer.address, parsed->Get("session"));
   if (!feed.ok()) return done(JsonResponse(feed.status()));
   // nginx would gather events otherwise.
   done({.content_type = "text/event-stream",

@@ -3,14 +3,10 @@
 #define SERVER_WEB_STATUS_PAGES_H_
 
 #include <functional>
-#include <map>
 #include <memory>
 #include <string>
-#include <utility>
 
-#include "absl/base/thread_annotations.h"
 #include "absl/status/statusor.h"
-#include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "core/base/clock.h"
 #include "core/open_sessions/session_store.h"
@@ -24,6 +20,7 @@
 #include "server/metrics/metrics.h"
 #include "server/web/http_server.h"
 #include "server/web/session_feed.h"
+#include "server/web/shared_answers.h"
 
 namespace spikeserve {
 
@@ -50,29 +47,23 @@ class StatusPages {
   explicit StatusPages(Parts parts);
 
   // Answers a request, on another thread: 401 without a valid token, 403 for a token of an agent,
-  // 404 for an unknown path, 503 if too many requests of its client wait. /healthz needs no token,
-  // waits for no other page, and answers 503 while the server does not serve.
-  void Answer(const HttpRequest& request, const HttpServer::Done& done);
+  // 404 for an unknown path, 429 beyond the tenant's rate of listing, 503 if too many requests of
+  // its client wait. /healthz needs no token, and answers 503 while the server does not serve. It
+  // and /metrics wait for no other page.
+  void Answer(HttpRequest request, HttpServer::Done done);
 
  private:
-  // A list of sessions, to answer equal requests with.
-  struct SessionList {
-    std::shared_ptr<const Credential> caller;
-    std::multimap<std::string, std::string> parameters;
-    absl::Duration began = -absl::InfiniteDuration();  // time of the clock
-    std::string json;
-  };
-
-  // `arrived` is the time of the clock at which the server received the request.
-  void AnswerPage(const HttpRequest& request, absl::Duration arrived, const HttpServer::Done& done);
+  // `round` is that of the page in `shared_`.
+  void AnswerPage(const std::shared_ptr<const Credential>& caller, const HttpRequest& request,
+                  SharedAnswers::Round& round, const HttpServer::Done& done);
+  // Returns the delay of the answer to a refused caller.
+  absl::Duration DelayOf(const absl::StatusOr<std::shared_ptr<const Credential>>& caller,
+                         const absl::Status& refusal) const;
   HttpResponse Health() const;
   absl::StatusOr<std::string> Status(const Credential& caller, const HttpRequest& request) const;
   absl::StatusOr<std::string> History(const HttpRequest& request) const;
   absl::StatusOr<std::string> Session(const Credential& caller, const HttpRequest& request) const;
-  // A request that waited while the list for an equal one was made gets that list. Therefore many
-  // readers of one list wait for two passes over the sessions at most.
-  absl::StatusOr<std::string> Sessions(const std::shared_ptr<const Credential>& caller,
-                                       const HttpRequest& request, absl::Duration arrived);
+  absl::StatusOr<std::string> Sessions(const Credential& caller, const HttpRequest& request) const;
   // Calls `done` when the background worker has explained the decision.
   void Explain(const std::shared_ptr<const Credential>& caller, const HttpRequest& request,
                const HttpServer::Done& done) const;
@@ -83,9 +74,9 @@ class StatusPages {
 
   const Parts parts_;
   SessionFeeds feeds_;
-  absl::Mutex list_mutex_;
-  SessionList last_list_ ABSL_GUARDED_BY(list_mutex_);
+  SharedAnswers shared_;
   BackgroundWorker health_;
+  BackgroundWorker metrics_;
   BackgroundWorker pages_;  // clients take turns
 };
 

@@ -6,6 +6,7 @@ import typing
 from tests.attacks import (
     control,
     http2_attacks,
+    http_attacks,
     mutations,
     slow_attacks,
     store_attacks,
@@ -26,6 +27,9 @@ class Attack:
     tls: bool = False
     descriptors: int | None = None  # the server's limit
     budget: int | None = None  # megabytes of the server above idle, as docs/limits.md promises; None: the transport's
+    http: bool = False  # the address is that of the HTTP port
+    flags: tuple = ()  # of the server; {folder} is an empty folder
+    versions: int = 0  # of one small policy, beside the shipped ones
 
     @property
     def name(self):
@@ -68,6 +72,21 @@ ATTACKS = {
         Attack(tenant_attacks.batches_that_nobody_reads, budget=TENANT),
         Attack(tenant_attacks.policy_lists, budget=TENANT),
         Attack(tenant_attacks.rollout_decided_by_one_agent, budget=TENANT),
+        Attack(
+            tenant_attacks.exports_of_long_ids,
+            budget=TENANT,
+            flags=("--audit_log={folder}/audit.jsonl",),
+        ),
+        Attack(
+            tenant_attacks.recordings_of_one_tenant,
+            budget=TENANT,
+            flags=("--record_dir={folder}/recordings",),
+        ),
+        Attack(tenant_attacks.histories_of_many_sessions, budget=TENANT),
+        Attack(http_attacks.bodies_beyond_the_rate, budget=TENANT, http=True),
+        Attack(http_attacks.bodies_of_a_tenant_without_limits, budget=TENANT, http=True),
+        Attack(http_attacks.guesses_of_a_token, budget=TENANT, http=True),
+        Attack(http_attacks.viewers_of_many_versions, budget=TENANT, http=True, versions=1000),
         Attack(store_attacks.replies_of_a_lying_store, budget=TENANT),
         Attack(tls_attacks.half_handshakes, tls=True),
         Attack(tls_attacks.handshakes, tls=True),

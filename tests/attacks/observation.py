@@ -4,12 +4,14 @@ import contextlib
 import dataclasses
 import json
 import pathlib
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
 
 from security import tls_flags
-from serving import running_server
+from serving import SHIPPED_POLICIES, running_server
 
 from tests.attacks.client import seconds_until_served
 from tests.attacks.process import MEGABYTE, MemoryWatch, Process
@@ -73,13 +75,25 @@ def attacked_server(attack, tokens, certificates):
     flags = [f"--tokens={tokens}", *(tls_flags(certificates) if attack.tls else [])]
     prefix = ["prlimit", f"--nofile={attack.descriptors}"] if attack.descriptors else []
     outlived = True
-    try:
-        with running_server(flags=flags, prefix=prefix) as addresses:
-            yield addresses
-            outlived = addresses.process.poll() is None
-    except AssertionError:
-        if outlived:
-            raise
+    with tempfile.TemporaryDirectory() as folder:
+        flags += [flag.format(folder=folder) for flag in attack.flags]
+        policies = SHIPPED_POLICIES if attack.versions == 0 else many_versions(folder, attack.versions)
+        try:
+            with running_server(policies, flags=flags, prefix=prefix) as addresses:
+                yield addresses
+                outlived = addresses.process.poll() is None
+        except AssertionError:
+            if outlived:
+                raise
+
+
+def many_versions(folder, count):
+    """Writes the shipped CartPole and `count` versions of a small policy. Returns their folder."""
+    policies = pathlib.Path(folder) / "policies"
+    shutil.copytree(SHIPPED_POLICIES / "cartpole", policies / "cartpole")
+    for version in range(1, count + 1):
+        shutil.copytree(SHIPPED_POLICIES / "cartpole-small" / "1", policies / "many" / str(version))
+    return policies
 
 
 def run_attack(name, address, seconds, count):
@@ -108,7 +122,8 @@ def observe(attack, tokens, certificates, seconds, idle_seconds, return_limit, c
     """Attacks a new server for `seconds`. Returns the Observation."""
     with attacked_server(attack, tokens, certificates) as addresses:
         process = Process(addresses.process.pid)
-        neighbour = Neighbour([addresses.grpc, *([f"{certificates}/ca.pem"] if attack.tls else [])])
+        authority = [f"{certificates}/ca.pem"] if attack.tls else []
+        neighbour = Neighbour([addresses.grpc, addresses.http, *authority])
         time.sleep(idle_seconds)
         before = neighbour.period()
         idle = process.memory()
@@ -116,7 +131,8 @@ def observe(attack, tokens, certificates, seconds, idle_seconds, return_limit, c
         processor = process.processor_seconds()
         start = time.monotonic()
         with MemoryWatch(process, idle + KILL_BYTES):
-            sent = run_attack(attack.name, addresses.grpc, seconds, count)
+            target = addresses.http if attack.http else addresses.grpc
+            sent = run_attack(attack.name, target, seconds, count)
         took = time.monotonic() - start
         during = neighbour.period()
         try:

@@ -3,6 +3,7 @@
 The attacker's token is that of the tenant "fleet"; the neighbour belongs to another.
 """
 
+import concurrent.futures
 import contextlib
 import itertools
 import time
@@ -20,9 +21,12 @@ TOKEN = ("authorization", "Bearer agent")
 ITEMS = 1024
 BATCHES = 50  # in one burst of a connection
 LISTERS = 6
+RECORDERS = 4
+SESSIONS = 12
+STEPS = 1000
 WORST = -1e6  # a return
 EPISODES = 40
-CALL_SECONDS = 10
+CALL_SECONDS = 30
 RUNNING = 1  # Rollout.STATE_RUNNING
 
 
@@ -74,6 +78,69 @@ def connections_of_many_addresses(address, seconds):
     return flood(
         address, seconds, lambda: iter([opening]), connections=10_300, source=lambda: next(sources)
     )
+
+
+EXPORTERS = 6
+LONG_ID = 60_000  # bytes
+
+
+def exports_of_long_ids(address, seconds):
+    """Exports sessions whose ids are long, each of which is recorded. An operator acts in the end."""
+    message = v1("ExportSessionRequest", session_id="x" * LONG_ID).SerializeToString()
+    sent = flood(address, seconds, requests_of("ExportSession", message, 4), EXPORTERS)
+    with grpc.insecure_channel(f"{address[0]}:{address[1]}") as channel:
+        label = v1("SetLabelRequest", policy="cartpole", version=1, label="after")
+        Agents(channel, sent)("/spikeserve.v1.PolicyAdmin/SetLabel", label, "machine")
+    return sent
+
+
+def recordings_of_one_tenant(address, seconds):
+    """Records episodes of one step, as many as one tenant can."""
+    sent = Sent(connections=1)
+    end = time.monotonic() + seconds
+    with grpc.insecure_channel(f"{address[0]}:{address[1]}") as channel:
+        agents = Agents(channel, sent)
+        opening = v1("OpenSessionRequest", policy="cartpole", record=True)
+
+        def record():
+            session = agents(f"/{POLICY}/OpenSession", opening).session_id
+            while time.monotonic() < end:
+                agents.episode(session, OBSERVATION, 1.0)
+
+        with concurrent.futures.ThreadPoolExecutor(RECORDERS) as threads:
+            for done in [threads.submit(record) for _ in range(RECORDERS)]:
+                done.result()
+    return sent
+
+
+def histories_of_many_sessions(address, seconds):
+    """Sends histories of 1,000 steps in twelve sessions, which the server has to compute."""
+    sent = Sent(connections=1)
+    end = time.monotonic() + seconds
+    with grpc.insecure_channel(f"{address[0]}:{address[1]}") as channel:
+        agents = Agents(channel, sent)
+
+        def play():
+            session = agents(f"/{POLICY}/OpenSession", v1("OpenSessionRequest", policy="cartpole")).session_id
+            decision = 0
+            while time.monotonic() < end:
+                first = v1("ActRequest", session_id=session, decision=decision, observation=OBSERVATION)
+                executed = agents(f"/{POLICY}/Act", first).action
+                beats = [
+                    v1("Beat", step=step, observation=OBSERVATION, executed=executed)
+                    for step in range(STEPS)
+                ]
+                request = v1("ActRequest", session_id=session, step=STEPS, decision=decision + STEPS)
+                request.observation.extend(OBSERVATION)
+                request.history.extend(beats)
+                agents(f"/{POLICY}/Act", request)
+                agents(f"/{POLICY}/EndEpisode", v1("EndEpisodeRequest", session_id=session))
+                decision += STEPS + 1
+
+        with concurrent.futures.ThreadPoolExecutor(SESSIONS) as threads:
+            for done in [threads.submit(play) for _ in range(SESSIONS)]:
+                done.result()
+    return sent
 
 
 class DecidedRolloutError(Exception):

@@ -16,35 +16,36 @@ namespace spikeserve {
 namespace {
 
 constexpr size_t kLongestBody = 64;
+constexpr int64_t kMost = 1 << 20;
 
 class Owner final : public HttpConnection::Owner {
  public:
   explicit Owner(EventLoop* loop) : loop_(*loop) {}
 
   EventLoop& events() override { return loop_; }
-  std::variant<size_t, HttpResponse> AcceptBody(const HttpRequest& request) override {
+  std::variant<AcceptedBody, HttpResponse> AcceptBody(const HttpRequest& request) override {
     FUZZ_CHECK(request.is_post && request.body.empty());
     if (request.path == "/refused") return HttpResponse{.code = 405, .body = "no"};
-    return kLongestBody;
-  }
-  bool CountBody(int64_t bytes) override {
-    body_bytes_ += bytes;
-    FUZZ_CHECK(body_bytes_ >= 0);
-    return true;
+    return AcceptedBody{
+        .longest = kLongestBody,
+        .caller = nullptr,
+        .held = std::make_shared<HeldBytes>(HeldBytes::Budget{bytes_, kMost}, HeldBytes::Budget{})};
   }
   void OnRequest(HttpConnection* connection, HttpRequest request) override {
     FUZZ_CHECK(request.path.front() == '/');
-    FUZZ_CHECK(request.body.size() <= (request.is_post ? kLongestBody : 0));
+    const size_t longest = kLongestBody + (request.is_gzip ? size_t{kGzipOverhead} : 0);
+    FUZZ_CHECK(request.body.size() <= (request.is_post ? longest : 0));
+    TakeBody(&request).status().IgnoreError();
     connection->Answer({.body = request.path});
   }
   void OnClosed(HttpConnection* /*connection*/) override { closed_ = true; }
   bool closed() const { return closed_; }
-  int64_t body_bytes() const { return body_bytes_; }
+  int64_t body_bytes() const { return bytes_->used(); }
 
  private:
   EventLoop& loop_;
   bool closed_ = false;
-  int64_t body_bytes_ = 0;
+  const std::shared_ptr<ByteBudget> bytes_ = std::make_shared<ByteBudget>();
 };
 
 }  // namespace
@@ -77,6 +78,8 @@ std::vector<std::string> Seeds() {
       "\x02POST /explain.json HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n0\r\n",
       "\x02POST /v2/models/a/infer HTTP/1.1\r\nExpect: 100-continue\r\nContent-Length: "
       "7\r\n\r\n{\"a\":1}",
+      "\x40POST /v2 HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n2;a=b\r\n{}\r\n0\r\nA: b\r\n\r\n",
+      "\x40GET http://localhost:1/healthz?a HTTP/1.1\r\nHost: localhost\r\n\r\n",
       "\x01POST /refused HTTP/1.1\r\nContent-Length: 999999999999\r\n\r\n{}",
       "\x03OPTIONS /v2 HTTP/1.1\r\nOrigin: http://a.example\r\nAccess-Control-Request-Method: "
       "POST\r\n\r\n",

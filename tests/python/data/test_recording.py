@@ -93,10 +93,10 @@ def test_sequences_of_tritons_client_are_recorded(tmp_path, monkeypatch):
     np.testing.assert_array_equal(read.observations, np.stack(observations))
     np.testing.assert_array_equal(read.actions, actions)
     np.testing.assert_array_equal(read.rewards, np.ones(len(actions)))
-    assert bool(read.truncations[-1])
+    assert bool(read.terminations[-1]) and not bool(read.truncations[-1])
 
 
-@pytest.mark.parametrize("end", [{"terminated": True}, {"truncated": True}, None], ids=["terminated", "truncated", "unknown"])
+@pytest.mark.parametrize("end", [{"terminated": True}, {"truncated": True}, None], ids=["terminated", "truncated", "plain"])
 def test_a_sequence_ends_as_its_client_says(end, tmp_path):
     with (
         running_server(flags=[f"--record_dir={tmp_path}"]) as server,
@@ -110,7 +110,7 @@ def test_a_sequence_ends_as_its_client_says(end, tmp_path):
             client.infer("cartpole", [tensor], sequence_id=8, sequence_start=True, parameters=parameters)
         client.close()
     (episode,) = cbor2.loads((tmp_path / recording / "000000.cbor").read_bytes())["episodes"]
-    terminated = end == {"terminated": True}
+    terminated = end != {"truncated": True}
     assert (episode["terminated"], episode["truncated"]) == (terminated, not terminated)
     assert len(episode["actions"]) == len(actions)
 

@@ -253,7 +253,8 @@ def test_bodies_are_bounded(server):
     connection.close()
     assert infer(server, json.dumps(infer_body("bounded", start=True)) + " " * (LIMIT - 1000))[0] == 200
     connection = http.client.HTTPConnection(server.http, timeout=30)
-    connection.request("POST", "/v2/models/cartpole/infer", iter([b"{}"]), {"Transfer-Encoding": "chunked"}, encode_chunked=True)
+    connection.putrequest("POST", "/v2/models/cartpole/infer")
+    connection.endheaders()  # without a length, and not in chunks
     assert connection.getresponse().status == 411
     connection.close()
     assert infer(server, b"{}", Content_Encoding="br")[0] == 415

@@ -78,3 +78,25 @@ def test_tenants_may_use_equal_sequence_ids(addresses):
 
     for token in ("agent", "rival", "agent"):
         assert start(token) == grpc.StatusCode.OK, token
+
+
+def test_an_id_of_another_tenant_opens_as_any_other(addresses):
+    """Neither tenant learns from OpenSession that the other has a session of an id; each has its own."""
+    foreign, unknown = "a" * 32, "b" * 32
+    with service_with(addresses, "agent") as ours, service_with(addresses, "rival") as theirs:
+        ours.OpenSession(policy="cartpole", session_id=foreign)
+        answers = [theirs.OpenSession(policy="cartpole", session_id=name) for name in (foreign, unknown)]
+        assert [answer.session_id for answer in answers] == [foreign, unknown]
+        answers[0].session_id = unknown
+        assert answers[0] == answers[1]
+        # A request that is sent again gets the session that it has opened.
+        assert theirs.OpenSession(policy="cartpole", session_id=foreign).session_id == foreign
+        for step in range(3):
+            assert theirs.Act(session_id=foreign, step=step, observation=OBSERVATION).step == step
+        assert theirs.GetSession(session_id=foreign).step == 3
+        assert ours.GetSession(session_id=foreign).step == 0
+        assert ours.Act(session_id=foreign, observation=OBSERVATION).step == 0
+        theirs.CloseSession(session_id=foreign)
+        assert code_of(theirs.GetSession, session_id=foreign) == grpc.StatusCode.NOT_FOUND
+        assert ours.GetSession(session_id=foreign).step == 1
+        ours.CloseSession(session_id=foreign)

@@ -82,6 +82,56 @@ TEST_F(PolicyHandlerTest, ARequestBehindALongHistoryIsAnswered) {
   }
 }
 
+// The beats that one turn appends are bounded, whatever the number of sessions that have some.
+TEST_F(PolicyHandlerTest, HistoriesOfManySessionsShareATurn) {
+  constexpr int kSessions = 12;
+  constexpr int64_t kBeats = 3 * kBeatsPerGroup;
+  DeferredWork deferred;
+  v1::ActResponse answer;
+  ASSERT_TRUE(Decide(MakeRequest(MustOpen(), 0), &answer, &deferred).ok());
+  CallContext context{.caller = caller_.get(), .deferred = &deferred};
+  std::vector<v1::ActRequest> requests;
+  std::vector<v1::ActResponse> responses(kSessions);
+  for (int i = 0; i < kSessions; ++i) {
+    requests.push_back(MakeRequest(MustOpen(), 2 * kBeats));
+    v1::ActRequest& request = requests.back();
+    request.set_decision(2 * kBeats);
+    for (int64_t step = 0; step < kBeats; ++step) request.add_skipped_rewards(1.0);
+    for (int64_t step = kBeats; step < 2 * kBeats; ++step) {
+      v1::Beat& beat = *request.add_history();
+      beat.set_step(step);
+      for (const float value : ObservationAt(step)) beat.add_observation(value);
+      *beat.mutable_executed() = answer.action();
+    }
+  }
+  std::vector<DecisionRequest> acts(kSessions);
+  std::vector<DecisionRequest*> waiting;
+  for (int i = 0; i < kSessions; ++i) {
+    acts[i].context = &context;
+    acts[i].request = &requests[i];
+    acts[i].response = &responses[i];
+    waiting.push_back(&acts[i]);
+  }
+  int64_t appended = 0;
+  for (int turn = 1; !waiting.empty(); ++turn) {
+    ASSERT_LE(turn, 2 * kSessions * 3 + kSessions);
+    BeatBudget budget;
+    handler_.ActMany(
+        waiting, &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, &budget);
+    int64_t sum = 0;
+    for (const DecisionRequest& act : acts) sum += act.beats.appended;
+    EXPECT_LE(sum - appended, kBeatsPerGroup) << turn;
+    EXPECT_GT(sum, appended) << turn;
+    appended = sum;
+    std::erase_if(waiting, [](const DecisionRequest* act) { return act->is_finished(); });
+  }
+  EXPECT_EQ(appended, kSessions * kBeats);
+  for (const DecisionRequest& act : acts) {
+    EXPECT_TRUE(act.status.ok()) << act.status;
+    EXPECT_EQ(act.beats.dropped, kBeats);
+  }
+}
+
 TEST_F(PolicyHandlerTest, DeferredWorkMayComeLate) {
   const std::string session = MustOpen();
   DeferredWork first;
