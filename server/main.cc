@@ -91,6 +91,8 @@ void AddSessionFlags(Command program, ServerOptions* options) {
       .Add("session_ttl", "DURATION", &options->session_ttl, "Idle time that ends a session")
       .Add("max_sessions", "N", &options->max_sessions, "Largest number of open sessions")
       .Add("record_dir", "DIR", &options->record_dir, "Directory for recorded sessions")
+      .Add("max_recorded_bytes", "N", &options->max_recorded_bytes,
+           "Most bytes in --record_dir, which tenants divide")
       .Add("session_store", "STORE", &options->store.address,
            "Where sessions survive: memory, file:DIR or redis://HOST");
 }

@@ -1,6 +1,7 @@
 #include "server/options.h"
 
 #include <climits>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status_macros.h"
@@ -79,9 +80,11 @@ absl::Status ServerOptions::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("--unusual_deviations: expected at least 0, received ", unusual_deviations));
   }
-  if (max_sessions < 1) {
+  for (const auto& [flag, value] : {std::pair("--max_sessions", max_sessions),
+                                    std::pair("--max_recorded_bytes", max_recorded_bytes)}) {
+    if (value >= 1) continue;
     return absl::InvalidArgumentError(
-        absl::StrCat("--max_sessions: expected at least 1, received ", max_sessions));
+        absl::StrCat(flag, ": expected at least 1, received ", value));
   }
   RETURN_IF_ERROR(CheckStore(*this));
   if (max_message_bytes < 1 || max_message_bytes > INT_MAX) {

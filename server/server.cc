@@ -157,7 +157,8 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   ASSIGN_OR_RETURN(auto audit_log, AuditLog::Open(options.audit_log));
   std::unique_ptr<Recordings> recordings;
   if (!options.record_dir.empty()) {
-    ASSIGN_OR_RETURN(recordings, Recordings::Create(options.record_dir, metrics.get()));
+    ASSIGN_OR_RETURN(recordings, Recordings::Create(options.record_dir, options.max_recorded_bytes,
+                                                    metrics.get()));
   }
   metrics->AddSource([served = registry.get()] { return CollectTraffic(*served->catalog()); });
   metrics->AddSource([served = registry.get()] { return CollectHeads(*served->catalog()); });

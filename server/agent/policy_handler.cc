@@ -212,7 +212,7 @@ absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id
     extras.shadow = std::make_shared<ShadowSession>(*route.shadow, options, clock_);
   }
   if (request.record()) {
-    ASSIGN_OR_RETURN(extras.recorder, NewRecorder(route.served, &options.recording));
+    ASSIGN_OR_RETURN(extras.recorder, NewRecorder(route.served, tenant, &options.recording));
   }
   if (durability != Durability::kNone) {
     RETURN_IF_ERROR(durability_.journals->CheckReachable());
@@ -273,13 +273,14 @@ absl::Status PolicyHandler::OpenAgain(CallContext& context, SessionEntry& entry,
 }
 
 absl::StatusOr<std::unique_ptr<EpisodeRecorder>> PolicyHandler::NewRecorder(
-    const std::shared_ptr<const ServedPolicy>& served, std::string* name) const {
+    const std::shared_ptr<const ServedPolicy>& served, const std::string& tenant,
+    std::string* name) const {
   if (recordings_ == nullptr) {
     return absl::FailedPreconditionError(
         "record: expected false, because the server runs without --record_dir, received true");
   }
   *name = Recordings::NewName(*served);
-  return recordings_->Record(served, *name);
+  return recordings_->Record(served, *name, tenant);
 }
 
 absl::Status PolicyHandler::Act(CallContext& context, const v1::ActRequest& request,

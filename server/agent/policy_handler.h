@@ -130,7 +130,8 @@ class PolicyHandler {
 
   // Returns a recorder for a session of `served`, and sets `name` to a new name for the recording.
   absl::StatusOr<std::unique_ptr<EpisodeRecorder>> NewRecorder(
-      const std::shared_ptr<const ServedPolicy>& served, std::string* name) const;
+      const std::shared_ptr<const ServedPolicy>& served, const std::string& tenant,
+      std::string* name) const;
 
   // Counts the beats that were appended as decisions of the caller's tenant, as far as its limit
   // goes.

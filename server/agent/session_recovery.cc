@@ -221,7 +221,8 @@ absl::Status SessionRecovery::TakeBack(const Key& key, std::shared_ptr<SessionQu
 absl::Status SessionRecovery::Add(std::shared_ptr<const ServedPolicy> served, Session session,
                                   SessionExtras extras) {
   if (recordings_ != nullptr && !session.options.recording.empty()) {
-    extras.recorder = recordings_->Record(served, session.options.recording);
+    extras.recorder =
+        recordings_->Record(served, session.options.recording, session.options.tenant);
   }
   return sessions_.Restore(std::move(served), std::move(session), std::move(extras));
 }

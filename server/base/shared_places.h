@@ -1,6 +1,6 @@
-// Divides a number of places between groups, such as tenants: a group takes one more as long as it
-// holds fewer than are free. One group gets half of all, two a third each, and there is room for
-// another.
+// Divides a number of places, or bytes, between groups, such as tenants: a group takes more as long
+// as it then holds no more than were free. One group gets half of all, two a third each, and there
+// is room for another.
 //
 //   SharedPlaces places(256);
 //   const auto place = places.Take(tenant->name());
@@ -23,7 +23,7 @@ namespace spikeserve {
 
 class SharedPlaces {
  public:
-  // Holds one place until it is destroyed.
+  // Holds what was taken until it is destroyed.
   class Place;
 
   explicit SharedPlaces(int64_t most) : counts_(std::make_shared<Counts>()) {
@@ -31,8 +31,12 @@ class SharedPlaces {
     counts_->free = most;
   }
 
-  // Returns null if `group` holds as many places as are free.
-  std::shared_ptr<Place> Take(const std::string& group);
+  // Takes `number` places. Returns null if `group` would hold more than are free.
+  std::shared_ptr<Place> Take(const std::string& group, int64_t number = 1);
+
+  // Sets how many are free, and what the groups hold in proportion, to all that they hold together.
+  // For places that are kept, such as bytes on a disk, once others have changed them.
+  void Reset(int64_t free, int64_t held);
 
  private:
   struct Counts {
@@ -46,30 +50,49 @@ class SharedPlaces {
 
 class SharedPlaces::Place {
  public:
-  Place(std::shared_ptr<Counts> counts, std::string group)
-      : counts_(std::move(counts)), group_(std::move(group)) {}
+  Place(std::shared_ptr<Counts> counts, std::string group, int64_t number)
+      : counts_(std::move(counts)), group_(std::move(group)), number_(number) {}
   ~Place() {
+    if (number_ == 0) return;
     absl::MutexLock lock(&counts_->mutex);
-    ++counts_->free;
-    if (--counts_->taken[group_] == 0) counts_->taken.erase(group_);
+    counts_->free += number_;
+    if ((counts_->taken[group_] -= number_) <= 0) counts_->taken.erase(group_);
   }
   Place(const Place&) = delete;
   Place& operator=(const Place&) = delete;
 
+  // Does not give back what it holds.
+  void Keep() { number_ = 0; }
+
  private:
   const std::shared_ptr<Counts> counts_;
   const std::string group_;
+  int64_t number_;
 };
 
-inline std::shared_ptr<SharedPlaces::Place> SharedPlaces::Take(const std::string& group) {
+inline std::shared_ptr<SharedPlaces::Place> SharedPlaces::Take(const std::string& group,
+                                                               int64_t number) {
   {
     absl::MutexLock lock(&counts_->mutex);
     const auto taken = counts_->taken.find(group);
-    if ((taken == counts_->taken.end() ? 0 : taken->second) >= counts_->free) return nullptr;
-    --counts_->free;
-    ++counts_->taken[group];
+    const int64_t held = taken == counts_->taken.end() ? 0 : taken->second;
+    if (held + number > counts_->free) return nullptr;
+    counts_->free -= number;
+    counts_->taken[group] += number;
   }
-  return std::make_shared<Place>(counts_, group);
+  return std::make_shared<Place>(counts_, group, number);
+}
+
+inline void SharedPlaces::Reset(int64_t free, int64_t held) {
+  absl::MutexLock lock(&counts_->mutex);
+  counts_->free = free;
+  int64_t all = 0;
+  for (const auto& [group, number] : counts_->taken) all += number;
+  if (all <= held) return;
+  const double share = static_cast<double>(held) / static_cast<double>(all);
+  for (auto& [group, number] : counts_->taken) {
+    number = static_cast<int64_t>(static_cast<double>(number) * share);
+  }
 }
 
 }  // namespace spikeserve

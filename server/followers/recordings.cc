@@ -11,11 +11,14 @@
 #include "absl/random/random.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/time/clock.h"
 #include "core/dataset/recordings.h"
 #include "server/base/log.h"
 
 namespace spikeserve {
 namespace {
+
+constexpr absl::Duration kMeasureInterval = absl::Minutes(1);
 
 // Returns the memory that an episode occupies.
 int64_t BytesOf(const Dataset& dataset) {
@@ -35,6 +38,7 @@ int64_t BytesOf(const Dataset& dataset) {
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Recordings>> Recordings::Create(const std::string& directory,
+                                                               int64_t max_bytes,
                                                                Metrics* metrics) {
   std::error_code error;
   std::filesystem::create_directories(directory, error);
@@ -49,11 +53,18 @@ absl::StatusOr<std::unique_ptr<Recordings>> Recordings::Create(const std::string
         ". Give the user of the server write access, or record into another directory"));
   }
   rmdir(probe.c_str());
-  return std::unique_ptr<Recordings>(new Recordings(directory, metrics));
+  auto recordings = std::unique_ptr<Recordings>(new Recordings(directory, max_bytes, metrics));
+  recordings->Measure();
+  return recordings;
 }
 
-Recordings::Recordings(std::string directory, Metrics* metrics)
-    : directory_(std::move(directory)), metrics_(metrics), worker_(kMostEpisodes) {}
+Recordings::Recordings(std::string directory, int64_t max_bytes, Metrics* metrics)
+    : directory_(std::move(directory)),
+      max_bytes_(max_bytes),
+      metrics_(metrics),
+      queued_bytes_(2 * kMostBytes),
+      bytes_on_disk_(max_bytes),
+      worker_(kMostEpisodes) {}
 
 std::string Recordings::NewName(const ServedPolicy& served) {
   return absl::StrFormat("%s-%d-%016x", served.name, served.version,
@@ -61,41 +72,65 @@ std::string Recordings::NewName(const ServedPolicy& served) {
 }
 
 std::unique_ptr<EpisodeRecorder> Recordings::Record(std::shared_ptr<const ServedPolicy> served,
-                                                    const std::string& name) {
-  return std::make_unique<EpisodeRecorder>(std::move(served), [this, name](Dataset episode) {
-    return Submit(name, std::move(episode));
-  });
+                                                    const std::string& name,
+                                                    const std::string& tenant) {
+  return std::make_unique<EpisodeRecorder>(
+      std::move(served),
+      [this, name, tenant](Dataset episode) { return Submit(tenant, name, std::move(episode)); });
 }
 
-bool Recordings::Reserve(int64_t bytes) {
-  if (queued_bytes_.fetch_add(bytes) + bytes > kMostBytes) {
-    queued_bytes_.fetch_sub(bytes);
-    return false;
+void Recordings::Measure() {
+  if (absl::Now() - measured_ < kMeasureInterval) return;
+  measured_ = absl::Now();
+  int64_t bytes = 0;
+  std::error_code error;
+  for (std::filesystem::recursive_directory_iterator it(directory_, error), end;
+       !error && it != end; it.increment(error)) {
+    std::error_code none;  // a file that has just been removed
+    const auto size = it->is_regular_file(none) ? it->file_size(none) : 0;
+    if (!none) bytes += static_cast<int64_t>(size);
   }
-  metrics_->AddRecordingQueue(1, bytes);
-  return true;
+  on_disk_ = bytes;
+  bytes_on_disk_.Reset(max_bytes_ - bytes, bytes);
+  metrics_->SetRecordedBytes(bytes, max_bytes_);
 }
 
-void Recordings::Release(int64_t bytes) {
-  queued_bytes_.fetch_sub(bytes);
-  metrics_->AddRecordingQueue(-1, -bytes);
+void Recordings::Drop(const std::string& tenant, RecordingOutcome reason) {
+  metrics_->CountRecordedEpisode(reason);
+  LogWarning("episode not recorded",
+             {{"tenant", tenant},
+              {"reason", reason == RecordingOutcome::kQueueFull
+                             ? "more episodes of the tenant wait to be written than may"
+                             : "--max_recorded_bytes: the tenant has its share of --record_dir"}});
 }
 
-RecordingTicket Recordings::Submit(const std::string& name, Dataset episode) {
+RecordingTicket Recordings::Submit(const std::string& tenant, const std::string& name,
+                                   Dataset episode) {
   const int64_t bytes = BytesOf(episode);
+  // The file is about as long as the episode in memory.
+  const auto on_disk = bytes_on_disk_.Take(tenant, bytes);
+  if (on_disk == nullptr) {
+    Drop(tenant, RecordingOutcome::kStorageFull);
+    return nullptr;
+  }
+  auto queued = queued_bytes_.Take(tenant, bytes);
   const auto shared = std::make_shared<const Dataset>(std::move(episode));
   const auto state = std::make_shared<std::atomic<RecordingState>>(RecordingState::kQueued);
-  const auto write = [this, name, shared, state, bytes] {
+  const auto write = [this, name, shared, state, bytes, on_disk, queued] {
     const RecordingOutcome outcome = Write(name, *shared);
     const bool written = outcome == RecordingOutcome::kWritten;
     *state = written ? RecordingState::kStored : RecordingState::kNotRecorded;
-    Release(bytes);
+    metrics_->AddRecordingQueue(-1, -bytes);
     metrics_->CountRecordedEpisode(outcome);
+    if (!written) return;
+    on_disk->Keep();
+    metrics_->SetRecordedBytes(on_disk_ += bytes, max_bytes_);
+    Measure();
   };
-  const bool reserved = Reserve(bytes);
-  if (reserved && worker_.Submit(write).ok()) return state;
-  if (reserved) Release(bytes);
-  metrics_->CountRecordedEpisode(RecordingOutcome::kQueueFull);
+  metrics_->AddRecordingQueue(1, bytes);
+  if (queued != nullptr && worker_.Submit(tenant, write).ok()) return state;
+  metrics_->AddRecordingQueue(-1, -bytes);
+  Drop(tenant, RecordingOutcome::kQueueFull);
   return nullptr;
 }
 

@@ -1,6 +1,7 @@
 // Writes recorded episodes below --record_dir, on its own thread, so that no answer waits for the
-// disk. At most kMostEpisodes episodes or kMostBytes bytes wait to be written: this is what a crash
-// can lose. Episodes beyond it are dropped and counted.
+// disk. At most kMostEpisodes episodes of a tenant, and kMostBytes bytes of all, wait to be
+// written: this is what a crash can lose. Tenants take turns, and divide these bytes and those on
+// the disk (SharedPlaces). Episodes beyond it are dropped, counted and logged.
 //
 // Thread-safe.
 #ifndef SERVER_FOLLOWERS_RECORDINGS_H_
@@ -14,9 +15,11 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/time/time.h"
 #include "core/agent/episode_recorder.h"
 #include "core/agent/served_policy.h"
 #include "server/base/background_worker.h"
+#include "server/base/shared_places.h"
 #include "server/metrics/metrics.h"
 
 namespace spikeserve {
@@ -27,34 +30,41 @@ class Recordings {
   static constexpr int64_t kMostBytes = 256 << 20;
 
   // Creates `directory` if it does not exist. Returns INVALID_ARGUMENT if it cannot be written to.
-  // `metrics` must outlive the returned object, which must outlive its recorders.
+  // It holds at most `max_bytes`. `metrics` must outlive the returned object, which must outlive
+  // its recorders.
   static absl::StatusOr<std::unique_ptr<Recordings>> Create(const std::string& directory,
-                                                            Metrics* metrics);
+                                                            int64_t max_bytes, Metrics* metrics);
 
   // Returns a new name: <policy>-<version>-<16 random hexadecimal digits>.
   static std::string NewName(const ServedPolicy& served);
 
-  // Returns a recorder that writes the episodes of one session below <directory>/<name>/.
+  // Returns a recorder that writes the episodes of one session of `tenant` below
+  // <directory>/<name>/.
   std::unique_ptr<EpisodeRecorder> Record(std::shared_ptr<const ServedPolicy> served,
-                                          const std::string& name);
+                                          const std::string& name, const std::string& tenant);
 
  private:
-  Recordings(std::string directory, Metrics* metrics);
+  Recordings(std::string directory, int64_t max_bytes, Metrics* metrics);
 
-  // Queues an episode. Returns null if the queue is full.
-  RecordingTicket Submit(const std::string& name, Dataset episode);
-  // Returns false if the queue has no room for `bytes` more.
-  bool Reserve(int64_t bytes);
-  void Release(int64_t bytes);
+  // Queues an episode. Returns null if the tenant has no room in the queue or on the disk.
+  RecordingTicket Submit(const std::string& tenant, const std::string& name, Dataset episode);
+  // Counts and logs an episode that is dropped.
+  void Drop(const std::string& tenant, RecordingOutcome reason);
+  // Looks how many bytes are on the disk, at most once a minute.
+  void Measure();
   RecordingOutcome Write(const std::string& name, const Dataset& episode);
   // Writes a line when writing fails for the first time, and when it works again.
   void LogWritten(const absl::Status& status);
 
   const std::string directory_;
+  const int64_t max_bytes_;
   Metrics* const metrics_;
-  std::atomic<int64_t> queued_bytes_ = 0;
-  int64_t failed_in_a_row_ = 0;  // of the worker's thread
-  BackgroundWorker worker_;      // declared last, because its work uses the members above
+  SharedPlaces queued_bytes_;
+  SharedPlaces bytes_on_disk_;
+  std::atomic<int64_t> on_disk_ = 0;            // bytes, by what was measured and written since
+  absl::Time measured_ = absl::InfinitePast();  // of the worker's thread
+  int64_t failed_in_a_row_ = 0;                 // of the worker's thread
+  BackgroundWorker worker_;  // declared last, because its work uses the members above
 };
 
 }  // namespace spikeserve

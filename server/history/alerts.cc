@@ -108,6 +108,12 @@ Instances SessionsNearLimit(const AlertRule& rule, const AlertInput& input) {
   return ServerIf(share > rule.figures[0], share);
 }
 
+Instances RecordingsNearLimit(const AlertRule& rule, const AlertInput& input) {
+  const double share = Gauge(input.history.Select("spikeserve_recorded_bytes")) /
+                       Gauge(input.history.Select("spikeserve_recorded_bytes_limit"));
+  return ServerIf(share > rule.figures[0], share);
+}
+
 // Compares medians, because the sum of a histogram of negative returns decreases, which Prometheus
 // takes for a restart.
 Instances ReturnFalling(const AlertRule& rule, const AlertInput& input) {

@@ -202,11 +202,18 @@ Metrics::Metrics()  // #lizard forgives(length): a table
   recording_queue_bytes_ = &Register(BuildGauge(), "spikeserve_recording_queue_bytes",
                                      "Memory of the recorded episodes that wait to be written.")
                                 .Add({});
-  auto& recorded = Register(BuildCounter(), "spikeserve_recorded_episodes_total",
-                            "Episodes of recorded sessions, by outcome: written, queue_full or "
-                            "write_failed. Episodes that are not written are lost.");
+  recorded_bytes_ = &Register(BuildGauge(), "spikeserve_recorded_bytes",
+                              "Bytes of the recordings in --record_dir, measured each minute.")
+                         .Add({});
+  recorded_bytes_limit_ = &Register(BuildGauge(), "spikeserve_recorded_bytes_limit",
+                                    "Limit on the bytes of recordings, --max_recorded_bytes.")
+                               .Add({});
+  auto& recorded =
+      Register(BuildCounter(), "spikeserve_recorded_episodes_total",
+               "Episodes of recorded sessions, by outcome: written, queue_full, "
+               "write_failed or storage_full. Episodes that are not written are lost.");
   static constexpr const char* kOutcomes[kRecordingOutcomes] = {"written", "queue_full",
-                                                                "write_failed"};
+                                                                "write_failed", "storage_full"};
   for (size_t i = 0; i < kRecordingOutcomes; ++i) {
     recorded_episodes_[i] = &recorded.Add({{"outcome", kOutcomes[i]}});
   }

@@ -40,8 +40,8 @@
 namespace spikeserve {
 
 // The outcome of recording one episode.
-enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed };
-inline constexpr int kRecordingOutcomes = 3;
+enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed, kStorageFull };
+inline constexpr int kRecordingOutcomes = 4;
 
 // By Chebyshev's inequality, at most 1 in 64 values of any distribution lies further than 8
 // standard deviations from its mean, and of a normal distribution practically none.
@@ -94,6 +94,12 @@ class Metrics {
   void AddRecordingQueue(int64_t episodes, int64_t bytes) {
     recording_queue_episodes_->Increment(static_cast<double>(episodes));
     recording_queue_bytes_->Increment(static_cast<double>(bytes));
+  }
+
+  // Exports the bytes of recordings on the disk, and their limit.
+  void SetRecordedBytes(int64_t bytes, int64_t limit) {
+    recorded_bytes_->Set(static_cast<double>(bytes));
+    recorded_bytes_limit_->Set(static_cast<double>(limit));
   }
 
   // Exports the limit on open sessions.
@@ -199,6 +205,8 @@ class Metrics {
   std::array<prometheus::Counter*, kRecordingOutcomes> recorded_episodes_;
   prometheus::Gauge* recording_queue_episodes_;
   prometheus::Gauge* recording_queue_bytes_;
+  prometheus::Gauge* recorded_bytes_;
+  prometheus::Gauge* recorded_bytes_limit_;
   absl::Mutex versions_mutex_;
   bool keeps_series_ ABSL_GUARDED_BY(versions_mutex_) = false;
   std::map<std::string, VersionSeries> versions_
