@@ -19,9 +19,9 @@ void AddExpertCommand(Program& program);
 // policy file contains the command line.
 void AddTrainCommand(Program& program);
 
-// Rounds the spike-driven weights of --policy to 8-bit integers, plays both policies on the same
-// starts, and writes --out. The policy file holds the command line, the SHA-256 of --policy and the
-// comparison.
+// Rounds --policy to integers, plays both policies on the same starts, and writes --out. Also
+// converts the files in int8 of former releases. The policy file holds the command line, the
+// SHA-256 of --policy and the comparison.
 void AddQuantizeCommand(Program& program);
 
 // Plays --policy in closed loop.

@@ -12,8 +12,8 @@
 #include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
+#include "core/quantize/int8_file.h"
 #include "core/quantize/prune_hidden.h"
-#include "core/quantize/quantize.h"
 #include "core/quantize/quantize_integer.h"
 #include "train/commands.h"
 #include "train/data/episode_source.h"
@@ -46,16 +46,11 @@ absl::Status CheckFlags(const QuantizeFlags& flags) {
   if (flags.out.empty()) {
     return absl::InvalidArgumentError("--out: expected the file to write, received none");
   }
-  if (flags.to == Arithmetic::kFloat32) {
-    return absl::InvalidArgumentError("--to: expected int8 or integer, received float32");
-  }
-  const bool is_for_integer = flags.integer.mode.has_value() || flags.integer.leak.has_value() ||
-                              flags.integer.attention != Attention::kShiftmax ||
-                              !flags.data.empty() || flags.prune;
+  const bool is_for_integer = flags.integer.mode.has_value() || !flags.data.empty() || flags.prune;
   if (is_for_integer && flags.to != Arithmetic::kInteger) {
     return absl::InvalidArgumentError(
-        "--mode, --leak, --attention, --data, --prune: expected with --to=integer, received "
-        "--to=int8");
+        "--mode, --data, --prune: expected with --to=integer, received "
+        "--to=float32");
   }
   if (!(flags.max_loss >= 0.0 && flags.max_loss <= 1.0)) {
     return absl::InvalidArgumentError(
@@ -113,18 +108,25 @@ absl::StatusOr<Policy> RoundToInteger(const Policy& policy, const QuantizeFlags&
 }
 
 // Converts the policy to the arithmetic of --to.
-absl::StatusOr<Policy> Round(const Policy& policy, const QuantizeFlags& flags) {
-  absl::StatusOr<Policy> rounded =
-      flags.to == Arithmetic::kInteger ? RoundToInteger(policy, flags) : Quantize(policy);
+absl::StatusOr<Policy> Round(const ConvertiblePolicy& parent, const QuantizeFlags& flags) {
+  if (flags.to == Arithmetic::kFloat32) {
+    if (parent.was_int8) return parent.policy;
+    return absl::InvalidArgumentError(
+        absl::StrCat("--to=float32: expected a policy in int8, received one in ",
+                     std::string(ToString(parent.policy.config.arithmetic))));
+  }
+  absl::StatusOr<Policy> rounded = RoundToInteger(parent.policy, flags);
   if (!rounded.ok()) return Annotate(rounded.status(), flags.policy);
   return rounded;
 }
 
-// Plays both policies where their environment is ours; nothing otherwise.
+// Plays both policies where their environment is ours and they differ; nothing otherwise.
 absl::StatusOr<std::optional<PairedEvaluation>> PlayBoth(const Policy& parent,
                                                          const Policy& integer,
                                                          const EvaluationOptions& options) {
-  if (!MakeEnvironment(parent.environment).ok()) return std::optional<PairedEvaluation>();
+  if (!integer.config.is_integer() || !MakeEnvironment(parent.environment).ok()) {
+    return std::optional<PairedEvaluation>();
+  }
   ASSIGN_OR_RETURN(PairedEvaluation pair,
                    EvaluatePair(std::make_shared<const Policy>(parent),
                                 std::make_shared<const Policy>(integer), options));
@@ -164,9 +166,10 @@ std::string QuantizationRecord(const std::string& command_line,
 
 absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& command_line) {
   RETURN_IF_ERROR(CheckFlags(flags));
-  ASSIGN_OR_RETURN(const Policy parent, ReadPolicyFile(flags.policy));
+  ASSIGN_OR_RETURN(const ConvertiblePolicy source, ReadConvertiblePolicy(flags.policy));
+  const Policy& parent = source.policy;
   ASSIGN_OR_RETURN(const nlohmann::ordered_json sources, IdentifySources(flags.policy, flags.data));
-  ASSIGN_OR_RETURN(Policy integer, Round(parent, flags));
+  ASSIGN_OR_RETURN(Policy integer, Round(source, flags));
   ASSIGN_OR_RETURN(const std::optional<PairedEvaluation> pair,
                    PlayBoth(parent, integer, flags.options));
   ASSIGN_OR_RETURN(const std::optional<RoundingLoss> loss,
@@ -185,12 +188,13 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
 
 void AddQuantizeCommand(Program& program) {
   const Command command = program.root().AddCommand(
-      "quantize", "Rounds a policy to integers: its spike-driven weights, or everything");
+      "quantize", "Rounds a policy to integers, or converts one in int8 of a former release");
   const auto flags = std::make_shared<QuantizeFlags>();
   command.Flags("Rounding")
-      .Add("policy", "FILE", &flags->policy, "Policy file in float32")
+      .Add("policy", "FILE", &flags->policy, "Policy file in float32, or in int8")
       .Add("out", "FILE", &flags->out, "Policy file to write")
-      .Add("to", EnumKind<Arithmetic>(), &flags->to, "Numbers of the new policy")
+      .Add("to", EnumKind<Arithmetic>(), &flags->to,
+           "Numbers of the new policy; float32 for one in int8")
       .Add("episodes", "N", &flags->options.episodes, "Episodes that both policies play")
       .Add("seed", "N", &flags->options.first_seed,
            "Seed of the first start; later episodes count on")
@@ -201,9 +205,6 @@ void AddQuantizeCommand(Program& program) {
   command.Flags("Integer arithmetic (--to=integer)")
       .Add("mode", EnumKind<Mode>(), &flags->integer.mode,
            "Leaves out the parts that this mode lacks; default: none")
-      .Add("attention", EnumKind<Attention>(), &flags->integer.attention, "Weights of the keys")
-      .Add("leak", EnumKind<Leak>(), &flags->integer.leak,
-           "Leak of membranes; default: as the policy")
       .AddSwitch("prune", &flags->prune,
                  "Leave out hidden neurons that never fire in the calibration set")
       .AddList("data", "FILE,...", &flags->data,

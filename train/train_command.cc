@@ -71,7 +71,7 @@ void AddFlags(Command command, TrainFlags* flags) {
   AddShapeFlags(shape, &flags->shape);
   shape
       .Add("arithmetic", EnumKind<Arithmetic>(), &flags->trainer.options.arithmetic,
-           "Numbers of the spike-driven parts")
+           "Numbers that training rounds to")
       .Add("norm", EnumKind<NormTraining>(), &flags->trainer.options.norm,
            "Norms: fade ends without any; layer keeps the policy's")
       .Add("observation_changes", "true|false", &flags->shape.observation_changes,

@@ -25,7 +25,6 @@ void ForEachFlag(const ShapeFlags& flags, ModelConfig& config, const Visit& visi
   visit("ticks", flags.ticks, config.ticks);
   visit("context", flags.context, config.context);
   visit("routing_hidden_size", flags.routing_hidden_size, config.routing_hidden_size);
-  visit("coder", flags.coder, config.coder);
   visit("phase_clock", flags.phase_clock, config.phase_clock);
   visit("merge", flags.merge, config.merge);
   visit("gate", flags.gate, config.gate);
@@ -70,7 +69,6 @@ void AddShapeFlags(FlagGroup& group, ShapeFlags* flags) {
   AddOptional(group, "routing_hidden_size", "M", &flags->routing_hidden_size,
               paper.routing_hidden_size, "Hidden size of the routing");
   group.Add("ffn_size", "N", &flags->ffn_size, "Hidden size of the FFN; default: 4 d");
-  AddOptional(group, "coder", EnumKind<CoderKind>(), &flags->coder, paper.coder, "Spike coder");
   AddOptional(group, "phase_clock", EnumKind<PhaseClock>(), &flags->phase_clock, paper.phase_clock,
               "Clock of the phase spikes");
   AddOptional(group, "merge", EnumKind<Merge>(), &flags->merge, paper.merge, "Merge of the heads");

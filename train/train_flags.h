@@ -23,7 +23,6 @@ struct ShapeFlags {
   std::optional<int> context;
   std::optional<int> routing_hidden_size;
   std::optional<int> ffn_size;
-  std::optional<CoderKind> coder;
   std::optional<PhaseClock> phase_clock;
   std::optional<Merge> merge;
   std::optional<Gate> gate;

@@ -423,7 +423,7 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
   RETURN_IF_ERROR(MakeDirectory(flags.out));
   ASSIGN_OR_RETURN(const Policy initial, MakeInitialPolicy(flags, source, options.patches));
   RETURN_IF_ERROR(CheckFrozen(options.frozen, initial));
-  RETURN_IF_ERROR(CheckDevice(options.device, initial.config, options.arithmetic));
+  RETURN_IF_ERROR(CheckDevice(options.device, options.arithmetic));
   if (flags.activity_router) options.frozen.emplace_back(kActivityRouterTensors);
   ASSIGN_OR_RETURN(const nlohmann::ordered_json sources, IdentifySources(flags.init, flags.data));
 

@@ -64,12 +64,12 @@ absl::StatusOr<double> SpikesOnData(const Policy& policy, const EpisodeSource& s
     first.push_back(i);
   }
   ASSIGN_OR_RETURN(const std::vector<Episode> episodes, source.Read(first));
-  const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
+  const auto engine = MakeEngine(std::make_shared<const Policy>(policy));
   const auto size = static_cast<size_t>(policy.observation_size());
   double spikes = 0.0;
   int steps = 0;
   for (const Episode& episode : episodes) {
-    PolicyPlayer player(*engine, episode.seed, static_cast<double>(policy.target_return));
+    PolicyPlayer player(*engine, static_cast<double>(policy.target_return));
     for (int step = 0; step < episode.steps() && steps < kSteps; ++step, ++steps) {
       const size_t begin = static_cast<size_t>(step) * size;
       const double reward = step == 0 ? 0.0 : episode.rewards[static_cast<size_t>(step) - 1];

@@ -95,7 +95,7 @@ absl::Status LocalEngine::Player::Load(const v1::ExportSessionResponse& exported
   served->name = exported.policy();
   served->version = exported.version();
   served->sha256 = digest;
-  served->engine = MakeStreamingEngine(shared);
+  served->engine = MakeEngine(shared);
   served->fleet = std::make_shared<FleetHead>(shared);
   served->observer = std::make_shared<SessionObserver>();
   served_ = std::move(served);

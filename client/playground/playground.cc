@@ -20,7 +20,7 @@ std::shared_ptr<const ServedPolicy> Serve(Policy policy) {
   auto served = std::make_shared<ServedPolicy>();
   served->name = "policy";  // sessions need a name, but only a server has several policies
   served->version = 1;
-  served->engine = MakeStreamingEngine(shared);
+  served->engine = MakeEngine(shared);
   served->fleet = std::make_shared<FleetHead>(shared);
   served->observer = std::make_shared<SessionObserver>();
   return served;

@@ -50,9 +50,6 @@ std::optional<double> JoulesOf(const v1::DecisionStats& stats, EnergyModel model
     case EnergyModel::kIntSram45nm:
       if (stats.has_int_sram_energy_joules()) return stats.int_sram_energy_joules();
       break;
-    case EnergyModel::kLoihi2018:
-      if (stats.has_loihi_energy_joules()) return stats.loihi_energy_joules();
-      break;
     case EnergyModel::kSpike5pj:
       if (stats.has_spike_energy_joules()) return stats.spike_energy_joules();
       break;

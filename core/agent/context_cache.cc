@@ -20,7 +20,7 @@ void ContextCache::Fill(const ServedPolicy& served, const Session& session) {
   const Engine& engine = *served.engine;
   const History& history = session.history;
   const auto first_timestep = session.step - static_cast<int64_t>(history.size());
-  context_ = engine.NewContext(session.options.seed, first_timestep);
+  context_ = engine.NewContext(first_timestep);
   is_pending_ = false;
   Engine::Output ignored;
   std::vector<float> encoded;

@@ -13,7 +13,7 @@ namespace {
 // Returns the tokens of the session's history, up to the last state token.
 PrefixContext TokensOf(const Policy& policy, const Session& session) {
   const auto timesteps = static_cast<int64_t>(session.history.size());
-  PrefixContext prefix(session.options.seed, session.step - timesteps);
+  PrefixContext prefix(session.step - timesteps);
   std::vector<float> action(static_cast<size_t>(policy.action_space.size()));
   const History& history = session.history;
   for (size_t i = 0; i < history.size(); ++i) {

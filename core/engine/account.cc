@@ -13,7 +13,6 @@ constexpr double kAdd8 = 0.03;
 constexpr double kAdd32 = 0.1;
 constexpr double kMultiply8 = 0.2;
 constexpr double kFloatMultiplyAccumulate = 3.7 + 0.9;
-constexpr double kFloatAdd = 0.9;
 // Interpolated: an addition costs in proportion to its bits, a multiplication to the product of the
 // bits of its factors. By this rule one of 32 bits would cost 3.2; the table has 3.1.
 constexpr double kAdd16 = 0.05;
@@ -37,13 +36,8 @@ constexpr double kResidualLimit = 2 * kCompare16;
 constexpr double kMembraneUpdate = kAdd16 + kCompare16;
 // The leak is subtracted, with the bit that rounds it as the borrow, and the bias is added.
 constexpr double kMembraneLeak = 2 * kAdd16;
-// In int8 the membrane is also multiplied by the decay, and the product is rounded.
-constexpr double kMultipliedMembraneUpdate = kMultiply16 + kAdd16 + kMembraneUpdate;
 // Multiplied by the reciprocal of the sum of the weights, and rounded.
 constexpr double kScaling = kMultiply16 + kAdd32;
-// As in horowitz_45nm.
-constexpr double kFloatSoftmaxTerm = 2 * kFloatMultiplyAccumulate;
-constexpr double kFloatNormElement = 2 * kFloatAdd + 3.7 + 2 * kFloatMultiplyAccumulate;
 
 double Number(uint64_t count) { return static_cast<double>(count); }
 
@@ -52,27 +46,10 @@ double Comparisons(const ModelConfig& config) {
   return std::bit_width(static_cast<unsigned>(config.ticks));
 }
 
-bool IsInt8(const ModelConfig& config) { return config.arithmetic == Arithmetic::kInt8; }
-
-// Returns the updates of the neurons of coders. They look their period up, so that nothing of this
-// is computed, but int8 counts them as it always did.
-uint64_t CoderUpdates(const Counts& counts, const ModelConfig& config) {
-  const bool counted = IsInt8(config) && config.coder == CoderKind::kLif && !config.is_dense();
-  return counted ? counts.coder_gains * static_cast<uint64_t>(config.ticks) : 0;
-}
-
-// Returns the spikes of coders that look periods up: each makes the tick of the next one.
-uint64_t CoderSpikes(const Counts& counts, const ModelConfig& config) {
-  if (config.coder != CoderKind::kLif) return 0;
+// Returns the spikes of coders: each makes the tick of the next one.
+uint64_t CoderSpikes(const Counts& counts) {
   return counts.spikes(Stage::kCoder) + counts.spikes(Stage::kFfnIn) +
          counts.spikes(Stage::kReadout);
-}
-
-double CoderPrice(const ModelConfig& config) {
-  if (!IsInt8(config)) return Comparisons(config) * kCompare16;
-  // The current is a float32 number; a Bernoulli coder compares it with a draw at each tick.
-  return kFloatMultiplyAccumulate +
-         (config.coder == CoderKind::kLif ? Comparisons(config) : config.ticks) * kAdd32;
 }
 
 struct Price {
@@ -80,22 +57,16 @@ struct Price {
   double wide;
 };
 
-// A product of attention: in integers an addition of a value that a power of two has shifted, or
-// that its overlap has multiplied; in int8 a float32 addition; in a dense policy a
-// multiply-accumulate.
+// A product of attention: an addition of a value that a power of two has shifted, in a dense policy
+// a multiply-accumulate.
 Price AttentionPrice(const ModelConfig& config) {
   if (config.is_dense()) return {kMultiply8 + kAdd8, kMultiply8 + kAdd32};
-  if (IsInt8(config)) return {kFloatAdd, kFloatAdd};
-  if (config.attention == Attention::kLinear) {
-    return {kMultiply16By8 + kAdd8, kMultiply16By8 + kAdd32};
-  }
   return {kShift16 + kAdd16, kShift16 + kAdd32};
 }
 
-// Returns the elements of the residual stream that are limited without a norm. In integers each is
-// coded once; the float32 numbers of int8 have no limits.
+// Returns the elements of the residual stream that are limited without a norm: each is coded once.
 uint64_t LimitedElements(const Counts& counts, const ModelConfig& config) {
-  return config.is_integer() && !config.has_norms() ? counts.coder_gains : 0;
+  return config.has_norms() ? 0 : counts.coder_gains;
 }
 
 uint64_t KeyBytes(const ModelConfig& config, int neurons) {
@@ -105,37 +76,24 @@ uint64_t KeyBytes(const ModelConfig& config, int neurons) {
 // Returns the bytes of the weights of all layers. Those of the embeddings and the head are few.
 double WeightMemory(const ModelConfig& config) {
   const double d = config.hidden_size;
-  const double analog = IsInt8(config) ? sizeof(float) : 1;
   const double spiking = d * (3.0 * config.attention_inputs() + 2.0 * config.ffn_size);
   const double routing =
       config.has_routing() ? config.routing_hidden_size * (d + config.heads) : 0.0;
-  return config.layers * (spiking + analog * (d * config.merged_size() + routing));
+  return config.layers * (spiking + d * config.merged_size() + routing);
 }
 
 // Returns the bytes of a token's key and value in a layer.
 double StoredBytes(const ModelConfig& config) {
   const auto d = static_cast<double>(config.hidden_size);
   if (config.is_dense()) return 2 * d;
-  const auto bits = static_cast<double>(KeyBytes(config, config.hidden_size));
-  return bits + (IsInt8(config) ? bits : d);
-}
-
-// Returns the bytes of keys and values that a spiking policy in int8 reads: at each tick the bits
-// of a head.
-double Int8AttentionBytes(const Counts& counts, const ModelConfig& config) {
-  uint64_t terms = counts.softmax_terms;
-  if (config.has_routing() && config.gate == Gate::kSoftmax) {
-    terms -= counts.gate_products / static_cast<uint64_t>(config.head_size());
-  }
-  return Number(terms) * config.head_size() / 4.0;
+  return static_cast<double>(KeyBytes(config, config.hidden_size)) + d;
 }
 
 }  // namespace
 
 std::array<PricedOperation, kPricedOperations> OperationsOf(const Counts& counts,
                                                             const ModelConfig& config) {
-  SPIKESERVE_DCHECK(config.arithmetic != Arithmetic::kFloat32);
-  const bool int8 = IsInt8(config);
+  SPIKESERVE_DCHECK(config.is_integer());
   const uint64_t integers = counts.integer_multiply_accumulates;
   const Price attention = AttentionPrice(config);
   const auto same = [](absl::string_view name, uint64_t count, double price) {
@@ -149,44 +107,35 @@ std::array<PricedOperation, kPricedOperations> OperationsOf(const Counts& counts
        kMultiply16By8 + kAdd32},
       same("float_multiply_accumulate", counts.multiply_accumulates - integers,
            kFloatMultiplyAccumulate),
-      same("membrane_update", counts.membrane_updates - CoderUpdates(counts, config),
-           int8 ? kMultipliedMembraneUpdate : kMembraneUpdate),
+      same("membrane_update", counts.membrane_updates, kMembraneUpdate),
       same("membrane_leak", counts.membrane_leaks, kMembraneLeak),
-      same("coder_element", counts.coder_gains, CoderPrice(config)),
-      same("coder_spike", CoderSpikes(counts, config), kAdd8),
+      same("coder_element", counts.coder_gains, Comparisons(config) * kCompare16),
+      same("coder_spike", CoderSpikes(counts), kAdd8),
       {"attention_product", Number(counts.attention_products), attention.narrow, attention.wide},
       same("attention_scaling", counts.attention_scalings, kScaling),
-      same("softmax_term", counts.softmax_terms, int8 ? kFloatSoftmaxTerm : kSoftmaxTerm),
-      {"gate_product", Number(counts.gate_products),
-       int8 ? kFloatMultiplyAccumulate : kMultiply8 + kAdd8,
-       int8 ? kFloatMultiplyAccumulate : kMultiply8 + kAdd32},
-      same("norm_element", counts.layer_norm_elements, int8 ? kFloatNormElement : kNormElement),
+      same("softmax_term", counts.softmax_terms, kSoftmaxTerm),
+      {"gate_product", Number(counts.gate_products), kMultiply8 + kAdd8, kMultiply8 + kAdd32},
+      same("norm_element", counts.layer_norm_elements, kNormElement),
       same("residual_limit", LimitedElements(counts, config), kResidualLimit),
   }};
 }
 
 std::array<PricedTraffic, kPricedTraffics> TrafficOf(const Counts& counts,
                                                      const ModelConfig& config) {
-  SPIKESERVE_DCHECK(config.arithmetic != Arithmetic::kFloat32);
-  const bool int8 = IsInt8(config);
+  SPIKESERVE_DCHECK(config.is_integer());
   const double d = config.hidden_size;
   const auto priced = [](absl::string_view name, double bytes, double memory) {
     return PricedTraffic{name, bytes, memory, SramPrice(memory)};
   };
-  const uint64_t integers = counts.integer_multiply_accumulates;
-  const double weights = int8 ? Number(counts.accumulates + integers) +
-                                    sizeof(float) * Number(counts.multiply_accumulates - integers)
-                              : Number(counts.weight_bytes);
   // A membrane is read and written, its threshold and its bias are read: 16 bits each.
-  const double neurons = 8 * Number(counts.membrane_updates - CoderUpdates(counts, config));
-  // A coder reads the thresholds that it compares, in int8 its gain and its bias.
-  const double coders = Number(counts.coder_gains) * (int8 ? 8 : 2 * Comparisons(config));
+  const double neurons = 8 * Number(counts.membrane_updates);
+  // A coder reads the thresholds that it compares.
+  const double coders = Number(counts.coder_gains) * 2 * Comparisons(config);
   return {{
-      priced("weights", weights, WeightMemory(config)),
+      priced("weights", Number(counts.weight_bytes), WeightMemory(config)),
       priced("neurons", neurons, 6 * (3 * d + config.ffn_size)),
-      priced("coders", coders, 2 * d * (int8 ? 8 : 2 * config.ticks)),
-      priced("keys_and_values",
-             int8 ? Int8AttentionBytes(counts, config) : Number(counts.attention_bytes),
+      priced("coders", coders, 4 * d * config.ticks),
+      priced("keys_and_values", Number(counts.attention_bytes),
              3 * config.context * StoredBytes(config)),
   }};
 }

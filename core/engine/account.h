@@ -1,8 +1,8 @@
 // Lists what a decision in integers does, operation by operation and byte by byte, with the price
 // of each: the account behind the energy models int_45nm and int_sram_45nm (energy.h).
 //
-// Policies in int8 and integer arithmetic have an account, spiking and dense ones by the same
-// rules. docs/reference/energy.md derives every price. All functions are pure and thread-safe, and
+// Policies in integer arithmetic have an account, spiking and dense ones by the same rules.
+// docs/reference/energy.md derives every price. All functions are pure and thread-safe, and
 // allocate no memory. Example:
 //
 //   for (const PricedOperation& operation : OperationsOf(counts, config)) {
@@ -38,7 +38,7 @@ struct PricedTraffic {
 inline constexpr int kPricedOperations = 14;
 inline constexpr int kPricedTraffics = 4;
 
-// Return the account of `counts`. REQUIRES: the policy is in int8 or integer arithmetic.
+// Return the account of `counts`. REQUIRES: the policy is in integer arithmetic.
 std::array<PricedOperation, kPricedOperations> OperationsOf(const Counts& counts,
                                                             const ModelConfig& config);
 std::array<PricedTraffic, kPricedTraffics> TrafficOf(const Counts& counts,

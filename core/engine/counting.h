@@ -26,9 +26,8 @@ inline uint64_t CountSpikes(const SpikeTrain& train) {
   return count;
 }
 
-// Returns the number of nonzero weights of `map` (a Linear, an IntegerPopulation or an
-// IntegerOutput) that meet a nonzero element of `input`, which is an array of [in] spikes or analog
-// values.
+// Returns the number of nonzero weights of `map` (a Linear or an IntegerPopulation) that meet a
+// nonzero element of `input`, which is an array of [in] spikes or analog values.
 uint64_t CountProducts(const auto& map, const auto& input) {
   uint64_t count = 0;
   for (size_t i = 0; i < map.bias.values.size(); ++i) {

@@ -18,12 +18,6 @@ constexpr double kLayerNormElement = 2 * kAdd + kMultiply + 2 * kMultiplyAccumul
 // A term of a softmax is scaled, subtracted from the best one, added to the sum and divided by it.
 constexpr double kHorowitzSoftmaxTerm = 2 * kMultiplyAccumulate;
 
-// Davies et al., IEEE Micro 38(1), 2018, table 2.
-constexpr double kLoihiSynapticOperation = 23.6;
-constexpr double kLoihiActiveUpdate = 81.0;
-constexpr double kLoihiInactiveUpdate = 52.0;
-constexpr double kLoihiSpike = 1.7;
-
 constexpr double kPaperSpike = 5.0;  // the paper, section 5.2
 
 constexpr std::array<EnergyModelInfo, kEnergyModels> kInfos = {{
@@ -34,21 +28,20 @@ constexpr std::array<EnergyModelInfo, kEnergyModels> kInfos = {{
      .leaves_out = "memory and data movement, control, additions of biases and residuals, "
                    "exponentials, roots, divisions, the phase generators, the action head's "
                    "softmax or tanh",
-     .applies_to = "every policy; one in int8 or integer is priced as if it were float32",
+     .applies_to = "every policy; one in integers is priced as if it were float32",
      .source = "Horowitz, ISSCC 2014: 45 nm, 0.9 V, float32"},
     {.counts =
          "0.03 pJ an accumulate, 0.23 pJ a multiply-accumulate in 8 bits and 0.43 pJ one with "
          "a 16-bit activation; in integer 0.1 pJ a membrane update and a leak, 0.05 pJ each of "
-         "the comparisons that find a coder's period, 0.1 pJ an attention product (0.43 pJ "
-         "with linear attention), 0.9 pJ a scaling, 1.15 pJ a term of a softmax, 0.23 pJ a "
-         "gate product, 3.15 pJ an element of a norm, 0.1 pJ an element that is limited "
-         "without one; in int8 0.95 pJ a membrane update, and "
-         "what int8 leaves in float32 as in horowitz_45nm; in dense policies 0.23 pJ an "
-         "attention product; 0.03 pJ a spike of a coder; the head in float32",
+         "the comparisons that find a coder's period, 0.1 pJ an attention product, 0.9 pJ a "
+         "scaling, 1.15 pJ a term of a softmax, 0.23 pJ a gate product, 3.15 pJ an element of a "
+         "norm, 0.1 pJ an element that is limited "
+         "without one; in dense policies 0.23 pJ an attention product; 0.03 pJ a spike of a coder; "
+         "the head in float32",
      .leaves_out = "memory and data movement, control, additions of residuals, roots, single "
                    "divisions, the phase generators, the table of a dense policy's activation and "
                    "the scales of its vectors, the action head's softmax or tanh",
-     .applies_to = "policies in int8 and integer, dense ones by the same rules",
+     .applies_to = "policies in integers, dense ones by the same rules",
      .source =
          "Horowitz, ISSCC 2014: 45 nm, 0.9 V, integers of 8 and 32 bits; 16 bits interpolated"},
     {.counts =
@@ -59,14 +52,8 @@ constexpr std::array<EnergyModelInfo, kEnergyModels> kInfos = {{
      .leaves_out =
          "wires between memories, control, activations between two maps, and what int_45nm "
          "leaves out except memory",
-     .applies_to = "policies in int8 and integer, dense ones by the same rules",
+     .applies_to = "policies in integers, dense ones by the same rules",
      .source = "Horowitz, ISSCC 2014: 45 nm, 10, 20 and 100 pJ for 64 bits"},
-    {.counts = "23.6 pJ a synaptic operation, 81 pJ a membrane update with a spike and 52 pJ one "
-               "without, 1.7 pJ a spike; these prices include the core's memory",
-     .leaves_out = "everything that stays on a host (attention products, coder gains, LayerNorm, "
-                   "softmax, gate products), spikes between tiles, input and output, static power",
-     .applies_to = "policies in int8: a weight has at most 9 bits there",
-     .source = "Davies et al., IEEE Micro 38(1), 2018, table 2: pre-silicon simulation"},
     {.counts = "5 pJ a spike",
      .leaves_out = "everything but spikes: synapses, membranes, attention, memory",
      .applies_to = "spiking policies",
@@ -100,26 +87,6 @@ double Traffic(const Counts& counts, const ModelConfig& config) {
   return picojoules;
 }
 
-// Returns the number of spikes whose neuron has a membrane. The generators of phase spikes and the
-// draws of a Bernoulli coder have none.
-double SpikesOfMembranes(const Counts& counts, const ModelConfig& config) {
-  uint64_t spikes = counts.total_spikes() - counts.spikes(Stage::kPhase);
-  if (config.coder == CoderKind::kBernoulli) {
-    spikes -= counts.spikes(Stage::kCoder) + counts.spikes(Stage::kFfnIn) +
-              counts.spikes(Stage::kReadout);
-  }
-  return static_cast<double>(spikes);
-}
-
-double Loihi(const Counts& counts, const ModelConfig& config) {
-  const auto spikes = static_cast<double>(counts.total_spikes());
-  const double active = SpikesOfMembranes(counts, config);
-  return kLoihiSynapticOperation * static_cast<double>(counts.synaptic_operations()) +
-         kLoihiActiveUpdate * active +
-         kLoihiInactiveUpdate * (static_cast<double>(counts.membrane_updates) - active) +
-         kLoihiSpike * spikes;
-}
-
 }  // namespace
 
 const EnergyModelInfo& InfoOf(EnergyModel model) { return kInfos[static_cast<size_t>(model)]; }
@@ -130,9 +97,7 @@ bool Applies(EnergyModel model, const ModelConfig& config) {
       return true;
     case EnergyModel::kInt45nm:
     case EnergyModel::kIntSram45nm:
-      return config.arithmetic != Arithmetic::kFloat32;
-    case EnergyModel::kLoihi2018:
-      return config.arithmetic == Arithmetic::kInt8;
+      return config.is_integer();
     case EnergyModel::kSpike5pj:
       break;
   }
@@ -149,8 +114,6 @@ std::optional<double> EstimateEnergy(EnergyModel model, const Counts& counts,
       return kPicojoule * Operations(counts, config);
     case EnergyModel::kIntSram45nm:
       return kPicojoule * (Operations(counts, config) + Traffic(counts, config));
-    case EnergyModel::kLoihi2018:
-      return kPicojoule * Loihi(counts, config);
     case EnergyModel::kSpike5pj:
       break;
   }

@@ -5,7 +5,7 @@
 // and to which policies it applies; docs/reference/energy.md, `spikectl` and the status page show
 // these texts. All functions are pure and thread-safe. Example:
 //
-//   const auto joules = EstimateEnergy(EnergyModel::kLoihi2018, output.counts, policy.config);
+//   const auto joules = EstimateEnergy(EnergyModel::kInt45nm, output.counts, policy.config);
 //   if (joules.has_value()) ...  // the model applies to this policy
 #ifndef CORE_ENGINE_ENERGY_H_
 #define CORE_ENGINE_ENERGY_H_
@@ -21,14 +21,13 @@
 namespace spikeserve {
 
 // In the order in which they are shown.
-enum class EnergyModel { kHorowitz45nm, kInt45nm, kIntSram45nm, kLoihi2018, kSpike5pj };
-inline constexpr int kEnergyModels = 5;
+enum class EnergyModel { kHorowitz45nm, kInt45nm, kIntSram45nm, kSpike5pj };
+inline constexpr int kEnergyModels = 4;
 
 constexpr std::array<EnumName<EnergyModel>, kEnergyModels> EnumNames(EnergyModel) {
   return {{{EnergyModel::kHorowitz45nm, "horowitz_45nm"},
            {EnergyModel::kInt45nm, "int_45nm"},
            {EnergyModel::kIntSram45nm, "int_sram_45nm"},
-           {EnergyModel::kLoihi2018, "loihi_2018"},
            {EnergyModel::kSpike5pj, "spike_5pj"}}};
 }
 

@@ -1,6 +1,6 @@
 // Computes the decisions of one policy.
 //
-//   std::unique_ptr<Engine::Context> context = engine.NewContext(seed);
+//   std::unique_ptr<Engine::Context> context = engine.NewContext();
 //   engine.Decide(*context, return_to_go, observation, &output);  // writes output.readout
 //   engine.AppendAction(*context, encoded_action);                // advances to timestep t + 1
 //
@@ -64,9 +64,8 @@ class Engine {
   // Returns a copy of the policy with all of its numbers.
   virtual Policy CompletePolicy() const { return policy(); }
 
-  // Creates an empty context whose first token will belong to timestep `first_timestep`. `seed` is
-  // part of the key of the Bernoulli coder; other coders do not use it.
-  virtual std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep = 0) const = 0;
+  // Creates an empty context whose first token will belong to timestep `first_timestep`.
+  virtual std::unique_ptr<Context> NewContext(int64_t first_timestep = 0) const = 0;
 
   // Appends the tokens G_t and s_t to `context` and writes the decision of timestep t into
   // `output`. `return_to_go` and `observation` [obs] are in environment units. REQUIRES: the last

@@ -44,14 +44,14 @@ void NormalizeResidual(const FixedPointNorm& norm, std::vector<int32_t>& x) {
   }
 }
 
-void GateScores(Gate gate, std::vector<int32_t>& scores) {
-  if (gate == Gate::kSigmoid) {
+uint64_t GateScores(const ModelConfig& config, std::vector<int32_t>& scores) {
+  if (config.gate == Gate::kSigmoid) {
     for (int32_t& score : scores) {
       const int64_t other = PowerOfTwo(std::abs(int64_t{score}));
       const int64_t own = score >= 0 ? 65536 : other;
       score = static_cast<int32_t>(RoundDivide(own << kGateFraction, 65536 + other));
     }
-    return;
+    return 0;
   }
   const int64_t best = *std::max_element(scores.begin(), scores.end());
   int64_t sum = 0;
@@ -62,6 +62,7 @@ void GateScores(Gate gate, std::vector<int32_t>& scores) {
   for (int32_t& score : scores) {
     score = static_cast<int32_t>(RoundDivide(int64_t{score} << kGateFraction, sum));
   }
+  return scores.size();
 }
 
 }  // namespace spikeserve

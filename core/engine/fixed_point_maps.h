@@ -25,8 +25,9 @@ void NormalizeResidual(const FixedPointNorm& norm, std::vector<int32_t>& x);
 // Limits the numbers of x [d], which no norm follows.
 void LimitResidual(std::vector<int32_t>& x);
 
-// Replaces the scores [H] of routing.gate by gates with kGateFraction fraction bits.
-void GateScores(Gate gate, std::vector<int32_t>& scores);
+// Replaces the scores [H] of routing.gate by gates with kGateFraction fraction bits. Returns the
+// number of terms of a softmax that it computed.
+uint64_t GateScores(const ModelConfig& config, std::vector<int32_t>& scores);
 
 }  // namespace spikeserve
 

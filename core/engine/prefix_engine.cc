@@ -23,9 +23,8 @@ size_t PrefixContext::first_new_token() const {
   return tokens_.size() - std::min<size_t>(tokens_.size(), kTokensPerTimestep);
 }
 
-std::unique_ptr<Engine::Context> PrefixEngine::NewContext(uint64_t seed,
-                                                          int64_t first_timestep) const {
-  return std::make_unique<PrefixContext>(seed, first_timestep);
+std::unique_ptr<Engine::Context> PrefixEngine::NewContext(int64_t first_timestep) const {
+  return std::make_unique<PrefixContext>(first_timestep);
 }
 
 void PrefixEngine::Decide(Context& context, float return_to_go, absl::Span<const float> observation,

@@ -14,9 +14,8 @@ namespace spikeserve {
 // Stores every token of an episode, oldest first. Not thread-safe.
 class PrefixContext : public Engine::Context {
  public:
-  PrefixContext(uint64_t seed, int64_t first_timestep) : seed_(seed), timestep_(first_timestep) {}
+  explicit PrefixContext(int64_t first_timestep) : timestep_(first_timestep) {}
 
-  uint64_t seed() const { return seed_; }
   const std::vector<Token>& tokens() const { return tokens_; }
   // Returns the index of the first token whose cost belongs to the current decision: a_{t-1}, or
   // G_t if the context starts at timestep t.
@@ -27,7 +26,6 @@ class PrefixContext : public Engine::Context {
   void AppendAction(absl::Span<const float> encoded_action);
 
  private:
-  uint64_t seed_;
   int64_t timestep_;
   std::vector<float> previous_observation_;  // see SetStateInput
   std::vector<Token> tokens_;
@@ -40,7 +38,7 @@ class PrefixEngine : public Engine {
   explicit PrefixEngine(std::shared_ptr<const Policy> policy) : policy_(std::move(policy)) {}
 
   const Policy& policy() const final { return *policy_; }
-  std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep) const final;
+  std::unique_ptr<Context> NewContext(int64_t first_timestep) const final;
   void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
               Output* output) const final;
   void AppendAction(Context& context, absl::Span<const float> encoded_action) const final;

@@ -17,9 +17,8 @@ void AddTokenCosts(const ModelConfig& config, TokenKind kind, int keys, Counts* 
   // Every layer codes its input, every output is coded again, and the readout codes the state.
   const uint64_t coded = (layers + outputs + (is_state ? 1 : 0)) * d;
   const uint64_t neurons = layers * 2 * d + outputs * (d + size(config.ffn_size));
-  const bool coders_are_lif = config.coder == CoderKind::kLif;
   counts->coder_gains += coded;
-  counts->membrane_updates += ticks * (neurons + (coders_are_lif ? coded : 0));
+  counts->membrane_updates += ticks * (neurons + coded);
   if (config.has_norms()) counts->layer_norm_elements += (1 + 2 * outputs) * d;
   counts->softmax_terms += outputs * ticks * heads * size(keys);
   if (config.relative_bias) counts->attention_products += outputs * ticks * heads * size(keys);

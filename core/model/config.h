@@ -15,10 +15,6 @@ namespace spikeserve {
 // for comparison.
 enum class Mode { kBaseline, kPos, kRoute, kFull, kDense };
 
-// How an analog vector is converted to spikes: as a constant current into LIF neurons, or by
-// Bernoulli draws.
-enum class CoderKind { kLif, kBernoulli };
-
 // The clock of the phase generators (eq. 4.4). kTimestep encodes the position in the episode.
 // kWindow is the paper's literal formula, which gives every token the same code.
 enum class PhaseClock { kTimestep, kWindow };
@@ -33,17 +29,9 @@ enum class Gate { kSoftmax, kSigmoid };
 // What follows each addition to the residual stream: a LayerNorm, or nothing.
 enum class NormKind { kLayer, kNone };
 
-// The numbers of a policy. kInt8: the spike-driven parts have 8-bit weights, and 16-bit currents
-// and membranes (see integer_weights.h). kInteger: everything from the rounded observation to the
-// inputs of the action head is an integer (docs/design/integer.md, fixed_point_weights.h).
-enum class Arithmetic { kFloat32, kInt8, kInteger };
-
-// The leak of a membrane in Arithmetic::kInteger: V - V / 2^k, or none.
-enum class Leak { kShift, kNone };
-
-// How attention in Arithmetic::kInteger weighs keys by the overlaps of their spikes with the
-// query's: by powers of two (an integer softmax), or by the overlaps themselves.
-enum class Attention { kShiftmax, kLinear };
+// The numbers of a policy. kInteger: everything from the rounded observation to the inputs of the
+// action head is an integer (docs/design/integer.md, fixed_point_weights.h).
+enum class Arithmetic { kFloat32, kInteger };
 
 // Names in policy files and on command lines; see enum_names.h.
 constexpr std::array<EnumName<Mode>, 5> EnumNames(Mode) {
@@ -52,9 +40,6 @@ constexpr std::array<EnumName<Mode>, 5> EnumNames(Mode) {
            {Mode::kRoute, "route"},
            {Mode::kFull, "full"},
            {Mode::kDense, "dense"}}};
-}
-constexpr std::array<EnumName<CoderKind>, 2> EnumNames(CoderKind) {
-  return {{{CoderKind::kLif, "lif"}, {CoderKind::kBernoulli, "bernoulli"}}};
 }
 constexpr std::array<EnumName<PhaseClock>, 2> EnumNames(PhaseClock) {
   return {{{PhaseClock::kTimestep, "timestep"}, {PhaseClock::kWindow, "window"}}};
@@ -68,16 +53,8 @@ constexpr std::array<EnumName<Gate>, 2> EnumNames(Gate) {
 constexpr std::array<EnumName<NormKind>, 2> EnumNames(NormKind) {
   return {{{NormKind::kLayer, "layer"}, {NormKind::kNone, "none"}}};
 }
-constexpr std::array<EnumName<Arithmetic>, 3> EnumNames(Arithmetic) {
-  return {{{Arithmetic::kFloat32, "float32"},
-           {Arithmetic::kInt8, "int8"},
-           {Arithmetic::kInteger, "integer"}}};
-}
-constexpr std::array<EnumName<Leak>, 2> EnumNames(Leak) {
-  return {{{Leak::kShift, "shift"}, {Leak::kNone, "none"}}};
-}
-constexpr std::array<EnumName<Attention>, 2> EnumNames(Attention) {
-  return {{{Attention::kShiftmax, "shiftmax"}, {Attention::kLinear, "linear"}}};
+constexpr std::array<EnumName<Arithmetic>, 2> EnumNames(Arithmetic) {
+  return {{{Arithmetic::kFloat32, "float32"}, {Arithmetic::kInteger, "integer"}}};
 }
 
 struct ModelConfig {
@@ -91,7 +68,6 @@ struct ModelConfig {
   int ffn_size = 512;            // 4d
   float membrane_decay = 0.95f;  // 1 - dt/tau_m
   float threshold = 1.0f;        // V_th
-  CoderKind coder = CoderKind::kLif;
   PhaseClock phase_clock = PhaseClock::kTimestep;
   Merge merge = Merge::kSum;
   Gate gate = Gate::kSoftmax;
@@ -103,8 +79,6 @@ struct ModelConfig {
   // query and key in tokens.
   bool relative_bias = false;
   // The following belong to Arithmetic::kInteger.
-  Leak leak = Leak::kShift;
-  Attention attention = Attention::kShiftmax;
   int input_fraction = 8;      // fraction bits of the embeddings' inputs
   int residual_fraction = 10;  // fraction bits of the residual stream
 
@@ -128,12 +102,8 @@ struct ModelConfig {
     return is_dense() || merge == Merge::kConcat ? hidden_size : head_size();
   }
 
-  // Returns the membrane decay of integer neurons in units of 1 / 32768, rounded to the nearest
-  // integer, ties to even. Fits int16_t in a valid config with Arithmetic::kInt8.
-  int integer_decay() const;
-
-  // Returns the k of Leak::kShift, for which membrane_decay is 1 - 2^-k, or 0 if there is no such k
-  // from 1 to 8.
+  // Returns the k from 1 to 8 for which membrane_decay is 1 - 2^-k, or 0 if there is none. A
+  // membrane in Arithmetic::kInteger leaks V / 2^k.
   int leak_shift() const;
 
   // Returns INVALID_ARGUMENT if a value is out of range. The message names the field, the expected

@@ -3,19 +3,13 @@
 #include <cmath>
 #include <cstdint>
 #include <cstdlib>
-#include <limits>
 #include <string>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
-#include "core/model/config.h"
 
 namespace spikeserve {
 namespace {
-
-// The sums of ffn.output fit 32 bits in every valid config, so files need no check of their own.
-static_assert(int64_t{kLargestInt8Weight} * ModelLimits::kTicks * ModelLimits::kFfnSize <=
-              std::numeric_limits<int32_t>::max());
 
 absl::Status CheckWeights(const std::string& name, const Int8Tensor& weight) {
   for (size_t i = 0; i < weight.values.size(); ++i) {
@@ -77,19 +71,11 @@ absl::Status ElementError(absl::string_view tensor, absl::string_view expected,
                                                  ", received ", received, " at index ", index));
 }
 
-absl::Status CheckIntegerPopulations(absl::string_view name, const IntegerMaps& maps) {
+absl::Status CheckIntegerMaps(absl::string_view name, const IntegerMaps& maps) {
   absl::Status status = CheckPopulation(absl::StrCat(name, ".attention.query"), maps.query);
   status.Update(CheckPopulation(absl::StrCat(name, ".attention.key"), maps.key));
   status.Update(CheckPopulation(absl::StrCat(name, ".attention.value"), maps.value));
   status.Update(CheckPopulation(absl::StrCat(name, ".ffn.hidden"), maps.ffn_hidden));
-  return status;
-}
-
-absl::Status CheckIntegerMaps(absl::string_view name, const IntegerMaps& maps) {
-  absl::Status status = CheckIntegerPopulations(name, maps);
-  const std::string output = absl::StrCat(name, ".ffn.output");
-  status.Update(CheckWeights(output + ".weight", maps.ffn_output.weight));
-  status.Update(CheckScale(output + ".scale", maps.ffn_output.scale));
   return status;
 }
 

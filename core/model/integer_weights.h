@@ -1,7 +1,7 @@
-// Defines the spike-driven maps of a layer in integer arithmetic (Arithmetic::kInt8).
+// Defines the populations of a layer in integer arithmetic (Arithmetic::kInteger).
 //
 // Weights are 8-bit integers in units of a scale, one scale per output neuron; currents, membranes
-// and thresholds are 16-bit integers in the same units (see core/neuron/integer_lif.h). Sums are
+// and thresholds are 16-bit integers in the same units (see core/neuron/shift_lif.h). Sums are
 // exact, so the order of addition does not matter. Symbols as in weights.h. Plain values.
 #ifndef CORE_MODEL_INTEGER_WEIGHTS_H_
 #define CORE_MODEL_INTEGER_WEIGHTS_H_
@@ -27,21 +27,12 @@ struct IntegerPopulation {
   Int16Tensor threshold;  // [out], in units of scale; at least 1
 };
 
-// The affine map of spike counts to the analog update of a token:
-// update_k = (scale_k / T) * float(sum over j of count_j * weight_kj) + bias_k.
-struct IntegerOutput {
-  Int8Tensor weight;  // [out, in], in units of scale; -127 to 127
-  Tensor scale;       // [out], > 0
-  Tensor bias;        // [out]
-};
-
-// The maps of one layer that spikes drive.
+// The populations of one layer.
 struct IntegerMaps {
   IntegerPopulation query;       // [d, in], [d]
   IntegerPopulation key;         // [d, in], [d]
   IntegerPopulation value;       // [d, in], [d]
   IntegerPopulation ffn_hidden;  // [F, d], [F]
-  IntegerOutput ffn_output;      // [d, F], [d]
 };
 
 // Returns INVALID_ARGUMENT "tensor T: expected E, received R at index I".
@@ -52,9 +43,6 @@ absl::Status ElementError(absl::string_view tensor, absl::string_view expected,
 // magnitudes of a neuron's bias and weights add up to more than kLargestCurrent. The message names
 // the tensor. REQUIRES: the tensors have the shapes of TensorSlots.
 absl::Status CheckIntegerMaps(absl::string_view name, const IntegerMaps& maps);
-
-// As above, but checks the four populations only.
-absl::Status CheckIntegerPopulations(absl::string_view name, const IntegerMaps& maps);
 
 }  // namespace spikeserve
 

@@ -90,17 +90,13 @@ absl::Status CheckScalars(const Policy& policy) {
 
 // Checks the ranges of the integers, if the arithmetic has any.
 absl::Status CheckIntegers(const ModelConfig& config, const Weights& weights) {
-  absl::Status status;
-  if (config.is_integer()) status.Update(CheckFixedPointEnds(config, weights.fixed_point));
+  if (!config.is_integer()) return absl::OkStatus();
+  absl::Status status = CheckFixedPointEnds(config, weights.fixed_point);
   for (size_t i = 0; i < weights.layers.size() && status.ok(); ++i) {
     const LayerWeights& layer = weights.layers[i];
     const std::string name = absl::StrCat("layers.", i);
-    if (config.arithmetic == Arithmetic::kInt8) {
-      status.Update(CheckIntegerMaps(name, layer.integer));
-    } else if (config.is_integer()) {
-      if (!config.is_dense()) status.Update(CheckIntegerPopulations(name, layer.integer));
-      status.Update(CheckFixedPointLayer(name, config, layer.fixed_point));
-    }
+    if (!config.is_dense()) status.Update(CheckIntegerMaps(name, layer.integer));
+    status.Update(CheckFixedPointLayer(name, config, layer.fixed_point));
   }
   return status;
 }

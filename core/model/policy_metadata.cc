@@ -1,12 +1,15 @@
 #include "core/model/policy_metadata.h"
 
+#include <array>
 #include <charconv>
 #include <cmath>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
+#include "absl/types/span.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
 #include "core/base/status_macros.h"
@@ -18,6 +21,15 @@ using nlohmann::json;
 using nlohmann::ordered_json;
 
 constexpr char kFormat[] = "spikeserve.policy.v1";
+
+// Keys that had other values in former versions, too; the last two of integer arithmetic alone.
+constexpr std::array<std::pair<const char*, const char*>, 3> kFormerChoices = {
+    {{"coder", "lif"}, {"leak", "shift"}, {"attention", "shiftmax"}}};
+
+// Returns the keys of kFormerChoices that a policy has.
+absl::Span<const std::pair<const char*, const char*>> FormerChoices(const ModelConfig& config) {
+  return absl::MakeConstSpan(kFormerChoices).first(config.is_integer() ? 3 : 1);
+}
 
 // Calls visit(key, member) for every key of `config`; the reader and the writer share this list.
 // `Config` is ModelConfig or const ModelConfig.
@@ -33,7 +45,6 @@ void VisitConfig(Config& config, Visitor&& visit) {
   visit("ffn_size", config.ffn_size);
   visit("membrane_decay", config.membrane_decay);
   visit("threshold", config.threshold);
-  visit("coder", config.coder);
   visit("phase_clock", config.phase_clock);
   visit("merge", config.merge);
   visit("gate", config.gate);
@@ -42,8 +53,6 @@ void VisitConfig(Config& config, Visitor&& visit) {
 // Calls visit(key, member) for every key that only policies in integer arithmetic have.
 template <typename Config, typename Visitor>
 void VisitIntegerConfig(Config& config, Visitor&& visit) {
-  visit("leak", config.leak);
-  visit("attention", config.attention);
   visit("input_fraction", config.input_fraction);
   visit("residual_fraction", config.residual_fraction);
 }
@@ -93,11 +102,21 @@ std::string FormatConfig(const ModelConfig& config) {
   if (config.arithmetic != Arithmetic::kFloat32) {
     object["arithmetic"] = std::string(ToString(config.arithmetic));
   }
+  for (const auto& [key, name] : FormerChoices(config)) object[key] = name;
   if (config.is_integer()) VisitIntegerConfig(config, write);
   if (config.observation_changes) object["observation_changes"] = true;
   if (config.relative_bias) object["relative_bias"] = true;
   if (!config.has_norms()) object["norm"] = std::string(ToString(config.norm));
   return object.dump();
+}
+
+// Returns INVALID_ARGUMENT for the arithmetic of former releases that is no longer served.
+absl::Status RefuseInt8(const json& config) {
+  const auto arithmetic = config.find("arithmetic");
+  if (arithmetic == config.end() || *arithmetic != "int8") return absl::OkStatus();
+  return FieldError("config.arithmetic", "float32 or integer",
+                    "int8, which is no longer served: `spiketrain quantize --policy=OLD --out=NEW` "
+                    "converts the file to integers, and with --to=float32 to float32");
 }
 
 absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
@@ -112,10 +131,18 @@ absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
     }
   };
   VisitConfig(*config, read);
+  RETURN_IF_ERROR(RefuseInt8(object));
   reader.Optional("arithmetic", &config->arithmetic);
   reader.Optional("observation_changes", &config->observation_changes);
   reader.Optional("relative_bias", &config->relative_bias);
   reader.Optional("norm", &config->norm);
+  for (const auto& [key, name] : FormerChoices(*config)) {
+    std::string received = name;
+    reader.Required(key, &received);
+    if (received != name) {
+      return FieldError(absl::StrCat("config.", key), name, Quoted(received));
+    }
+  }
   if (config->is_integer()) VisitIntegerConfig(*config, read);
   return reader.Finish();
 }

@@ -1,5 +1,7 @@
 #include "core/model/weights.h"
 
+#include <utility>
+
 #include "absl/strings/str_cat.h"
 
 namespace spikeserve {
@@ -23,11 +25,6 @@ class SlotList {
     Add(name + ".scale", {out}, &population->scale);
     Add(name + ".bias", {out}, &population->bias);
     Add(name + ".threshold", {out}, &population->threshold);
-  }
-  void Add(const std::string& name, int out, int in, IntegerOutput* output) {
-    Add(name + ".weight", {out, in}, &output->weight);
-    Add(name + ".scale", {out}, &output->scale);
-    Add(name + ".bias", {out}, &output->bias);
   }
   void Add(const std::string& name, int size, Norm* norm) {
     if (!has_norms_) return;
@@ -75,11 +72,9 @@ void AddLayer(const ModelConfig& config, const std::string& name, LayerWeights* 
   const int d = config.hidden_size;
   const std::string attention = name + ".attention";
   if (!config.is_dense()) slots->Add(name + ".coder", d, &layer->coder);
-  VisitMaps(config.arithmetic, *layer, [&](auto& maps) {
-    slots->Add(attention + ".query", d, config.attention_inputs(), &maps.query);
-    slots->Add(attention + ".key", d, config.attention_inputs(), &maps.key);
-    slots->Add(attention + ".value", d, config.attention_inputs(), &maps.value);
-  });
+  slots->Add(attention + ".query", d, config.attention_inputs(), &layer->query);
+  slots->Add(attention + ".key", d, config.attention_inputs(), &layer->key);
+  slots->Add(attention + ".value", d, config.attention_inputs(), &layer->value);
   if (!config.is_dense()) slots->Add(attention + ".scale", {config.heads}, &layer->scale);
   if (config.relative_bias) {
     slots->Add(attention + ".relative", {config.heads, 3 * config.context}, &layer->relative);
@@ -92,10 +87,8 @@ void AddLayer(const ModelConfig& config, const std::string& name, LayerWeights* 
   slots->Add(attention + ".output", d, config.merged_size(), &layer->attention_output);
   slots->Add(attention + ".norm", d, &layer->attention_norm);
   if (!config.is_dense()) slots->Add(name + ".ffn.coder", d, &layer->ffn_coder);
-  VisitMaps(config.arithmetic, *layer, [&](auto& maps) {
-    slots->Add(name + ".ffn.hidden", config.ffn_size, d, &maps.ffn_hidden);
-    slots->Add(name + ".ffn.output", d, config.ffn_size, &maps.ffn_output);
-  });
+  slots->Add(name + ".ffn.hidden", config.ffn_size, d, &layer->ffn_hidden);
+  slots->Add(name + ".ffn.output", d, config.ffn_size, &layer->ffn_output);
   slots->Add(name + ".ffn.norm", d, &layer->ffn_norm);
 }
 

@@ -7,9 +7,7 @@
 #ifndef CORE_MODEL_WEIGHTS_H_
 #define CORE_MODEL_WEIGHTS_H_
 
-#include <functional>
 #include <string>
-#include <utility>
 #include <variant>
 #include <vector>
 
@@ -41,9 +39,9 @@ struct Embedding {
 
 struct LayerWeights {
   Coder coder;              // not in dense mode
-  Linear query;             // [d, in], [d]; float32 only
-  Linear key;               // [d, in], [d]; float32 only
-  Linear value;             // [d, in], [d]; float32 only
+  Linear query;             // [d, in], [d]
+  Linear key;               // [d, in], [d]
+  Linear value;             // [d, in], [d]
   Tensor scale;             // [H]: c_h; not in dense mode, where the scale is 1/sqrt(d_h)
   Tensor relative;          // [H, 3 N]: bias by distance in tokens; with config.relative_bias
   Linear routing_hidden;    // [m, d], [m]; modes with routing
@@ -51,22 +49,13 @@ struct LayerWeights {
   Linear attention_output;  // [d, d_h] ([d, d] if heads are concatenated, and in dense mode), [d]
   Norm attention_norm;
   Coder ffn_coder;    // not in dense mode
-  Linear ffn_hidden;  // [F, d], [F]; float32 only
-  Linear ffn_output;  // [d, F], [d]; float32 only
+  Linear ffn_hidden;  // [F, d], [F]
+  Linear ffn_output;  // [d, F], [d]
   Norm ffn_norm;
-  // The populations replace the maps marked "float32 only" if the arithmetic is int8 or integer,
-  // and ffn_output if it is int8.
+  // These two replace everything above if the arithmetic is integer.
   IntegerMaps integer;
-  FixedPointLayer fixed_point;  // everything else of the layer if the arithmetic is integer
+  FixedPointLayer fixed_point;
 };
-
-// Calls `visit` with the spike-driven maps of a layer in the model's arithmetic: the members query,
-// key, value, ffn_hidden and ffn_output of `layer`, or those of `layer.integer`.
-template <class Layer, class Visitor>
-decltype(auto) VisitMaps(Arithmetic arithmetic, Layer& layer, Visitor&& visit) {
-  return arithmetic == Arithmetic::kInt8 ? std::forward<Visitor>(visit)(layer.integer)
-                                         : std::forward<Visitor>(visit)(layer);
-}
 
 struct Weights {
   Embedding embed_return;

@@ -216,17 +216,9 @@ absl::StatusOr<ModelConfig> ConfigOf(const Policy& policy, const IntegerOptions&
         "mode: expected one whose parts mode ", std::string(ToString(policy.config.mode)),
         " has, received ", std::string(ToString(config.mode))));
   }
-  if (config.is_dense() && options.leak.has_value()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("leak: expected a mode with membranes, received ",
-                     std::string(ToString(*options.leak)), " in mode dense"));
-  }
-  config.attention = options.attention;
-  config.leak =
-      options.leak.value_or(config.membrane_decay < 511.0f / 512.0f ? Leak::kShift : Leak::kNone);
   const double leak = std::max(1.0 - double{config.membrane_decay}, 1.0 / 256.0);
   const int shift = NearestShift(leak);
-  config.membrane_decay = config.leak == Leak::kNone ? 1.0f : 1.0f - std::ldexp(1.0f, -shift);
+  config.membrane_decay = 1.0f - std::ldexp(1.0f, -shift);
   config.input_fraction = FractionFor(options.largest_input);
   config.residual_fraction = ResidualFraction(policy, options.largest_residual);
   return config;

@@ -16,8 +16,6 @@ namespace spikeserve {
 struct IntegerOptions {
   std::optional<Mode> mode =
       {};  // leaves out the parts that this mode lacks; absent: the policy's mode
-  Attention attention = Attention::kShiftmax;
-  std::optional<Leak> leak = {};  // absent: shift, or none if the policy's membranes do not leak
   // The largest magnitude of a standardised input that must not saturate. A calibration set gives
   // it.
   float largest_input = 32.0f;
@@ -29,9 +27,8 @@ struct IntegerOptions {
 // Returns `policy` in integer arithmetic. docs/design/integer.md defines every rounding. The action
 // head, the standardisation of observations and the phase generators stay as they are.
 //
-// INVALID_ARGUMENT if `policy` is not valid, is not float32, has a Bernoulli
-// coder, lacks a part that options.mode has, or has numbers that the integers cannot hold. The
-// message names the tensor or field.
+// INVALID_ARGUMENT if `policy` is not valid, is not float32, lacks a part that options.mode has, or
+// has numbers that the integers cannot hold. The message names the tensor or field.
 absl::StatusOr<Policy> QuantizeToInteger(const Policy& policy, const IntegerOptions& options = {});
 
 }  // namespace spikeserve

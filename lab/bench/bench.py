@@ -18,7 +18,7 @@ import fleet_bench
 import programs
 import report
 import server_bench
-from server_bench import BATCH, BENCH, SHIPPED, SHIPPED_INT8, SHIPPED_INTEGER, summarize
+from server_bench import BATCH, BENCH, SHIPPED, SHIPPED_INTEGER, summarize
 
 
 def parse_arguments():
@@ -65,8 +65,6 @@ def engine_contestants(arguments, folder):
     return {
         "spikeserve_silent": [engine, shipped],
         "spikeserve_loud": [engine],
-        "spikeserve_silent_int8": [engine, shipped, "--arithmetic=int8"],
-        "spikeserve_loud_int8": [engine, "--arithmetic=int8"],
         "spikeserve_silent_integer": [engine, f"--policy={SHIPPED_INTEGER}"],
         "spikeserve_loud_integer": [engine, "--arithmetic=integer"],
         "spikeserve_silent_together": [engine, shipped, f"--together={BATCH}"],
@@ -98,8 +96,8 @@ def growth_contestants(arguments):
         for value in values:
             command = [engine, f"--{flag}={value}", f"--episode_steps={4 * value if flag == 'context' else 500}"]
             commands[f"{flag}={value}"] = command
-            for arithmetic in ("int8", "integer") if flag != "ticks" else ():
-                commands[f"{flag}={value}, {arithmetic}"] = [*command, f"--arithmetic={arithmetic}"]
+            if flag != "ticks":
+                commands[f"{flag}={value}, integer"] = [*command, "--arithmetic=integer"]
     for steps in [20, 100, 500, 10_000]:
         commands[f"episode_steps={steps}"] = [engine, f"--policy={SHIPPED}", f"--episode_steps={steps}"]
     return commands
@@ -111,11 +109,10 @@ def measure_sessions(arguments):
     exact = os.environ | {"GLIBC_TUNABLES": "glibc.malloc.tcache_count=0"}
     cases = [(n, SHIPPED) for n in (1, 1000, 100_000, 1_000_000) if n <= arguments.max_sessions]
     results = []
-    arithmetics = {SHIPPED_INT8: "int8", SHIPPED_INTEGER: "integer"}
-    for count, policy in [*cases, *((1000, policy) for policy in arithmetics)]:
+    for count, policy in [*cases, (1000, SHIPPED_INTEGER)]:
         command = [arguments.bin / "session_bench", f"--policy={policy}", f"--sessions={count}"]
         output = subprocess.run(command, check=True, capture_output=True, text=True, env=exact).stdout
-        results.append({"arithmetic": arithmetics.get(policy, "float32"), **json.loads(output)})
+        results.append({"arithmetic": "integer" if policy == SHIPPED_INTEGER else "float32", **json.loads(output)})
     return results
 
 

@@ -44,7 +44,6 @@ void FillAnswer(const v1::ActRequest& request, v1::ActResponse* response) {
   stats->set_integer_multiply_accumulates(1000);
   stats->set_spike_energy_joules(6.55e-10);
   stats->set_int_energy_joules(2e-8);
-  stats->set_loihi_energy_joules(4.3e-6);
   v1::SpikesByStage* spikes = stats->mutable_spikes_by_stage();
   spikes->set_coder(30);
   spikes->set_phase(20);

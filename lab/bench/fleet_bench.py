@@ -67,7 +67,7 @@ class FleetBench:
             durability, store = name.split()
             address = f"redis://127.0.0.1:{self._redis.port}" if store == "redis" else f"file:{self._folder}/{durability}"
             flags = [f"--durability={durability}", f"--session_store={address}"]
-        return self._bench.spikeserve("int8", core, flags)
+        return self._bench.spikeserve("integer", core, flags)
 
     def load(self, server, mode):
         """Returns the report of a load, with the processor time of Redis for each decision."""

@@ -9,8 +9,6 @@ from server_bench import OWN_SHARES
 ENGINE_NAMES = {
     "spikeserve_silent": "spikeserve, shipped CartPole policy",
     "spikeserve_loud": "spikeserve, unregularised (random weights)",
-    "spikeserve_silent_int8": "spikeserve, shipped CartPole policy, 8-bit weights",
-    "spikeserve_loud_int8": "spikeserve, unregularised, 8-bit weights",
     "spikeserve_silent_integer": "spikeserve, shipped CartPole policy, integers",
     "spikeserve_loud_integer": "spikeserve, unregularised, integers",
     "spikeserve_silent_together": "spikeserve, shipped policy, 64 sessions together",
@@ -66,8 +64,8 @@ def server_targets(server):
     for arithmetic, mode, target in [
         ("float32", "unary", 0.8),
         ("float32", "stream", 0.5),
-        ("int8", "unary", 1),
-        ("int8", "stream", 0.7),
+        ("integer", "unary", 1),
+        ("integer", "stream", 0.7),
     ]:
         share = cases[mode, 64]["share_of_echo"][arithmetic]
         rows.append([f"share of the echo's rate, {arithmetic}, {mode}, 64 sessions", *verdict(share, target)])
@@ -120,7 +118,7 @@ def fleet_targets(fleet):
 
 def growth_targets(growth):
     rows = []
-    for arithmetic in ("float32", "int8", "integer"):
+    for arithmetic in ("float32", "integer"):
         suffix = "" if arithmetic == "float32" else f", {arithmetic}"
         wide = ratio(growth, f"hidden_size=128{suffix}", f"hidden_size=512{suffix}") / (512 / 128) ** 2
         rows.append([f"cost at d = 512, times d² of d = 128, {arithmetic}", *verdict(wide, 1.3, at_least=False)])
@@ -134,7 +132,6 @@ def session_targets(sessions):
     active = max(s.get("active_bytes", 0) for s in sessions if s["sessions"] > 1)
     idle = max(s["idle_bytes"] for s in sessions if s["sessions"] > 1)
     return [
-        ["MB a policy with its engine, int8", *verdict(bytes_of["int8"] / 1e6, 0.45, at_least=False)],
         ["MB a policy with its engine, integer", *verdict(bytes_of["integer"] / 1e6, 0.4, at_least=False)],
         ["KiB an active session", *verdict(active / 1024, 32, at_least=False)],
         ["KiB an idle session", *verdict(idle / 1024, 4, at_least=False)],
@@ -184,7 +181,7 @@ def growth_section(growth):
     for flag in flags:
         values = [key.split("=")[1] for key in growth if key.split("=")[0] == flag and "," not in key]
         rows = []
-        for suffix, name in (("", ""), (", int8", ", 8-bit weights"), (", integer", ", integers")):
+        for suffix, name in (("", ""), (", integer", ", integers")):
             cases = [growth[key] for value in values if (key := f"{flag}={value}{suffix}") in growth]
             if not cases:
                 continue
@@ -215,7 +212,7 @@ def sessions_section(sessions):
 def closed_loop_section(server):
     rows = []
     for case in server["closed_loop"]:
-        for name in ("float32", "int8", "integer", "echo"):
+        for name in ("float32", "integer", "echo"):
             ours = name != "echo"
             rows.append(
                 [
@@ -274,7 +271,7 @@ def loops_section(server):
         ]
         for case in server["loops"]
     ]
-    text = "One loop on one core and two loops on two, with the same 512 sessions of the policy in int8 and the same load. "
+    text = "One loop on one core and two loops on two, with the same 512 sessions of the policy in integers and the same load. "
     if not server["loops"][0]["own_cores"]:
         text += "The load generator shares the cores, so the rates are not those of a server that has them alone; the ratio is "
         text += "what the processor time of a call allows. "
@@ -345,7 +342,7 @@ def durabilities_section(cases):
         for case in cases
     ]
     header = ["mode, durability and store", "decisions/s", "share", "processor µs", "share", "Redis µs", "p99, ms"]
-    text = "64 sessions of the policy in int8. The server has one core; Redis and the load generator share the others. The "
+    text = "64 sessions of the policy in integers. The server has one core; Redis and the load generator share the others. The "
     text += "shares compare with `none`: the first that of the rates, the second that of the rates which the server's processor "
     text += "time allows. Redis has an append-only file that it synchronises each second; its time is that of the thread which "
     return text + "executes commands. A file store synchronises each group of records.\n\n" + table(header, rows)
@@ -373,18 +370,6 @@ def fleet_section(fleet):
     return "## Sessions in a store\n\n" + "\n".join(parts)
 
 
-def arm64_section():
-    rows = json.loads(pathlib.Path(__file__).with_name("arm64_instructions.json").read_text())
-    text = "## Instructions on arm64\n\nNot timed on real hardware: an emulator says nothing about time, but how many "
-    text += "instructions a decision takes is the same on a robot. These are of CartPole in closed loop, counted in qemu by "
-    text += "[arm64_instructions.py](../bench/arm64_instructions.py), not by `make lab-bench`. A Cortex-A72 has no SDOT, "
-    text += "so the difference between the lines of one policy with 8-bit weights is what SDOT saves. The float32 lines "
-    text += "differ a little because the runs have different numbers of decisions.\n\n"
-    header = ["policy", "processor", "instructions a decision", "of these, the maps of spike counts"]
-    counts = ("instructions", "instructions_of_maps")
-    return text + table(header, [[row["policy"], row["processor"], *(f"{row[key]:,}" for key in counts)] for row in rows])
-
-
 def to_markdown(result):
     machine = result["machine"]
     caches = ", ".join(" ".join(pair) for pair in zip(machine["caches"][::2], machine["caches"][1::2], strict=False))
@@ -394,7 +379,7 @@ def to_markdown(result):
     text += f"before the run {machine['load_before']:.2f}. Each of {result['rounds']} rounds measures every contestant for "
     text += f"{result['seconds']:g} s. The figures are medians over the rounds. The run took "
     text += f"{result['duration_seconds'] / 60:.1f} minutes. The figures of engines use processor time. "
-    text += "No arm64 processor was timed; the last section counts its instructions.\n\n"
+    text += "No arm64 processor was timed.\n\n"
     sections = [
         (engine_section, ["engine"]),
         (server_section, ["server"]),
@@ -408,4 +393,4 @@ def to_markdown(result):
     for write, keys in sections:
         if all(key in result for key in keys):
             text += "\n" + write(*(result[key] for key in keys))
-    return text + "\n" + arm64_section()
+    return text

@@ -23,10 +23,9 @@ from past_policies import past_policy  # noqa: E402
 ROOT = pathlib.Path(__file__).parents[2]
 BENCH = pathlib.Path(__file__).parent
 SHIPPED = past_policy("cartpole", 1)  # in float32
-SHIPPED_INT8 = past_policy("cartpole", 2)  # the same policy in int8
-SHIPPED_INTEGER = past_policy("cartpole", 3)  # and in integers
+SHIPPED_INTEGER = past_policy("cartpole", 3)  # the same policy in integers
 POLICIES = SHIPPED.parents[2]
-VERSIONS = {"float32": "1", "int8": "2", "integer": "3"}
+VERSIONS = {"float32": "1", "integer": "3"}
 
 SESSIONS = [1, 8, 64, 512]
 BATCH = 64  # requests
@@ -150,8 +149,7 @@ def batch_share(bench, arguments, servers, rounds):
     """Compares the rate of ActBatch with that of the engine alone, for as many sessions and like requests, in turns."""
     command = [arguments.bin / "engine_bench", f"--policy={SHIPPED}", f"--together={BATCH}"]
     command += [f"--episode_steps={EPISODE_STEPS}", f"--observation_bound={OBSERVATION_BOUND}"]  # as spikeload
-    commands = {"float32": command, "int8": [*command, "--arithmetic=int8"]}
-    commands["integer"] = [command[0], f"--policy={SHIPPED_INTEGER}", *command[2:]]
+    commands = {"float32": command, "integer": [command[0], f"--policy={SHIPPED_INTEGER}", *command[2:]]}
     shares = {name: [] for name in commands}
     with programs.running_contestants(commands) as contestants:
         for _ in range(rounds):
@@ -175,7 +173,7 @@ def loops(bench, rounds):
     own_cores = os.cpu_count() >= CORES_FOR_LOOPS
     load_cores = "2-" if own_cores else "0-"
     results = []
-    with bench.spikeserve("int8") as one, bench.spikeserve("int8", "0-1", ["--loops=2"]) as two:
+    with bench.spikeserve("integer") as one, bench.spikeserve("integer", "0-1", ["--loops=2"]) as two:
         for mode in ("unary", "stream"):
             measured = {1: [], 2: []}
             for _ in range(rounds):
@@ -263,7 +261,7 @@ def measure_learning(arguments):
     sessions = 64
     cases = [(mode, scope) for mode in ("unary", "stream") for scope in ("fleet", "session")]
     rounds = {case: [] for case in cases}
-    with prepared(arguments) as bench, bench.spikeserve("int8") as server:
+    with prepared(arguments) as bench, bench.spikeserve("integer") as server:
         for _ in range(arguments.rounds):
             for mode, scope in cases:
                 frozen = bench.load(server, mode, sessions)

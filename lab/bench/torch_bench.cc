@@ -49,7 +49,6 @@ Decide FullWindow(Policy policy) {
                                            .index({torch::arange(n) % policy.action_space.size()})
                                            .unsqueeze(0),
                             .timesteps = torch::arange(n).unsqueeze(0),
-                            .seeds = torch::zeros({1}, torch::kLong),
                             .previous = {}};
   const auto model = std::make_shared<const TorchModel>(std::move(policy), Surrogate());
   return [model, clip] {
@@ -78,8 +77,8 @@ std::vector<float> CheckObservation(int64_t timestep) {
 
 // Returns the logits of the engine in dense mode for the last timestep of the check.
 std::vector<float> EngineLogits(const std::shared_ptr<const Policy>& policy) {
-  const auto engine = MakeStreamingEngine(policy);
-  const auto context = engine->NewContext(0);
+  const auto engine = MakeEngine(policy);
+  const auto context = engine->NewContext();
   Engine::Output output;
   for (int64_t t = 0; t < CheckDecisions(*policy); ++t) {
     engine->Decide(*context, 1.0f, CheckObservation(t), &output);

@@ -32,7 +32,7 @@ absl::StatusOr<Insight> LookInside(std::shared_ptr<const Policy> policy, uint64_
   ASSIGN_OR_RETURN(std::unique_ptr<Environment> environment, MakeEnvironment(policy->environment));
   RETURN_IF_ERROR(CheckSpacesMatch(*policy, *environment));
   auto served = std::make_shared<ServedPolicy>();
-  served->engine = MakeStreamingEngine(policy);
+  served->engine = MakeEngine(policy);
   served->observer = std::make_shared<SessionObserver>();
   SessionOptions options;
   options.target_return = static_cast<double>(policy->target_return);

@@ -1,19 +1,11 @@
-"""The page of `make lab-bench` has the arm64 instructions that were counted apart from it, and the pages of `make lab-
-beats` have its rows."""
+"""The pages of `make lab-beats` have its rows."""
 
 import json
 import pathlib
 
 import beats_table
-import report
 
 ROOT = pathlib.Path(__file__).parents[2]
-
-
-def test_the_page_has_the_counted_instructions():
-    page = (ROOT / "lab/evidence/performance.md").read_text()
-    assert report.arm64_section() in page
-    assert "Not timed on real hardware" in page
 
 
 def test_the_pages_have_the_rows_of_the_beats():

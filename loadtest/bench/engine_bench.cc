@@ -24,7 +24,6 @@
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
-#include "core/quantize/quantize.h"
 #include "core/quantize/quantize_integer.h"
 #include "loadtest/bench/contestant.h"
 
@@ -37,7 +36,7 @@ constexpr int kObservationSize = 4;                     // of CartPole-v1
 struct Flags {
   std::string policy;
   std::string engine = "streaming";
-  std::string arithmetic;  // of the spike-driven parts; empty: that of the policy
+  std::string arithmetic;  // empty: that of the policy
   ModelConfig random;      // shape of a random policy
   int together = 1;
   int episode_steps = 500;
@@ -76,8 +75,7 @@ absl::StatusOr<Policy> LoadPolicy(const Flags& flags) {
   ASSIGN_OR_RETURN(const Arithmetic arithmetic,
                    ParseEnum<Arithmetic>("--arithmetic", flags.arithmetic));
   if (arithmetic == policy->config.arithmetic) return policy;
-  if (arithmetic == Arithmetic::kInteger) return QuantizeToInteger(*policy);
-  return Quantize(*policy);  // fails for a policy that is already in int8
+  return QuantizeToInteger(*policy);  // fails for a policy that is already in integers
 }
 
 // An agent and its environment. Not thread-safe.
@@ -97,7 +95,7 @@ class Player {
   // Returns the inputs of the next decision. REQUIRES: Act() is called once the decision is made.
   Engine::Decision Next() {
     if (steps_++ % episode_steps_ == 0) {
-      context_ = engine_->NewContext(0);
+      context_ = engine_->NewContext();
       if (observation_bound_ > 0) Reset();
     }
     return {context_.get(), return_to_go_, observation_, &output_};
@@ -179,7 +177,7 @@ absl::Status Run(const Flags& flags) {
   ASSIGN_OR_RETURN(auto loaded, LoadPolicy(flags));
   const auto policy = std::make_shared<const Policy>(std::move(loaded));
   const std::unique_ptr<Engine> engine =
-      flags.engine == "streaming" ? MakeStreamingEngine(policy) : MakeReferenceEngine(policy);
+      flags.engine == "streaming" ? MakeEngine(policy) : MakeReferenceEngine(policy);
   std::vector<Player> players;
   for (int i = 0; i < flags.together; ++i) {
     players.emplace_back(engine.get(), flags, /*seed=*/1000 * static_cast<uint64_t>(i));

@@ -41,7 +41,7 @@ class SilentEngine final : public Engine {
   explicit SilentEngine(std::shared_ptr<const Policy> policy) : policy_(std::move(policy)) {}
 
   const Policy& policy() const override { return *policy_; }
-  std::unique_ptr<Context> NewContext(uint64_t, int64_t) const override {
+  std::unique_ptr<Context> NewContext(int64_t) const override {
     return std::make_unique<Context>();
   }
   void Decide(Context&, float, absl::Span<const float>, Output* output) const override {
@@ -122,7 +122,7 @@ class Measurement {
 absl::Status Run(const Flags& flags) {
   const int64_t before = AllocatedBytes();
   ASSIGN_OR_RETURN(auto policy, ReadPolicyFile(flags.policy));
-  const std::shared_ptr<const Engine> engine = MakeCompactEngine(std::move(policy));
+  const std::shared_ptr<const Engine> engine = MakeEngine(std::move(policy));
   const std::shared_ptr<const Policy> shared(engine, &engine->policy());
   const int64_t sessions = flags.sessions;
   const bool can_be_active = sessions <= flags.active;

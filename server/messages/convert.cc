@@ -72,9 +72,6 @@ void EnergiesToProto(const Counts& counts, const ModelConfig& config, v1::Decisi
   if (const auto joules = EstimateEnergy(EnergyModel::kIntSram45nm, counts, config)) {
     proto->set_int_sram_energy_joules(*joules);
   }
-  if (const auto joules = EstimateEnergy(EnergyModel::kLoihi2018, counts, config)) {
-    proto->set_loihi_energy_joules(*joules);
-  }
 }
 
 void ToProto(const Answer& answer, const ModelConfig& config, v1::DecisionStats* proto) {

@@ -52,7 +52,7 @@ absl::Status WarmUp(const Engine& engine, const std::string& path) {
   const Policy& policy = engine.policy();
   const std::vector<float> observation(static_cast<size_t>(policy.observation_size()), 0.0f);
   Engine::Output output;
-  engine.Decide(*engine.NewContext(/*seed=*/0), policy.target_return, observation, &output);
+  engine.Decide(*engine.NewContext(), policy.target_return, observation, &output);
   const ActionChoice choice = ChooseAction(policy.weights.head, policy.action_space, output.readout,
                                            /*selection=*/{}, /*random=*/0);
   const auto is_finite = [](float value) { return std::isfinite(value); };
@@ -204,7 +204,7 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
   served->name = version.policy;
   served->version = version.version;
   served->sha256 = Sha256Of(files.policy);
-  served->engine = MakeCompactEngine(*std::move(policy));
+  served->engine = MakeEngine(*std::move(policy));
   const std::shared_ptr<const Policy> shared(served->engine, &served->policy());
   served->learning = std::move(learning);
   if (logs != nullptr) served->log = logs->Open(*served);

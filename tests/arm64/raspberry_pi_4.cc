@@ -1,5 +1,5 @@
 // Preloaded into an arm64 program, makes it believe that it runs on a Raspberry Pi 4, whose
-// Cortex-A72 has NEON but neither AES nor SDOT. Emulators have no such processor: their Cortex-A72
+// Cortex-A72 has NEON but no AES. Emulators have no such processor: their Cortex-A72
 // has AES.
 #include <dlfcn.h>
 

@@ -6,7 +6,7 @@
 #include "core/base/file.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy_file.h"
-#include "core/quantize/quantize.h"
+#include "core/quantize/quantize_integer.h"
 #include "tests/fuzz/fuzz_target.h"
 #include "tests/support/small_policy.h"
 
@@ -35,9 +35,9 @@ void FuzzOne(absl::string_view input) {
   const ModelConfig& config = policy->config;
   if (int64_t{config.hidden_size} * config.ticks * config.layers > kMaxWork) return;
   const auto shared = std::make_shared<const Policy>(*std::move(policy));
-  const auto engine = MakeStreamingEngine(shared);
+  const auto engine = MakeEngine(shared);
   const std::vector<float> observation(static_cast<size_t>(shared->observation_size()), 1.0f);
-  const auto context = engine->NewContext(/*seed=*/1);
+  const auto context = engine->NewContext();
   Engine::Output output;
   for (int step = 0; step < 3; ++step) {
     engine->Decide(*context, shared->target_return, observation, &output);
@@ -61,7 +61,7 @@ std::vector<std::string> Seeds() {
       seeds.push_back(BytesOf(policy));
       continue;
     }
-    if (const auto quantized = Quantize(policy); quantized.ok()) {
+    if (const auto quantized = QuantizeToInteger(policy); quantized.ok()) {
       seeds.push_back(BytesOf(*quantized));
     }
   }

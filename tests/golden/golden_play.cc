@@ -86,7 +86,7 @@ class Play {
     auto served = std::make_shared<ServedPolicy>();
     served->name = "golden";
     served->version = 1;
-    served->engine = MakeStreamingEngine(policy_);
+    served->engine = MakeEngine(policy_);
     served->fleet = std::make_shared<FleetHead>(policy_);
     served->observer = std::make_shared<SessionObserver>();
     SessionRequest request = {.seed = 7, .sample = kind != Kind::kGreedy};

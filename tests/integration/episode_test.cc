@@ -76,7 +76,6 @@ TEST_F(EpisodeTest, AnswersCarryActionAndStatistics) {
   EXPECT_DOUBLE_EQ(stats.spike_energy_joules(), 5e-12 * static_cast<double>(stats.spikes()));
   EXPECT_GT(stats.membrane_updates(), 0u);
   EXPECT_FALSE(stats.has_int_energy_joules());
-  EXPECT_FALSE(stats.has_loihi_energy_joules());
   EXPECT_GT(stats.compute_seconds(), 0.0);
 
   const v1::ActResponse box = client_->Act(client_->Open("box"), 0);

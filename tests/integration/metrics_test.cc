@@ -62,7 +62,7 @@ TEST_F(MetricsTest, CountersGrowByExactlyWhatTheAnswersSay) {
   EXPECT_EQ(Metric(others, {"kind=\"softmax_term\""}), static_cast<double>(sum.softmax_terms()));
   EXPECT_EQ(Metric(others, {"kind=\"gate_product\""}), static_cast<double>(sum.gate_products()));
   // The policies are in float32.
-  EXPECT_THAT(Page("/metrics"), ::testing::Not(::testing::HasSubstr("loihi_2018")));
+  EXPECT_THAT(Page("/metrics"), ::testing::Not(::testing::HasSubstr("int_45nm")));
 }
 
 TEST_F(MetricsTest, EpisodesAndTheirReturns) {

@@ -81,13 +81,13 @@ TEST_F(RecordingTest, AReplayIsTheSameBitForBit) {
   for (const std::string environment : {"CartPole-v1", "Pendulum-v1"}) ExpectReplay(environment);
 }
 
-TEST_F(RecordingTest, AReplayOfAnInt8PolicyIsTheSameBitForBit) {
+TEST_F(RecordingTest, AReplayOfAnIntegerPolicyIsTheSameBitForBit) {
   for (const std::string policy : {"cartpole-v1", "pendulum-v1"}) {
     WriteIntegerVersion(policies_.path(), policy, 1);
   }
   StartServer({"--record_dir=" + recordings_.path().string()});
   for (const std::string environment : {"CartPole-v1", "Pendulum-v1"}) {
-    EXPECT_EQ(ExpectReplay(environment), 2) << "the version in int8";
+    EXPECT_EQ(ExpectReplay(environment), 2) << "the version in integers";
   }
 }
 

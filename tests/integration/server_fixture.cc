@@ -8,7 +8,7 @@
 #include "core/action/action_space.h"
 #include "core/model/policy.h"
 #include "core/model/policy_file.h"
-#include "core/quantize/quantize.h"
+#include "core/quantize/quantize_integer.h"
 #include "tests/integration/http_client.h"
 #include "tests/support/small_config.h"
 
@@ -33,7 +33,7 @@ void WriteIntegerVersion(const std::filesystem::path& directory, const std::stri
   };
   const auto policy = ReadPolicyFile(path(version));
   ASSERT_TRUE(policy.ok()) << policy.status();
-  const auto integer = Quantize(*policy);
+  const auto integer = QuantizeToInteger(*policy);
   ASSERT_TRUE(integer.ok()) << integer.status();
   std::filesystem::create_directories(path(version + 1).parent_path());
   const auto status = WritePolicyFile(*integer, path(version + 1));

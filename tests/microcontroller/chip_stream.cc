@@ -72,7 +72,7 @@ class Stream {
     served_ = std::make_shared<ServedPolicy>();
     served_->name = identity_.policy;
     served_->version = identity_.version;
-    served_->engine = MakeStreamingEngine(policy_);
+    served_->engine = MakeEngine(policy_);
     served_->fleet = std::make_shared<FleetHead>(policy_);
     served_->observer = std::make_shared<SessionObserver>();
     auto environment = MakeEnvironment(policy_->environment);

@@ -14,7 +14,6 @@
 #include "core/math/counter_random.h"
 #include "core/model/policy.h"
 #include "core/model/policy_file.h"
-#include "core/quantize/quantize.h"
 #include "core/quantize/quantize_integer.h"
 #include "tests/support/simd_targets.h"
 #include "tests/support/small_config.h"
@@ -70,7 +69,7 @@ class Episode {
 
 std::vector<Engine::Output> Play(const Engine& engine, const Shape& shape, int first_step = 0) {
   const Episode episode(engine.policy(), shape.spread);
-  const auto context = engine.NewContext(/*seed=*/7, first_step);
+  const auto context = engine.NewContext(first_step);
   std::vector<Engine::Output> outputs(shape.steps - first_step);
   for (int step = first_step; step < shape.steps; ++step) {
     engine.Decide(*context, episode.ReturnToGo(step), episode.Observation(step),
@@ -156,7 +155,6 @@ std::vector<Shape> Float32Shapes() {
   sigmoid_concat.gate = Gate::kSigmoid;
   sigmoid_concat.merge = Merge::kConcat;
   add("WindowClock", ConfigOf(32, 4)).config.phase_clock = PhaseClock::kWindow;
-  add("Bernoulli", ConfigOf(32, 4)).config.coder = CoderKind::kBernoulli;
   for (const Mode mode : {Mode::kFull, Mode::kDense}) {
     ModelConfig& changes = add("Changes_" + std::string(ToString(mode)), ConfigOf(32, 4)).config;
     changes.mode = mode;
@@ -203,32 +201,22 @@ std::vector<Shape> Float32Shapes() {
 std::vector<Shape> IntegerShapes() {
   std::vector<Shape> shapes;
   for (Shape& shape : Float32Shapes()) {
-    if (shape.config.coder != CoderKind::kLif) continue;
     shape.name += "_integer";
     shape.config.arithmetic = Arithmetic::kInteger;
     shapes.push_back(std::move(shape));
   }
-  shapes.push_back({.name = "LinearAttention_integer", .config = ConfigOf(32, 4)});
-  shapes.back().config.attention = Attention::kLinear;
-  shapes.push_back({.name = "NoLeak_integer", .config = ConfigOf(32, 4)});
+  shapes.push_back({.name = "SlowLeak_integer", .config = ConfigOf(32, 4)});
   shapes.back().config.membrane_decay = 1.0f;
+  shapes.back().config.arithmetic = Arithmetic::kInteger;
   shapes.push_back({.name = "Stripped_integer", .config = ConfigOf(64, 2)});
   shapes.back().config.mode = Mode::kBaseline;
-  for (size_t i = shapes.size() - 3; i < shapes.size(); ++i) {
-    shapes[i].config.arithmetic = Arithmetic::kInteger;
-  }
+  shapes.back().config.arithmetic = Arithmetic::kInteger;
   return shapes;
 }
 
 // Returns every shape in every arithmetic that its mode has.
 std::vector<Shape> Shapes() {
   std::vector<Shape> shapes = Float32Shapes();
-  for (Shape& shape : Float32Shapes()) {
-    if (shape.config.is_dense()) continue;
-    shape.name += "_int8";
-    shape.config.arithmetic = Arithmetic::kInt8;
-    shapes.push_back(std::move(shape));
-  }
   for (Shape& shape : IntegerShapes()) shapes.push_back(std::move(shape));
   return shapes;
 }
@@ -257,11 +245,10 @@ Policy MakePolicy(const Shape& shape, uint64_t seed) {
   std::vector<float>& ffn_bias = policy.weights.layers[0].ffn_coder.bias.values;
   ffn_bias.assign(ffn_bias.size(), shape.first_ffn_bias);
   if (shape.config.is_integer()) {
-    return *QuantizeToInteger(policy, {.attention = shape.config.attention,
-                                       .largest_input = 8.0f,
-                                       .largest_residual = shape.largest_residual});
+    return *QuantizeToInteger(policy,
+                              {.largest_input = 8.0f, .largest_residual = shape.largest_residual});
   }
-  return shape.config.arithmetic == Arithmetic::kInt8 ? *Quantize(policy) : policy;
+  return policy;
 }
 
 class EngineParityTest : public testing::TestWithParam<Shape> {};
@@ -272,7 +259,7 @@ TEST_P(EngineParityTest, StreamingEqualsReferenceOnEveryTarget) {
     const auto policy = std::make_shared<const Policy>(MakePolicy(shape, seed));
     ASSERT_TRUE(policy->Validate().ok()) << policy->Validate();
     const std::vector<Engine::Output> expected = Play(*MakeReferenceEngine(policy), shape);
-    const std::unique_ptr<Engine> streaming = MakeStreamingEngine(policy);
+    const std::unique_ptr<Engine> streaming = MakeEngine(policy);
     SCOPED_TRACE("seed " + std::to_string(seed));
     OnEverySimdTarget([&] {
       const std::vector<Engine::Output> actual = Play(*streaming, shape);
@@ -286,7 +273,7 @@ TEST_P(EngineParityTest, StreamingEqualsReferenceOnEveryTarget) {
 TEST_P(EngineParityTest, ContextRebuiltFromHistoryGoesOnAlike) {
   const Shape& shape = GetParam();
   const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 3));
-  const std::unique_ptr<Engine> engine = MakeStreamingEngine(policy);
+  const std::unique_ptr<Engine> engine = MakeEngine(policy);
   const std::vector<Engine::Output> expected = Play(*engine, shape);
   const int history = HistorySize(shape.config);
   for (int resumed = 1; resumed < shape.steps; resumed += 7) {
@@ -302,13 +289,13 @@ TEST_P(EngineParityTest, DecisionsMadeTogetherEqualThoseMadeAlone) {
   constexpr int kContexts = 5;
   const Shape& shape = GetParam();
   const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 4));
-  const std::unique_ptr<Engine> engine = MakeStreamingEngine(policy);
+  const std::unique_ptr<Engine> engine = MakeEngine(policy);
   const Episode episode(*policy, shape.spread);
   std::vector<std::vector<Engine::Output>> expected;
   std::vector<std::unique_ptr<Engine::Context>> contexts;
   for (int i = 0; i < kContexts; ++i) {
     expected.push_back(Play(*engine, shape, i));
-    contexts.push_back(engine->NewContext(/*seed=*/7, i));
+    contexts.push_back(engine->NewContext(i));
   }
   for (int t = 0; t < shape.steps - kContexts; ++t) {
     std::vector<std::vector<float>> inputs;
@@ -330,14 +317,14 @@ TEST_P(EngineParityTest, DecisionsMadeTogetherEqualThoseMadeAlone) {
 TEST_P(EngineParityTest, CompactEngineDecidesAlikeAndRestoresItsPolicy) {
   const Shape& shape = GetParam();
   const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 5));
-  const std::unique_ptr<Engine> engine = MakeCompactEngine(*policy);
+  const std::unique_ptr<Engine> engine = MakeEngine(*policy);
   EXPECT_EQ(*FormatPolicyFile(engine->CompletePolicy()), *FormatPolicyFile(*policy));
   if (!shape.config.is_dense()) {
     const Weights& weights = engine->policy().weights;
     EXPECT_TRUE(weights.embed_state.linear.weight.values.empty());
     EXPECT_TRUE(weights.layers[0].integer.query.weight.values.empty());
   }
-  const std::vector<Engine::Output> expected = Play(*MakeStreamingEngine(policy), shape);
+  const std::vector<Engine::Output> expected = Play(*MakeEngine(policy), shape);
   const std::vector<Engine::Output> actual = Play(*engine, shape);
   for (int step = 0; step < shape.steps; ++step) ExpectEqual(actual[step], expected[step], step);
 }
@@ -347,8 +334,7 @@ TEST_P(EngineParityTest, PopulationsAreAlive) {
   if (shape.config.is_dense()) return;
   Counts total;
   const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 1));
-  for (const Engine::Output& output : Play(*MakeStreamingEngine(policy), shape))
-    total += output.counts;
+  for (const Engine::Output& output : Play(*MakeEngine(policy), shape)) total += output.counts;
   for (int i = 0; i < kStages; ++i) {
     if (static_cast<Stage>(i) == Stage::kPhase && !shape.config.has_phase()) continue;
     EXPECT_GT(total.spikes_by_stage[i], 0u) << ToString(static_cast<Stage>(i));
@@ -364,13 +350,12 @@ TEST_P(EngineParityAtPaperSizeTest, StreamingEqualsReference) {
   const Shape shape = {.name = "paper", .config = {.arithmetic = GetParam()}, .steps = 26};
   const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 1));
   const std::vector<Engine::Output> expected = Play(*MakeReferenceEngine(policy), shape);
-  const std::vector<Engine::Output> actual = Play(*MakeStreamingEngine(policy), shape);
+  const std::vector<Engine::Output> actual = Play(*MakeEngine(policy), shape);
   for (int step = 0; step < shape.steps; ++step) ExpectEqual(actual[step], expected[step], step);
 }
 
 INSTANTIATE_TEST_SUITE_P(Arithmetics, EngineParityAtPaperSizeTest,
-                         testing::Values(Arithmetic::kFloat32, Arithmetic::kInt8,
-                                         Arithmetic::kInteger),
+                         testing::Values(Arithmetic::kFloat32, Arithmetic::kInteger),
                          [](const auto& test) { return std::string(ToString(test.param)); });
 
 // Returns the reference engine's decision at `step` of the episode, from the steps that it depends
@@ -378,7 +363,7 @@ INSTANTIATE_TEST_SUITE_P(Arithmetics, EngineParityAtPaperSizeTest,
 Engine::Output ReferenceDecision(const Policy& policy, const Shape& shape, int step) {
   const Episode episode(policy, shape.spread);
   const int first = std::max(0, step + 1 - HistorySize(policy.config));
-  PrefixContext prefix(/*seed=*/7, first);
+  PrefixContext prefix(first);
   for (int t = first; t <= step; ++t) {
     if (t > first) prefix.AppendAction(episode.EncodedAction(t - 1));
     prefix.AppendReturnAndState(policy, episode.ReturnToGo(t), episode.Observation(t));
@@ -399,7 +384,7 @@ TEST_P(EngineParityInLongContextTest, StreamingEqualsReferenceOnEveryTarget) {
   shape.config.layers = 1;
   shape.config.context = 345;
   const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 1));
-  const std::unique_ptr<Engine> streaming = MakeStreamingEngine(policy);
+  const std::unique_ptr<Engine> streaming = MakeEngine(policy);
   const std::vector<int> steps = {1, 40, 344, 345, 346, 500, 511, 512, 513, 800, 1023, 1024, 1099};
   std::vector<Engine::Output> expected;
   for (const int step : steps) expected.push_back(ReferenceDecision(*policy, shape, step));

@@ -5,9 +5,8 @@
 // of the threshold may therefore fire on one side only, and all later results of that episode may
 // differ. The test allows only this difference: at the first decision whose spikes differ, a
 // membrane must be within kRounding of the threshold. Integer neurons add exactly, so with
-// Arithmetic::kInt8 it must be a membrane of a coder, and with kInteger none may. Comparison of an
-// episode ends there, and in total at least kLeastCompared of all decisions must have been
-// compared.
+// Arithmetic::kInteger none may. Comparison of an episode ends there, and in total at least
+// kLeastCompared of all decisions must have been compared.
 
 #include <gtest/gtest.h>
 #include <torch/types.h>
@@ -32,7 +31,6 @@ constexpr float kRounding = 1e-5f;  // of a membrane, for a threshold of 1
 constexpr float kLogitTolerance = 1e-4f;
 constexpr double kLeastCompared = 0.95;  // share of all decisions
 constexpr int kSteps = 14;               // much longer than the context
-constexpr uint64_t kBernoulliSeed = 7;
 
 struct Shape {
   std::string name;
@@ -74,7 +72,6 @@ std::vector<Shape> Shapes() {
     s.config.merge = Merge::kConcat;
   });
   add("window", [](Shape& s) { s.config.phase_clock = PhaseClock::kWindow; });
-  add("bernoulli", [](Shape& s) { s.config.coder = CoderKind::kBernoulli; });
   add("three_layers", [](Shape& s) { s.config.layers = 3; });
   add("one_layer", [](Shape& s) { s.config.layers = 1; });
   add("odd_heads", [](Shape& s) {
@@ -114,14 +111,8 @@ std::vector<Shape> Shapes() {
   });
   const std::vector<Shape> floats = shapes;
   for (Shape shape : floats) {
-    if (shape.config.is_dense()) continue;
-    shape.name += "_int8";
-    shape.arithmetic = Arithmetic::kInt8;
-    shapes.push_back(shape);
-  }
-  for (Shape shape : floats) {
-    if (shape.config.is_dense() || shape.config.coder == CoderKind::kBernoulli) continue;
-    if (!shape.config.has_norms()) continue;  // is not trained through the integers
+    if (shape.config.is_dense() || !shape.config.has_norms())
+      continue;  // is not trained through the integers
     shape.name += "_integer";
     shape.arithmetic = Arithmetic::kInteger;
     shapes.push_back(shape);
@@ -158,7 +149,6 @@ ClipTensors MakeEpisode(const Policy& policy, uint64_t seed) {
                       .observations = torch::empty({1, kSteps, obs}),
                       .actions = torch::zeros({1, kSteps, act}),
                       .timesteps = torch::arange(kSteps).unsqueeze(0),
-                      .seeds = torch::full({1}, static_cast<int64_t>(kBernoulliSeed)),
                       .previous = {}};
   const auto draw = [seed](int step, int64_t what) {
     return 4.0f * UniformFloat(RandomBits(
@@ -234,7 +224,7 @@ TorchDecision DecisionOf(const ModelOutput& output, const ModelConfig& config, i
 // of decisions before the first one whose spikes differ.
 int CompareWithEngine(const Engine& engine, const ClipTensors& clip, const ModelOutput& output) {
   const Policy& policy = engine.policy();
-  const auto context = engine.NewContext(kBernoulliSeed);
+  const auto context = engine.NewContext();
   Engine::Output decided;
   for (int t = 0; t < kSteps; ++t) {
     engine.Decide(*context, clip.return_to_go[0][t].item<float>(),
@@ -272,7 +262,7 @@ TEST_P(TrainerParityTest, TorchAgreesWithBothEngines) {
     const auto trained = std::make_shared<const Policy>(model.CurrentPolicy());
     ASSERT_EQ(trained->config.arithmetic, GetParam().arithmetic);
     compared += CompareWithEngine(*MakeReferenceEngine(trained), clip, output);
-    compared += CompareWithEngine(*MakeStreamingEngine(trained), clip, output);
+    compared += CompareWithEngine(*MakeEngine(trained), clip, output);
   }
   EXPECT_GE(compared, kLeastCompared * 2.0 * static_cast<double>(GetParam().policies) * kSteps);
 }

@@ -1,6 +1,6 @@
 // Converts a policy to integer arithmetic and decides by JSON lines, for tests in other languages.
 //
-// Usage: integer_decisions FLOAT_POLICY INTEGER_POLICY MODE ATTENTION, or INTEGER_POLICY alone.
+// Usage: integer_decisions FLOAT_POLICY INTEGER_POLICY MODE, or INTEGER_POLICY alone.
 // Writes INTEGER_POLICY, then decides one episode with the engine of the server. Each line of
 // standard input has `return_to_go`, `observation` and, except the first one, `last_action`
 // (encoded), and is answered by one line with `spikes` by stage, `readout`, and `joules` by energy
@@ -45,17 +45,15 @@ Json Answer(const Engine::Output& output, const ModelConfig& config) {
 // Converts the policy of the arguments.
 void Convert(char** arguments) {
   const Policy policy = ValueOf(ReadPolicyFile(arguments[1]));
-  const IntegerOptions options = {
-      .mode = ValueOf(ParseEnum<Mode>("MODE", arguments[3])),
-      .attention = ValueOf(ParseEnum<Attention>("ATTENTION", arguments[4]))};
+  const IntegerOptions options = {.mode = ValueOf(ParseEnum<Mode>("MODE", arguments[3]))};
   const Policy integer = ValueOf(QuantizeToInteger(policy, options));
   const absl::Status written = WritePolicyFile(integer, arguments[2]);
   if (!written.ok()) throw std::invalid_argument(written.ToString());
 }
 
 void Decide(const char* path) {
-  const auto engine = MakeCompactEngine(ValueOf(ReadPolicyFile(path)));
-  const auto context = engine->NewContext(0);
+  const auto engine = MakeEngine(ValueOf(ReadPolicyFile(path)));
+  const auto context = engine->NewContext();
   Engine::Output output;
   for (std::string line; std::getline(std::cin, line);) {
     const Json json = Json::parse(line);
@@ -73,12 +71,11 @@ void Decide(const char* path) {
 
 int main(int argc, char** argv) {
   try {
-    if (argc != 2 && argc != 5) {
-      throw std::invalid_argument(
-          "expected FLOAT_POLICY INTEGER_POLICY MODE ATTENTION, or a policy");
+    if (argc != 2 && argc != 4) {
+      throw std::invalid_argument("expected FLOAT_POLICY INTEGER_POLICY MODE, or a policy");
     }
-    if (argc == 5) spikeserve::Convert(argv);
-    spikeserve::Decide(argv[argc == 5 ? 2 : 1]);
+    if (argc == 4) spikeserve::Convert(argv);
+    spikeserve::Decide(argv[argc == 4 ? 2 : 1]);
   } catch (const std::exception& error) {
     std::cerr << error.what() << "\n";
     return 1;

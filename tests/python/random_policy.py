@@ -1,10 +1,10 @@
 """Writes policy files with random weights through spikeserve.export."""
 
-from dataclasses import replace
+import os
+import subprocess
 
 import numpy as np
 from spikeserve.export import ModelConfig, export_policy, tensor_shapes
-from spikeserve.integer_weights import quantize
 
 SMALL = {"hidden_size": 16, "heads": 2, "ticks": 4, "context": 5, "ffn_size": 32}
 DENSE_TIMESTEPS = 8
@@ -26,19 +26,22 @@ def random_tensors(config, observation_size, action_size, seed=0):
     return tensors
 
 
-def export_random(folder, name, environment, seed=0, **config):
+def export_random(folder, name, environment, seed=0, arithmetic="float32", **config):
     """Writes version 1 of the policy `name` below `folder`, for a Gymnasium environment."""
     config = ModelConfig(**(SMALL | config))
-    float32 = replace(config, arithmetic="float32")
     space = environment.action_space
     size = int(space.n) if hasattr(space, "n") else space.shape[0]
-    tensors = random_tensors(float32, environment.observation_space.shape[0], size, seed)
+    tensors = random_tensors(config, environment.observation_space.shape[0], size, seed)
+    path = folder / name / "1" / "policy.safetensors"
     export_policy(
-        folder / name / "1" / "policy.safetensors",
-        quantize(tensors, float32) if config.is_int8 else tensors,
+        path,
+        tensors,
         config,
         action_space=space,
         environment=environment.spec.id,
         target_return=100,
         return_scale=100,
     )
+    if arithmetic == "integer":
+        command = [os.environ["INTEGER_DECISIONS_PROGRAM"], path, path, config.mode]
+        subprocess.run(command, stdin=subprocess.DEVNULL, check=True, timeout=120)

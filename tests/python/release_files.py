@@ -7,14 +7,17 @@ tests/releases has a folder for each release. Run this file with the program of 
 
 import contextlib
 import json
+import os
 import pathlib
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 
 import grpc
 from google.protobuf import json_format
+from policy_file import read_policy
 from redis_servers import Redis
 from security import until
 from serving import SHIPPED_POLICIES, Service, running_server
@@ -26,6 +29,17 @@ BEFORE, AFTER = 23, 25  # decisions of each session; a snapshot is written every
 FLEET = "f" * 32
 # The files are used long after they were made.
 KEEP = ["--store_retention=1000000h", "--session_ttl=10m"]
+
+
+def convert_int8(folder):
+    """Converts the policies in int8 below a folder to float32, in place. Returns their names and versions."""
+    converted = []
+    for path in sorted(folder.glob("*/*/policy.safetensors")):
+        if json.loads(read_policy(path)[1]["config"]).get("arithmetic") == "int8":
+            command = [os.environ["SPIKETRAIN_PROGRAM"], "quantize", f"--policy={path}", f"--out={path}", "--to=float32"]
+            subprocess.run(command, check=True, timeout=60)
+            converted.append((path.parent.parent.name, path.parent.name))
+    return converted
 
 
 def opening(i):
@@ -74,11 +88,11 @@ def play_first_half(service, admin):
             decide(service, session, decision, decision if decision < 10 else decision - 10)
 
 
-def play_second_half(service, _):
-    """Continues with the sessions. Returns what the server answered, as JSON."""
+def play_second_half(service, _, sessions=range(SESSIONS)):
+    """Continues with sessions and that of the fleet. Returns what the server answered, as JSON."""
     settings = service.ListPolicies()
     answers = {"policies": json_format.MessageToDict(settings, preserving_proto_field_name=True)}
-    for session in [opening(i)["session_id"] for i in range(SESSIONS)] + [FLEET]:
+    for session in [opening(i)["session_id"] for i in sessions] + [FLEET]:
         answers[session] = [
             decide(service, session, decision, decision - 10) for decision in range(BEFORE, BEFORE + AFTER)
         ]

@@ -16,7 +16,7 @@ from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
 
 DEPLOY = pathlib.Path(__file__).parents[2] / "deploy"
 SHIPPED_POLICIES = DEPLOY / "policies"
-# Small policies for CartPole that a release left: cartpole-sparse/1 in float32, and two with 8-bit weights.
+# Small policies for CartPole that a release left: cartpole-sparse/1 in float32, and two in int8.
 RELEASED_POLICIES = DEPLOY.parent / "tests/releases/0.1.0/policies"
 # How many times as long as usual a test may take, for emulated processors.
 TEST_TIME = int(os.environ.get("TEST_TIME", "1"))

@@ -13,7 +13,7 @@
 #include "core/agent/served_policy.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy.h"
-#include "core/quantize/quantize.h"
+#include "core/quantize/quantize_integer.h"
 #include "tests/support/small_config.h"
 
 namespace spikeserve {
@@ -41,13 +41,13 @@ inline std::shared_ptr<const ServedPolicy> Serve(
   ModelConfig random = config;
   random.arithmetic = Arithmetic::kFloat32;
   Policy made = RandomPolicy(random, kObservationSize, action_space, /*seed=*/7);
-  if (config.arithmetic == Arithmetic::kInt8) made = *Quantize(made);
+  if (config.is_integer()) made = *QuantizeToInteger(made);
   auto policy = std::make_shared<const Policy>(std::move(made));
   auto served = std::make_shared<ServedPolicy>();
   served->name = "small";
   served->version = 1;
   served->fleet = std::make_shared<FleetHead>(policy);
-  served->engine = MakeStreamingEngine(std::move(policy));
+  served->engine = MakeEngine(std::move(policy));
   served->observer = std::move(observer);
   return served;
 }

@@ -31,7 +31,7 @@ void Decide(const Engine& engine, const Episode& episode, Eigen::Index row,
   const Policy& policy = engine.policy();
   const auto obs = static_cast<size_t>(policy.observation_size());
   const std::vector<float> returns = ReturnsToGo(episode);
-  const auto context = engine.NewContext(episode.seed);
+  const auto context = engine.NewContext();
   Engine::Output output;
   ActionChoice choice;
   std::vector<float> encoded(static_cast<size_t>(policy.action_space.size()));
@@ -74,7 +74,7 @@ ImitationError ErrorOf(const ActionSpace& space, const RowMajorMatrix<float>& ou
 
 ImitationError ErrorOf(std::shared_ptr<const Policy> policy, const StepTable& table) {
   const ActionSpace space = policy->action_space;
-  const std::unique_ptr<Engine> engine = MakeStreamingEngine(std::move(policy));
+  const std::unique_ptr<Engine> engine = MakeEngine(std::move(policy));
   RowMajorMatrix<float> outputs(table.rows(), space.size());
   for (size_t i = 0; i < table.episodes.size(); ++i) {
     Decide(*engine, table.episodes[i], table.begins[i], &outputs);

@@ -77,7 +77,7 @@ absl::Status Ablate(absl::string_view part, Policy* policy) {
       }
     };
     for (LayerWeights& layer : weights.layers) {
-      config.arithmetic == Arithmetic::kFloat32 ? clear(layer) : clear(layer.integer);
+      config.is_integer() ? clear(layer.integer) : clear(layer);
     }
   } else if (part == "routing") {
     if (!config.has_routing()) return Missing(part, config);

@@ -46,12 +46,12 @@ class InputRange {
 // Shows the policy all steps of the episodes. Calls `start` with the context of each episode first.
 template <class Start>
 void Observe(const Policy& policy, absl::Span<const Episode> episodes, const Start& start) {
-  const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
+  const auto engine = MakeEngine(std::make_shared<const Policy>(policy));
   const auto size = static_cast<size_t>(policy.observation_size());
   std::vector<float> encoded(policy.action_space.size());
   Engine::Output output;
   for (const Episode& episode : episodes) {
-    const auto context = engine->NewContext(episode.seed);
+    const auto context = engine->NewContext();
     start(*context);
     const std::vector<float> returns = ReturnsToGo(episode);
     for (size_t t = 0; t < episode.actions.size(); ++t) {
@@ -90,13 +90,13 @@ absl::StatusOr<float> LargestInput(const Policy& policy, absl::Span<const Episod
 absl::StatusOr<std::vector<Episode>> PlayCalibrationEpisodes(const Policy& policy) {
   ASSIGN_OR_RETURN(std::unique_ptr<Environment> environment, MakeEnvironment(policy.environment));
   RETURN_IF_ERROR(CheckSpacesMatch(policy, *environment));
-  const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
+  const auto engine = MakeEngine(std::make_shared<const Policy>(policy));
   std::vector<Episode> episodes(kCalibrationEpisodes);
   for (Episode& episode : episodes) {
     episode.actor = "student";
     episode.seed = kCalibrationSeed + static_cast<uint64_t>(&episode - episodes.data());
     episode.target_return = policy.target_return;
-    PolicyPlayer player(*engine, episode.seed, policy.target_return);
+    PolicyPlayer player(*engine, policy.target_return);
     StepResult result;
     result.observation = environment->Reset(episode.seed);
     const auto observe = [&] {

@@ -91,8 +91,8 @@ double DecisionCost::traffic_energy() const {
 
 absl::StatusOr<EnergyAccount> AccountOf(const Policy& policy, const Evaluation& evaluation) {
   const ModelConfig& config = policy.config;
-  if (config.arithmetic == Arithmetic::kFloat32) {
-    return absl::InvalidArgumentError("arithmetic: expected int8 or integer, received float32");
+  if (!config.is_integer()) {
+    return absl::InvalidArgumentError("arithmetic: expected integer, received float32");
   }
   const Counts dense = DenseTwinCounts(config, config.state_inputs(policy.observation_size()),
                                        policy.action_space.size());

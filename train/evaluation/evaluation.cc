@@ -52,7 +52,7 @@ class UnderWay {
 double PlayEpisode(const Engine& engine, Environment& environment, uint64_t seed, int delay,
                    Evaluation* evaluation) {
   UnderWay under_way(engine.policy().action_space, delay);
-  PolicyPlayer player(engine, seed, static_cast<double>(engine.policy().target_return));
+  PolicyPlayer player(engine, static_cast<double>(engine.policy().target_return));
   StepResult result;
   result.observation = environment.Reset(seed);
   double episode_return = 0.0;
@@ -118,7 +118,7 @@ absl::StatusOr<Evaluation> Evaluate(std::shared_ptr<const Policy> policy,
                            .returns = {},
                            .decisions = 0,
                            .counts = {}};
-  const std::unique_ptr<Engine> engine = MakeStreamingEngine(std::move(policy));
+  const std::unique_ptr<Engine> engine = MakeEngine(std::move(policy));
   for (int i = 0; i < options.episodes; ++i) {
     const int delay = options.delay.least + i % (options.delay.most - options.delay.least + 1);
     const uint64_t seed = options.first_seed + static_cast<uint64_t>(i);

@@ -78,7 +78,7 @@ absl::Status CheckEpisode(const Policy& policy, const Dataset& dataset, const Ep
 void DecideEpisode(const Engine& engine, const Dataset& dataset, const Episode& episode,
                    Evaluation* evaluation) {
   const Policy& policy = engine.policy();
-  const auto context = engine.NewContext(episode.served->seed);
+  const auto context = engine.NewContext();
   Engine::Output output;
   std::vector<float> action(static_cast<size_t>(policy.action_space.size()));
   const auto size = static_cast<size_t>(dataset.observation_size);
@@ -106,8 +106,7 @@ absl::StatusOr<NeuroBench> MeasureNeuroBench(const Policy& policy, const Evaluat
   const auto mean = [&](uint64_t count) { return static_cast<double>(count) / decisions; };
   const uint64_t spikes = counts.total_spikes() - counts.spikes(Stage::kPhase);
   uint64_t activations = config.is_integer() ? counts.membrane_ticks : counts.membrane_updates;
-  // Bernoulli coders and those of integer arithmetic have no membranes.
-  if (config.coder == CoderKind::kBernoulli || config.is_integer()) {
+  if (config.is_integer()) {  // its coders have no membranes
     activations += counts.coder_gains * static_cast<uint64_t>(config.ticks);
   }
   // The first decision of an episode has no action token.
@@ -137,7 +136,7 @@ absl::StatusOr<Evaluation> DecideAgain(std::shared_ptr<const Policy> policy,
                            .returns = {},
                            .decisions = 0,
                            .counts = {}};
-  const std::unique_ptr<Engine> engine = MakeStreamingEngine(policy);
+  const std::unique_ptr<Engine> engine = MakeEngine(policy);
   for (const Dataset& dataset : recordings) {
     for (const Episode& episode : dataset.episodes) {
       if (absl::Status status = CheckEpisode(*policy, dataset, episode); !status.ok()) {

@@ -54,13 +54,13 @@ double Agreement(const ActionSpace& space, const Action& decided, const Action& 
 
 // Returns the mean agreement of each episode.
 std::vector<double> Agreements(const Policy& policy, absl::Span<const Episode> episodes) {
-  const auto engine = MakeCompactEngine(policy);
+  const auto engine = MakeEngine(policy);
   const auto size = static_cast<size_t>(policy.observation_size());
   std::vector<float> encoded(static_cast<size_t>(policy.action_space.size()));
   std::vector<double> agreements;
   Engine::Output output;
   for (const Episode& episode : episodes) {
-    const auto context = engine->NewContext(episode.seed);
+    const auto context = engine->NewContext();
     const std::vector<float> returns = ReturnsToGo(episode);
     double sum = 0.0;
     for (size_t t = 0; t < episode.actions.size(); ++t) {

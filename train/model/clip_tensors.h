@@ -22,7 +22,6 @@ struct ClipTensors {
   torch::Tensor observations;  // [B, n, obs], environment units
   torch::Tensor actions;       // [B, n, act], encoded by ActionSpace::Encode
   torch::Tensor timesteps;     // [B, n], int64, counted from the start of the episode
-  torch::Tensor seeds;         // [B], int64, keys of the Bernoulli coder
   // [B, obs]: the observation before the first one of the clip; at the start of an episode, the
   // first one itself. Read only with config.observation_changes.
   torch::Tensor previous;

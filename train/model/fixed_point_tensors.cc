@@ -94,7 +94,6 @@ torch::Tensor CodeSpikes(const PeriodCoder& coder, const torch::Tensor& x) {
 
 torch::Tensor AttendInIntegers(const HeadInputs& inputs, const Int16Tensor& scale,
                                const ModelConfig& config) {
-  SPIKESERVE_DCHECK(config.attention == Attention::kShiftmax);
   const torch::Tensor shiftmax = ShiftmaxWeights(inputs, Numbers(scale).view({-1, 1, 1}));
   const bool weighs_all = inputs.biases.defined();
   const torch::Tensor weights =
@@ -116,7 +115,7 @@ torch::Tensor MergeInIntegers(const FixedPointLayer& layer, const ModelConfig& c
         ApplyMap(layer.routing_hidden, y.flatten(-2)).clamp(0, kLargestResidual);
     const torch::Tensor gates =
         ForEachRow(ApplyMap(layer.routing_gate, hidden),
-                   [&config](std::vector<int32_t>& row) { GateScores(config.gate, row); });
+                   [&config](std::vector<int32_t>& row) { GateScores(config, row); });
     const torch::Tensor gated = gates.unsqueeze(-1) * y;
     // The gates of concatenated heads are multiplied by H, so that uniform gates are 1.
     merged = RoundScaled(concat ? gated.flatten(-2) * config.heads : gated.sum(-2), unit);

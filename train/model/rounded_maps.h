@@ -1,4 +1,4 @@
-// The spike-driven maps of a model in integer arithmetic, for training.
+// The populations of a model in integer arithmetic, for training.
 //
 // The forward pass computes with the integers of a rounded policy (core/quantize), as float32
 // numbers. No sum leaves the integers that float32 holds exactly, so its order does not matter, and
@@ -6,7 +6,7 @@
 // ("straight through": Y. Bengio, N. Leonard, A. Courville, arXiv:1308.3432, 2013): a weight w = s
 // w_int with the scale s has the gradient (dL/dw_int) / s.
 //
-// Symbols as in torch_model.h; F hidden neurons of the FFN. Not thread-safe.
+// Symbols as in torch_model.h. Not thread-safe.
 #ifndef TRAIN_MODEL_ROUNDED_MAPS_H_
 #define TRAIN_MODEL_ROUNDED_MAPS_H_
 
@@ -22,8 +22,8 @@ namespace spikeserve {
 
 class RoundedMaps {
  public:
-  // Copies the integers of `rounded`, a policy in kInt8 or kInteger that was rounded from the
-  // current values of the parameters below.
+  // Copies the integers of `rounded`, a policy in kInteger that was rounded from the current
+  // values of the parameters below.
   explicit RoundedMaps(const Policy& rounded);
 
   // Returns the current into each neuron of the population `name` ("layers.0.attention.query") for
@@ -35,11 +35,6 @@ class RoundedMaps {
   const torch::Tensor& threshold(const std::string& name) const;
   const torch::Tensor& bias(const std::string& name) const;
   const torch::Tensor& scale(const std::string& name) const;
-
-  // Returns the analog update of the map `name` ("layers.0.ffn.output") of kInt8 for hidden spikes
-  // [T, ..., F]: [..., d].
-  torch::Tensor MapCounts(const Parameters& parameters, const std::string& name,
-                          const torch::Tensor& hidden) const;
 
  private:
   // Returns the integers of `name`, with the gradient passed through to the parameter of that name.

@@ -9,12 +9,10 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
-#include "core/quantize/quantize.h"
 #include "core/quantize/quantize_integer.h"
 #include "train/model/attention.h"
 #include "train/model/fold_norms.h"
 #include "train/model/integer_forward.h"
-#include "train/neuron/bernoulli_function.h"
 #include "train/neuron/lif_function.h"
 #include "train/neuron/phase_function.h"
 
@@ -24,21 +22,17 @@ namespace {
 // One forward pass over a batch of clips.
 class ForwardPass {
  public:
-  // Computes the spike-driven maps in integers if `rounded` is not null. Without `fading`, norms do
-  // not fade; see FadingNorms::Normalize for `batch`.
-  ForwardPass(const Policy& policy, const Parameters& parameters, const RoundedMaps* rounded,
-              const FadingNorms* fading, BatchMoments* batch, const Surrogate& surrogate,
-              const ClipTensors& clips)
+  // Without `fading`, norms do not fade; see FadingNorms::Normalize for `batch`.
+  ForwardPass(const Policy& policy, const Parameters& parameters, const FadingNorms* fading,
+              BatchMoments* batch, const Surrogate& surrogate, const ClipTensors& clips)
       : policy_(policy),
         config_(policy.config),
         p_(parameters),
-        rounded_(rounded),
         fading_(fading),
         batch_(batch),
         surrogate_(surrogate),
         lif_{{config_.membrane_decay, config_.threshold}, config_.ticks, surrogate},
         clips_(clips),
-        timesteps_(ForEachToken(clips.timesteps, 1)),
         mask_(BandMask(clips.timesteps.size(1), config_.context, clips.timesteps.device())) {}
 
   ModelOutput Run() {
@@ -49,7 +43,7 @@ class ForwardPass {
     }
     output_.readout = x;
     if (!config_.is_dense()) {
-      output_.readout = Code(x, "readout.coder", Stage::kReadout, -1, 2 * config_.layers).mean(0);
+      output_.readout = Code(x, "readout.coder", Stage::kReadout, -1).mean(0);
     }
     output_.logits = p_.Linear(output_.readout, "head");
     return std::move(output_);
@@ -92,55 +86,25 @@ class ForwardPass {
   }
 
   // Returns a coder's spikes [T, B, tokens, d] for x [B, tokens, d].
-  torch::Tensor Code(const torch::Tensor& x, const std::string& name, Stage stage, int layer,
-                     int site) {
+  torch::Tensor Code(const torch::Tensor& x, const std::string& name, Stage stage, int layer) {
     const torch::Tensor current = x * p_[name + ".gain"] + p_[name + ".bias"];
-    if (config_.coder == CoderKind::kLif) {
-      output_.populations.push_back({stage, layer, LifConstant(current, lif_), current});
-    } else {
-      const bool all = x.size(1) == timesteps_.size(1);
-      std::vector<int> kinds(x.size(1), 1);
-      for (size_t i = 0; all && i < kinds.size(); ++i) kinds[i] = static_cast<int>(i) % kTokens;
-      const BernoulliDraws draws = {.seeds = clips_.seeds,
-                                    .timesteps = all ? timesteps_ : clips_.timesteps,
-                                    .kinds = std::move(kinds),
-                                    .site = site};
-      const torch::Tensor spikes = BernoulliSpikes(current, draws, config_.ticks);
-      output_.populations.push_back({stage, layer, spikes, {}});
-    }
+    output_.populations.push_back({stage, layer, LifConstant(current, lif_), current});
     return output_.populations.back().spikes;
   }
 
   // Returns the spikes [T, B, tokens, neurons] of the population `name` for input spikes [T, B,
   // tokens, in].
   torch::Tensor Fire(const torch::Tensor& input, const std::string& name, Stage stage, int layer) {
-    if (rounded_ == nullptr) {
-      const torch::Tensor current = p_.Linear(input, name);
-      output_.populations.push_back({stage, layer, LifPerTick(current, lif_), current});
-    } else {
-      const IntegerLifOptions options = {
-          .neuron = IntegerLif{static_cast<int16_t>(config_.integer_decay())},
-          .threshold = rounded_->threshold(name),
-          .scale = rounded_->scale(name),
-          .ticks = config_.ticks,
-          .surrogate = surrogate_};
-      const torch::Tensor current = rounded_->Current(p_, name, input);
-      output_.populations.push_back({stage, layer, IntegerLifPerTick(current, options), {}});
-    }
+    const torch::Tensor current = p_.Linear(input, name);
+    output_.populations.push_back({stage, layer, LifPerTick(current, lif_), current});
     return output_.populations.back().spikes;
-  }
-
-  // Returns W (spike count / T) + b of the map `name` for hidden spikes [T, B, tokens, F].
-  torch::Tensor MapCounts(const torch::Tensor& hidden, const std::string& name) const {
-    return rounded_ == nullptr ? p_.Linear(hidden.mean(0), name)
-                               : rounded_->MapCounts(p_, name, hidden);
   }
 
   // Returns the layer's output, [B, 3n, d]. The last layer computes queries and outputs only for
   // the state tokens and returns [B, n, d].
   torch::Tensor SpikingLayer(const torch::Tensor& x, int layer) {
     const std::string name = absl::StrCat("layers.", layer);
-    torch::Tensor coded = Code(x, name + ".coder", Stage::kCoder, layer, 2 * layer);
+    torch::Tensor coded = Code(x, name + ".coder", Stage::kCoder, layer);
     if (config_.has_phase()) coded = torch::cat({coded, phase_}, -1);
     const torch::Tensor asking = IsLast(layer) ? StateTokens(coded, 2) : coded;
     const std::string attention = name + ".attention";
@@ -153,9 +117,9 @@ class ForwardPass {
   }
 
   torch::Tensor SpikingFeedForward(const torch::Tensor& x, const std::string& name, int layer) {
-    const torch::Tensor coded = Code(x, name + ".ffn.coder", Stage::kFfnIn, layer, 2 * layer + 1);
+    const torch::Tensor coded = Code(x, name + ".ffn.coder", Stage::kFfnIn, layer);
     const torch::Tensor hidden = Fire(coded, name + ".ffn.hidden", Stage::kFfnHidden, layer);
-    return Norm(x + MapCounts(hidden, name + ".ffn.output"), name + ".ffn.norm");
+    return Norm(x + p_.Linear(hidden.mean(0), name + ".ffn.output"), name + ".ffn.norm");
   }
 
   // As SpikingLayer, for a layer of an ordinary decision transformer with the same residual
@@ -193,29 +157,20 @@ class ForwardPass {
   const Policy& policy_;
   const ModelConfig& config_;
   const Parameters& p_;
-  const RoundedMaps* const rounded_;
   const FadingNorms* const fading_;
   BatchMoments* const batch_;
   const Surrogate surrogate_;
   const LifOptions lif_;
   const ClipTensors& clips_;
-  const torch::Tensor timesteps_;  // [B, 3n]
-  const torch::Tensor mask_;       // [3n, 3n]
-  torch::Tensor phase_;            // [T, B, 3n, H]
+  const torch::Tensor mask_;  // [3n, 3n]
+  torch::Tensor phase_;       // [T, B, 3n, H]
   ModelOutput output_;
 };
 
 }  // namespace
 
 absl::StatusOr<Policy> RoundTo(Arithmetic arithmetic, const Policy& policy) {
-  switch (arithmetic) {
-    case Arithmetic::kFloat32:
-      break;
-    case Arithmetic::kInt8:
-      return Quantize(policy);
-    case Arithmetic::kInteger:
-      return QuantizeToInteger(policy);
-  }
+  if (arithmetic == Arithmetic::kInteger) return QuantizeToInteger(policy);
   return policy;
 }
 
@@ -240,8 +195,7 @@ ModelOutput TorchModel::Forward(const ClipTensors& clips) const {
                              {{config.membrane_decay, config.threshold}, config.ticks, surrogate_},
                              clips);
   }
-  const RoundedMaps* maps = rounded_.has_value() ? &rounded_->maps : nullptr;
-  return ForwardPass(policy_, parameters_, maps, fading_norms(), nullptr, surrogate_, clips).Run();
+  return ForwardPass(policy_, parameters_, fading_norms(), nullptr, surrogate_, clips).Run();
 }
 
 void TorchModel::FadeNorms() {
@@ -253,7 +207,7 @@ ModelOutput TorchModel::ForwardInTraining(const ClipTensors& clips, const torch:
   if (!fading_norms_.has_value()) return Forward(clips);
   BatchMoments batch = {.mask = mask};
   ModelOutput output =
-      ForwardPass(policy_, parameters_, nullptr, fading_norms(), &batch, surrogate_, clips).Run();
+      ForwardPass(policy_, parameters_, fading_norms(), &batch, surrogate_, clips).Run();
   fading_norms_->Follow(batch);
   return output;
 }

@@ -28,7 +28,7 @@ class TorchModel {
   // patches, the state embedding starts from random patch maps that are drawn from `seed`.
   // Computes on `device`, where the tensors of clips have to be. REQUIRES: a valid policy in
   // float32 that RoundTo() accepts; patches that are not used or valid for it; the processor, for
-  // integers and the Bernoulli coder.
+  // integers.
   TorchModel(Policy policy, const Surrogate& surrogate,
              Arithmetic arithmetic = Arithmetic::kFloat32, const PatchShape& patches = {},
              uint64_t seed = 0, torch::Device device = torch::kCPU);

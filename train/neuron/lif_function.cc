@@ -90,18 +90,15 @@ struct LifFunction : torch::autograd::Function<LifFunction> {
 struct IntegerLifFunction : torch::autograd::Function<IntegerLifFunction> {
   // Returns all neurons of a current. The tensors of `options` must outlive the result.
   static IntegerLifRange Range(const IntegerLifOptions& options) {
-    IntegerLifRange range = {.neuron = options.neuron,
-                             .ticks = options.ticks,
-                             .begin = 0,
-                             .end = 0,
-                             .threshold = options.threshold.data_ptr<float>(),
-                             .scale = options.scale.data_ptr<float>(),
-                             .width = options.threshold.numel()};
-    if (std::holds_alternative<ShiftLif>(options.neuron)) {
-      range.bias = options.bias.data_ptr<float>();
-      range.events = {options.events.data_ptr<float>(), options.events.numel() / options.ticks};
-    }
-    return range;
+    return {.neuron = options.neuron,
+            .ticks = options.ticks,
+            .begin = 0,
+            .end = 0,
+            .threshold = options.threshold.data_ptr<float>(),
+            .scale = options.scale.data_ptr<float>(),
+            .width = options.threshold.numel(),
+            .bias = options.bias.data_ptr<float>(),
+            .events = {options.events.data_ptr<float>(), options.events.numel() / options.ticks}};
   }
 
   static torch::Tensor forward(AutogradContext* context, const torch::Tensor& input,
@@ -120,11 +117,7 @@ struct IntegerLifFunction : torch::autograd::Function<IntegerLifFunction> {
     context->save_for_backward(
         {current, options.threshold, options.scale, options.bias, options.events});
     context->saved_data["ticks"] = static_cast<int64_t>(options.ticks);
-    const auto* shifted = std::get_if<ShiftLif>(&options.neuron);
-    context->saved_data["shifted"] = shifted != nullptr;
-    context->saved_data["leak"] = shifted != nullptr
-                                      ? static_cast<int64_t>(shifted->shift)
-                                      : int64_t{std::get<IntegerLif>(options.neuron).decay};
+    context->saved_data["leak"] = static_cast<int64_t>(options.neuron.shift);
     SaveSurrogate(options.surrogate, context);
     return spikes;
   }
@@ -133,15 +126,13 @@ struct IntegerLifFunction : torch::autograd::Function<IntegerLifFunction> {
     auto& saved = context->saved_data;
     const auto tensors = context->get_saved_variables();
     const torch::Tensor& current = tensors[0];
-    const int64_t leak = saved["leak"].toInt();
-    IntegerLifOptions options = {.neuron = IntegerLif{static_cast<int16_t>(leak)},
-                                 .threshold = tensors[1],
-                                 .scale = tensors[2],
-                                 .ticks = static_cast<int>(saved["ticks"].toInt()),
-                                 .surrogate = SavedSurrogate(context),
-                                 .bias = tensors[3],
-                                 .events = tensors[4]};
-    if (saved["shifted"].toBool()) options.neuron = ShiftLif{static_cast<int>(leak)};
+    const IntegerLifOptions options = {.neuron = ShiftLif{static_cast<int>(saved["leak"].toInt())},
+                                       .threshold = tensors[1],
+                                       .scale = tensors[2],
+                                       .ticks = static_cast<int>(saved["ticks"].toInt()),
+                                       .surrogate = SavedSurrogate(context),
+                                       .bias = tensors[3],
+                                       .events = tensors[4]};
     const IntegerLifRange all = Range(options);
     const int64_t neurons = current.numel() / options.ticks;
     const bool same = SameAtEveryTick(gradients[0]);

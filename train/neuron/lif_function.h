@@ -7,9 +7,6 @@
 
 #include <torch/types.h>
 
-#include <variant>
-
-#include "core/neuron/integer_lif.h"
 #include "core/neuron/lif.h"
 #include "core/neuron/shift_lif.h"
 #include "train/neuron/surrogate.h"
@@ -31,15 +28,13 @@ torch::Tensor LifPerTick(const torch::Tensor& current, const LifOptions& options
 // Integer neurons. The last dimension of their currents is a population, whose neurons have a
 // threshold and a scale each: float32 tensors of its size, the thresholds integers.
 struct IntegerLifOptions {
-  std::variant<IntegerLif, ShiftLif> neuron;
+  ShiftLif neuron;
   torch::Tensor threshold;  // in units of scale
   torch::Tensor scale;
   int ticks = 10;  // T
   Surrogate surrogate;
-  // Of ShiftLif alone: the biases, which the currents include, and for each tick and token [T, ...]
-  // whether an input fires.
-  torch::Tensor bias = {};
-  torch::Tensor events = {};
+  torch::Tensor bias;    // in units of scale; the currents include it
+  torch::Tensor events;  // for each tick and token [T, ...] whether an input fires
 };
 
 // As LifPerTick, for integer neurons and currents in units of the scale: integers of 16 bits,

@@ -62,35 +62,23 @@ int32_t Saturate(int32_t value) {
   return std::clamp<int32_t>(value, Limits::min(), Limits::max());
 }
 
-// Both kinds of integer neurons: Charge() advances the membrane of neuron i of a block to the end
-// of a tick, without the reset. Returns whether the neuron may fire at that tick.
-
-// As IntegerLif::Step().
-struct ScaledMembranes {
-  int32_t decay;
-
-  bool Charge(int /*tick*/, int64_t /*i*/, float current, int32_t& membrane) const {
-    const int32_t leaked = (decay * membrane + (1 << 14)) >> 15;
-    membrane = Saturate(leaked + static_cast<int32_t>(current));
-    return true;
-  }
-};
-
-// As ShiftLif::Leak() and ShiftLif::Charge().
+// The membranes of a block of integer neurons.
 struct ShiftedMembranes {
   ShiftLif neuron;
   TickRows events;
   int32_t bias[kBlock];
   int32_t token[kBlock];  // index of the neuron's event
 
-  ShiftedMembranes(const ShiftLif& rule, const IntegerLifRange& range, int64_t begin, int64_t size)
-      : neuron(rule), events(range.events) {
+  ShiftedMembranes(const IntegerLifRange& range, int64_t begin, int64_t size)
+      : neuron(range.neuron), events(range.events) {
     for (int64_t i = 0; i < size; ++i) {
       bias[i] = static_cast<int32_t>(range.bias[(begin + i) % range.width]);
       token[i] = static_cast<int32_t>((begin + i) / range.width);
     }
   }
 
+  // Advances the membrane of neuron i of the block to the end of a tick, as ShiftLif::Leak() and
+  // ShiftLif::Charge(), but without the reset. Returns whether the neuron may fire at that tick.
   bool Charge(int tick, int64_t i, float current, int32_t& membrane) const {
     const bool event = events.data[tick * events.tick_stride + token[i]] != 0.0f;
     auto leaked = static_cast<int16_t>(membrane);
@@ -101,11 +89,10 @@ struct ShiftedMembranes {
 };
 
 // As Distances, in units of the float32 policy: the integer distances times the scale.
-template <typename Membranes>
 inline __attribute__((always_inline)) void IntegerDistances(const IntegerLifRange& range,
-                                                            const Membranes& membranes,
                                                             int64_t begin, int64_t size,
                                                             TickRows current, float* distances) {
+  const ShiftedMembranes membranes(range, begin, size);
   const IntegerBlock block(range, begin, size);
   int32_t kept[kBlock] = {};
   for (int tick = 0; tick < range.ticks; ++tick) {
@@ -120,25 +107,10 @@ inline __attribute__((always_inline)) void IntegerDistances(const IntegerLifRang
   }
 }
 
-// Computes the distances of either kind of neuron.
-inline __attribute__((always_inline)) void AnyDistances(const IntegerLifRange& range, int64_t begin,
-                                                        int64_t size, TickRows current,
-                                                        float* distances) {
-  if (const auto* shifted = std::get_if<ShiftLif>(&range.neuron)) {
-    const ShiftedMembranes membranes(*shifted, range, begin, size);
-    IntegerDistances(range, membranes, begin, size, current, distances);
-  } else {
-    const ScaledMembranes membranes = {std::get<IntegerLif>(range.neuron).decay};
-    IntegerDistances(range, membranes, begin, size, current, distances);
-  }
-}
-
 // Returns the factor by which a membrane decays.
 float DecayOf(const IntegerLifRange& range) {
-  if (const auto* shifted = std::get_if<ShiftLif>(&range.neuron)) {
-    return shifted->shift == 0 ? 1.0f : 1.0f - std::ldexp(1.0f, -shifted->shift);
-  }
-  return static_cast<float>(std::get<IntegerLif>(range.neuron).decay) / 32768.0f;
+  const int shift = range.neuron.shift;
+  return shift == 0 ? 1.0f : 1.0f - std::ldexp(1.0f, -shift);
 }
 
 // The rows of a backward pass over `size` neurons from `begin` on.
@@ -215,7 +187,7 @@ void IntegerLifForward(const IntegerLifRange& range, TickRows current, float* sp
   std::vector<float> distances(range.ticks * kBlock);
   for (int64_t begin = range.begin; begin < range.end; begin += kBlock) {
     const int64_t size = std::min(kBlock, range.end - begin);
-    AnyDistances(range, begin, size, current, distances.data());
+    IntegerDistances(range, begin, size, current, distances.data());
     for (int tick = 0; tick < range.ticks; ++tick) {
       const float* row = distances.data() + tick * kBlock;
       float* output = spikes + tick * spike_stride + begin;
@@ -230,7 +202,7 @@ void IntegerLifBackward(const IntegerLifRange& range, const Surrogate& surrogate
   std::vector<float> distances(range.ticks * kBlock);
   for (int64_t begin = range.begin; begin < range.end; begin += kBlock) {
     const int64_t size = std::min(kBlock, range.end - begin);
-    AnyDistances(range, begin, size, current, distances.data());
+    IntegerDistances(range, begin, size, current, distances.data());
     const BackwardBlock block = {DecayOf(range), range.ticks,    begin,           size,
                                  current,        spike_gradient, distances.data()};
     WithDerivative(

@@ -7,9 +7,7 @@
 #define TRAIN_NEURON_LIF_KERNELS_H_
 
 #include <cstdint>
-#include <variant>
 
-#include "core/neuron/integer_lif.h"
 #include "core/neuron/lif.h"
 #include "core/neuron/shift_lif.h"
 #include "train/neuron/surrogate.h"
@@ -47,17 +45,17 @@ void LifBackward(const LifRange& range, const Surrogate& surrogate, TickRows cur
 // index i has the threshold and the scale of element i % width. Thresholds, biases and currents are
 // integers of 16 bits, stored as float32.
 struct IntegerLifRange {
-  std::variant<IntegerLif, ShiftLif> neuron;
+  ShiftLif neuron;
   int ticks;
   int64_t begin;
   int64_t end;
   const float* threshold;  // [width], in units of scale
   const float* scale;      // [width]
   int64_t width;
-  // Of ShiftLif alone. The current includes the bias. At a tick whose event is 0, which has one for
+  // The current includes the bias. At a tick whose event is 0, which has one for
   // each `width` neurons, the current is the bias and the neurons cannot fire.
-  const float* bias = nullptr;  // [width]
-  TickRows events = {nullptr, 0};
+  const float* bias;  // [width]
+  TickRows events;
 };
 
 // As LifForward, exactly as the neuron computes it. REQUIRES, here and below: a current per

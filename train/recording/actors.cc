@@ -44,8 +44,8 @@ Actor DisturbedActor(Expert& expert, const ActionSpace& space, const Bursts& bur
   };
 }
 
-Actor StudentActor(Expert& expert, const Engine& engine, uint64_t seed, double target_return) {
-  auto player = std::make_shared<PolicyPlayer>(engine, seed, target_return);
+Actor StudentActor(Expert& expert, const Engine& engine, double target_return) {
+  auto player = std::make_shared<PolicyPlayer>(engine, target_return);
   return [&expert, player](const View& view) {
     return Decision{player->Act(view.observation, view.reward), expert.Act(view.state)};
   };

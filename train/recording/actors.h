@@ -49,9 +49,9 @@ Actor ExpertActor(Expert& expert);
 // actions.
 Actor DisturbedActor(Expert& expert, const ActionSpace& space, const Bursts& bursts, Draws draws);
 
-// Plays the engine's policy greedily, conditioned on `target_return`. `seed` keys the Bernoulli
-// coder. The labels are the expert's actions.
-Actor StudentActor(Expert& expert, const Engine& engine, uint64_t seed, double target_return);
+// Plays the engine's policy greedily, conditioned on `target_return`. The labels are the expert's
+// actions.
+Actor StudentActor(Expert& expert, const Engine& engine, double target_return);
 
 // Plays uniformly random actions.
 Actor RandomActor(const ActionSpace& space, Draws draws);

@@ -17,8 +17,8 @@ absl::Status CheckSpacesMatch(const Policy& policy, const Environment& environme
                    absl::string_view(environment.id().data(), environment.id().size())));
 }
 
-PolicyPlayer::PolicyPlayer(const Engine& engine, uint64_t seed, double target_return)
-    : engine_(engine), context_(engine.NewContext(seed)), return_to_go_(target_return) {}
+PolicyPlayer::PolicyPlayer(const Engine& engine, double target_return)
+    : engine_(engine), context_(engine.NewContext()), return_to_go_(target_return) {}
 
 Action PolicyPlayer::Act(absl::Span<const float> observation, double reward) {
   const Policy& policy = engine_.policy();

@@ -21,8 +21,8 @@ absl::Status CheckSpacesMatch(const Policy& policy, const Environment& environme
 
 class PolicyPlayer {
  public:
-  // Keeps a reference to `engine`. `seed` keys the Bernoulli coder.
-  PolicyPlayer(const Engine& engine, uint64_t seed, double target_return);
+  // Keeps a reference to `engine`.
+  PolicyPlayer(const Engine& engine, double target_return);
 
   // Decides the next action. `reward` is the reward of the previous action; it is ignored at the
   // first step.

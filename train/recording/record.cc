@@ -92,7 +92,7 @@ class Recorder {
       : options_(options),
         environment_(std::move(environment)),
         expert_(std::move(expert)),
-        engine_(options.student == nullptr ? nullptr : MakeStreamingEngine(options.student)) {}
+        engine_(options.student == nullptr ? nullptr : MakeEngine(options.student)) {}
 
   Dataset Run() {
     Dataset dataset = {.environment = options_.expert.environment,
@@ -142,9 +142,9 @@ class Recorder {
          }}};
     if (engine_ != nullptr) {
       sources.push_back(
-          {"student", kStudentSeeds, rest, [&](uint64_t episode, std::optional<double> asked) {
+          {"student", kStudentSeeds, rest, [&](uint64_t /*episode*/, std::optional<double> asked) {
              return StudentActor(
-                 *expert_, *engine_, episode,
+                 *expert_, *engine_,
                  asked.value_or(static_cast<double>(engine_->policy().target_return)));
            }});
     } else {

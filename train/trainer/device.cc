@@ -33,16 +33,12 @@ absl::StatusOr<torch::Device> DeviceNamed(absl::string_view name) {
   return torch::Device(torch::kCUDA, static_cast<torch::DeviceIndex>(index));
 }
 
-absl::Status CheckDevice(torch::Device device, const ModelConfig& config, Arithmetic arithmetic) {
+absl::Status CheckDevice(torch::Device device, Arithmetic arithmetic) {
   if (device.is_cpu()) return absl::OkStatus();
   if (arithmetic != Arithmetic::kFloat32) {
     return absl::InvalidArgumentError(
         absl::StrCat("--device: expected cpu with --arithmetic=", std::string(ToString(arithmetic)),
                      ", received ", device.str()));
-  }
-  if (config.coder == CoderKind::kBernoulli) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--device: expected cpu with --coder=bernoulli, received ", device.str()));
   }
   return absl::OkStatus();
 }

@@ -14,9 +14,9 @@ namespace spikeserve {
 // and for a device that this machine or this libtorch does not have.
 absl::StatusOr<torch::Device> DeviceNamed(absl::string_view name);
 
-// Returns INVALID_ARGUMENT if a policy of this configuration can be trained on the processor alone:
-// integers and the Bernoulli coder compute there exactly what the engines do.
-absl::Status CheckDevice(torch::Device device, const ModelConfig& config, Arithmetic arithmetic);
+// Returns INVALID_ARGUMENT if this arithmetic can be trained on the processor alone: integers
+// compute there exactly what the engines do.
+absl::Status CheckDevice(torch::Device device, Arithmetic arithmetic);
 
 }  // namespace spikeserve
 

@@ -26,7 +26,7 @@ namespace spikeserve {
 namespace {
 
 // First part of every key of the counter-based generator.
-enum Stream : uint64_t { kTrainingClips = 11, kValidationClips = 12, kBernoulliSeeds = 13 };
+enum Stream : uint64_t { kTrainingClips = 11, kValidationClips = 12 };
 
 constexpr double kPhaseRateFactor = 0.3;   // learning rate of omega and phi, relative to the others
 constexpr double kFinalRateFactor = 0.02;  // final learning rate, relative to the peak
@@ -261,12 +261,8 @@ uint64_t Trainer::ValidationKey(uint64_t batch) const {
   return RandomBits({kValidationClips, options_.seed, batch});
 }
 
-Trainer::Batch Trainer::MakeBatch(const Clips& clips, uint64_t key) const {
+Trainer::Batch Trainer::MakeBatch(const Clips& clips) const {
   const int64_t count = clips.count, n = clips.timesteps_per_clip, act = action_space_.size();
-  std::vector<int64_t> seeds(count);
-  for (int64_t i = 0; i < count; ++i) {
-    seeds[i] = static_cast<int64_t>(RandomBits({kBernoulliSeeds, key, static_cast<uint64_t>(i)}));
-  }
   const auto on_device = [this](const auto& values, std::vector<int64_t> shape,
                                 torch::ScalarType type) {
     return Copy(values, std::move(shape), type).to(options_.device);
@@ -277,7 +273,6 @@ Trainer::Batch Trainer::MakeBatch(const Clips& clips, uint64_t key) const {
                     on_device(clips.observations, {count, n, observation_size_}, torch::kFloat),
                 .actions = on_device(clips.actions, {count, n, act}, torch::kFloat),
                 .timesteps = on_device(clips.timesteps, {count, n}, torch::kLong),
-                .seeds = on_device(seeds, {count}, torch::kLong),
                 .previous = on_device(clips.previous, {count, observation_size_}, torch::kFloat)},
       .targets = on_device(clips.targets, {count, n, act}, torch::kFloat),
       .mask = on_device(clips.mask, {count, n}, torch::kFloat),
@@ -323,7 +318,7 @@ absl::StatusOr<Trainer::StepReport> Trainer::Step() {
   SPIKESERVE_DCHECK(!done());
   const uint64_t key =
       RandomBits({kTrainingClips, options_.seed, static_cast<uint64_t>(iteration_)});
-  const Batch batch = MakeBatch(clips_->Sample(key, options_.batch, options_.action_noise), key);
+  const Batch batch = MakeBatch(clips_->Sample(key, options_.batch, options_.action_noise));
   const ModelOutput output = model_.ForwardInTraining(batch.clips, batch.mask);
   torch::Tensor loss = Loss(batch, output);
   StepReport report = {.loss = loss.item<double>(), .hinge = 0.0};
@@ -357,7 +352,7 @@ double Trainer::ValidationLoss() const {
   for (uint64_t i = 0; i < kValidationBatches; ++i) {
     const std::vector<float>& weights = validation_[i].weights;
     if (std::all_of(weights.begin(), weights.end(), [](float w) { return w == 0.0f; })) continue;
-    const Batch batch = MakeBatch(validation_[i], ValidationKey(i));
+    const Batch batch = MakeBatch(validation_[i]);
     sum += Loss(batch, model_.Forward(batch.clips)).item<double>();
     ++weighted;
   }

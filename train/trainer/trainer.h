@@ -94,9 +94,8 @@ class Trainer {
  public:
   // Keeps a reference to `source`. REQUIRES: valid options, whose frozen tensors the policy has,
   // and a valid policy in float32 for the source's environment that CheckDevice() accepts; with
-  // Arithmetic::kInt8 one that Quantize() accepts, with NormTraining::kFade one with norms and
-  // spikes. Sets the number of threads of libtorch in this
-  // process.
+  // Arithmetic::kInteger one that QuantizeToInteger() accepts, with NormTraining::kFade one with
+  // norms and spikes. Sets the number of threads of libtorch in this process.
   Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options);
   ~Trainer();
 
@@ -110,7 +109,7 @@ class Trainer {
   absl::Status ReadEpisodes();
 
   // Runs one iteration: draws a batch of clips and updates the weights. Returns INVALID_ARGUMENT,
-  // which names the tensor, if 16 bits cannot hold the new weights with Arithmetic::kInt8.
+  // which names the tensor, if integers cannot hold the new weights with Arithmetic::kInteger.
   // REQUIRES: !done().
   absl::StatusOr<StepReport> Step();
 
@@ -145,7 +144,7 @@ class Trainer {
     torch::Tensor mask;     // [B, n]
     torch::Tensor weights;  // [B, n]
   };
-  Batch MakeBatch(const Clips& clips, uint64_t key) const;
+  Batch MakeBatch(const Clips& clips) const;
   uint64_t ValidationKey(uint64_t batch) const;
   // Reads the clips of ValidationLoss().
   absl::Status ReadValidation();

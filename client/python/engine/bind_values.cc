@@ -108,9 +108,7 @@ void BindStats(nb::module_& module) {
       .def_prop_ro("int_energy_joules", &Joules<EnergyModel::kInt45nm>,
                    "None for a policy in float32.")
       .def_prop_ro("int_sram_energy_joules", &Joules<EnergyModel::kIntSram45nm>,
-                   "None for a policy in float32.")
-      .def_prop_ro("loihi_energy_joules", &Joules<EnergyModel::kLoihi2018>,
-                   "None unless the policy is in int8.");
+                   "None for a policy in float32.");
 }
 
 void BindDecision(nb::module_& module) {

@@ -37,7 +37,7 @@ PlayedPolicy::PlayedPolicy(std::shared_ptr<const Engine> engine,
 
 absl::StatusOr<std::shared_ptr<const PlayedPolicy>> PlayedPolicy::Read(const std::string& path) {
   ASSIGN_OR_RETURN(Policy policy, ReadPolicyFile(path));
-  auto engine = MakeStreamingEngine(std::make_shared<const Policy>(std::move(policy)));
+  auto engine = MakeEngine(std::make_shared<const Policy>(std::move(policy)));
   return std::shared_ptr<const PlayedPolicy>(new PlayedPolicy(std::move(engine), nullptr));
 }
 
@@ -45,7 +45,7 @@ absl::StatusOr<std::shared_ptr<const PlayedPolicy>> PlayedPolicy::ReadShared(
     const std::string& path, const std::string& folder) {
   ASSIGN_OR_RETURN(std::unique_ptr<const PolicySource> source, PolicySource::Open(path));
   ASSIGN_OR_RETURN(Policy policy, source->Read());
-  ASSIGN_OR_RETURN(auto engine, MakeSharedStreamingEngine(std::move(policy), folder));
+  ASSIGN_OR_RETURN(auto engine, MakeEngine(std::move(policy), folder));
   // The allocator would keep the memory of the file's content and of the matrices.
   malloc_trim(0);
   return std::shared_ptr<const PlayedPolicy>(

@@ -39,7 +39,7 @@ class PlayedPolicy {
   // Errors: see ReadPolicyFile.
   static absl::StatusOr<std::shared_ptr<const PlayedPolicy>> Read(const std::string& path);
   // As above, with the weight matrices in memory that processes share. Errors: see also
-  // MakeSharedStreamingEngine.
+  // MakeEngine.
   static absl::StatusOr<std::shared_ptr<const PlayedPolicy>> ReadShared(const std::string& path,
                                                                         const std::string& folder);
 

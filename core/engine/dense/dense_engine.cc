@@ -173,7 +173,7 @@ class DenseStreamingEngine final : public Engine {
 
   const Policy& policy() const override { return *policy_; }
 
-  std::unique_ptr<Context> NewContext(uint64_t /*seed*/, int64_t first_timestep) const override {
+  std::unique_ptr<Context> NewContext(int64_t first_timestep) const override {
     return std::make_unique<DenseContext<Pass>>(policy_->config.layers, first_timestep);
   }
 

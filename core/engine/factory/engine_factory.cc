@@ -14,18 +14,17 @@ std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy
                                    : MakeSpikingReferenceEngine(std::move(policy));
 }
 
-std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy) {
+std::unique_ptr<Engine> MakeEngine(std::shared_ptr<const Policy> policy) {
   return policy->config.is_dense() ? MakeDenseStreamingEngine(std::move(policy))
                                    : MakeSpikingStreamingEngine(std::move(policy));
 }
 
-std::unique_ptr<Engine> MakeCompactEngine(Policy policy) {
+std::unique_ptr<Engine> MakeEngine(Policy policy) {
   if (!policy.config.is_dense()) return MakeCompactSpikingEngine(std::move(policy));
   return MakeDenseStreamingEngine(std::make_shared<const Policy>(std::move(policy)));
 }
 
-absl::StatusOr<std::unique_ptr<Engine>> MakeSharedStreamingEngine(Policy policy,
-                                                                  const std::string& folder) {
+absl::StatusOr<std::unique_ptr<Engine>> MakeEngine(Policy policy, const std::string& folder) {
   if (policy.config.is_dense()) {
     return absl::InvalidArgumentError("mode: expected a spiking policy, received dense");
   }

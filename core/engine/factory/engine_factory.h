@@ -17,19 +17,19 @@ namespace spikeserve {
 // REQUIRES: a valid policy.
 std::unique_ptr<Engine> MakeReferenceEngine(std::shared_ptr<const Policy> policy);
 
-// Creates the engine that the server uses. It stores the keys and values of earlier tokens,
-// bit-packed in spiking modes, and computes only the new tokens. REQUIRES: a valid policy.
-std::unique_ptr<Engine> MakeStreamingEngine(std::shared_ptr<const Policy> policy);
+// Creates the engine that decides everywhere else: it serves, plays and evaluates. It stores the
+// keys and values of earlier tokens, bit-packed in spiking modes, and computes only the new tokens.
+// REQUIRES: a valid policy.
+std::unique_ptr<Engine> MakeEngine(std::shared_ptr<const Policy> policy);
 
 // Creates the same engine, which stores each number of the policy once and not a second time for
 // policy() (see Engine::CompletePolicy). REQUIRES: a valid policy.
-std::unique_ptr<Engine> MakeCompactEngine(Policy policy);
+std::unique_ptr<Engine> MakeEngine(Policy policy);
 
-// Creates a compact engine, whose weight matrices are once in memory for all processes of this user
-// that name the same folder. Decisions are equal bit for bit. Errors: see
-// ShareBytes (shared_bytes.h); INVALID_ARGUMENT for a dense policy. REQUIRES: a valid policy.
-absl::StatusOr<std::unique_ptr<Engine>> MakeSharedStreamingEngine(Policy policy,
-                                                                  const std::string& folder);
+// As above, but the weight matrices are once in memory for all processes of this user that name the
+// same folder. Decisions are equal bit for bit. Errors: see ShareBytes (shared_bytes.h);
+// INVALID_ARGUMENT for a dense policy. REQUIRES: a valid policy.
+absl::StatusOr<std::unique_ptr<Engine>> MakeEngine(Policy policy, const std::string& folder);
 
 }  // namespace spikeserve
 

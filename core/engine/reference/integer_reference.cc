@@ -272,22 +272,18 @@ class IntegerReferencePass {
       if (config_.relative_bias) counts_.attention_products += band.size();
       for (const int64_t overlap : overlaps) counts_.attention_products += overlap;
     }
+    const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
+    std::vector<int64_t> scores;
+    for (size_t n = 0; n < band.size(); ++n) {
+      scores.push_back(weights.attention_scale.values[head] * overlaps[n]);
+      if (!config_.relative_bias) continue;
+      scores[n] += weights.attention_relative.at(head, static_cast<int>(band.back() - band[n]));
+    }
+    const int64_t best = *std::max_element(scores.begin(), scores.end());
     Row row;
-    if (config_.attention == spikeserve::Attention::kLinear) {
-      row.weights = overlaps;
-    } else {
-      const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
-      std::vector<int64_t> scores;
-      for (size_t n = 0; n < band.size(); ++n) {
-        scores.push_back(weights.attention_scale.values[head] * overlaps[n]);
-        if (!config_.relative_bias) continue;
-        scores[n] += weights.attention_relative.at(head, static_cast<int>(band.back() - band[n]));
-      }
-      const int64_t best = *std::max_element(scores.begin(), scores.end());
-      for (const int64_t score : scores) {
-        const int64_t octaves = RoundShift(best - score, kScaleFraction);
-        row.weights.push_back(octaves > 8 ? 0 : 256 >> octaves);
-      }
+    for (const int64_t score : scores) {
+      const int64_t octaves = RoundShift(best - score, kScaleFraction);
+      row.weights.push_back(octaves > 8 ? 0 : 256 >> octaves);
     }
     for (const int64_t weight : row.weights) row.sum += weight;
     return row;
@@ -336,8 +332,8 @@ class IntegerReferencePass {
     AddMultiplies(i, layer.routing_gate, hidden, /*wide=*/true);
     AddSharedReads(i, layer.routing_gate);
     Integers gates = ApplyMap(layer.routing_gate, hidden);
-    if (config_.gate == Gate::kSoftmax && IsNew(i)) counts_.softmax_terms += gates.size();
-    GateScores(config_.gate, gates);
+    const uint64_t terms = GateScores(config_, gates);
+    if (IsNew(i)) counts_.softmax_terms += terms;
     return gates;
   }
 

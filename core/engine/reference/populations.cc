@@ -1,8 +1,5 @@
 #include "core/engine/reference/populations.h"
 
-#include <cstdint>
-
-#include "core/neuron/integer_lif.h"
 #include "core/neuron/lif.h"
 
 namespace spikeserve {
@@ -18,7 +15,7 @@ int CountOf(const SpikeTrain& train, size_t neuron) {
 float Current(const Linear& linear, int i, const CodedToken& coded, const SpikeTrain& phase,
               int tick) {
   float current = linear.bias.values[i];
-  for (int n = coded.periodic ? 1 : tick; n <= tick; ++n) {
+  for (int n = 1; n <= tick; ++n) {
     if (tick % n != 0) continue;
     float group = 0.0f;
     for (const int j : coded.groups[n - 1]) group += linear.weight.at(i, j);
@@ -29,19 +26,6 @@ float Current(const Linear& linear, int i, const CodedToken& coded, const SpikeT
     if (phase[tick - 1][k]) current += linear.weight.at(i, first_phase + static_cast<int>(k));
   }
   return current;
-}
-
-int16_t Current(const IntegerPopulation& population, int i, const CodedToken& coded,
-                const SpikeTrain& phase, int tick) {
-  int current = population.bias.values[i];
-  int j = 0;
-  for (const SpikeTrain* spikes : {&coded.spikes, &phase}) {
-    for (const uint8_t spike : (*spikes)[tick - 1]) {
-      if (spike) current += population.weight.at(i, j);
-      ++j;
-    }
-  }
-  return static_cast<int16_t>(current);  // fits: see kLargestCurrent
 }
 
 }  // namespace
@@ -72,42 +56,6 @@ SpikeTrain Fire(const ModelConfig& config, const Linear& linear, const CodedToke
     }
   }
   return train;
-}
-
-SpikeTrain Fire(const ModelConfig& config, const IntegerPopulation& population,
-                const CodedToken& coded, const SpikeTrain& phase) {
-  const IntegerLif lif = {static_cast<int16_t>(config.integer_decay())};
-  const int outputs = population.weight.shape[0];
-  SpikeTrain train(config.ticks, std::vector<uint8_t>(outputs, 0));
-  for (int i = 0; i < outputs; ++i) {
-    int16_t membrane = 0;
-    for (int tick = 1; tick <= config.ticks; ++tick) {
-      train[tick - 1][i] = lif.Step(Current(population, i, coded, phase, tick),
-                                    population.threshold.values[i], membrane);
-    }
-  }
-  return train;
-}
-
-std::vector<float> MapCounts(const Linear& linear, const SpikeTrain& hidden) {
-  std::vector<float> rates;
-  for (int j = 0; j < linear.weight.shape[1]; ++j) rates.push_back(Rate(hidden, j));
-  return Affine(linear, rates);
-}
-
-std::vector<float> MapCounts(const IntegerOutput& output, const SpikeTrain& hidden) {
-  const int outputs = output.weight.shape[0];
-  const int inputs = output.weight.shape[1];
-  std::vector<int32_t> counts;
-  for (int j = 0; j < inputs; ++j) counts.push_back(CountOf(hidden, j));
-  std::vector<float> update(outputs);
-  for (int k = 0; k < outputs; ++k) {
-    int32_t sum = 0;
-    for (int j = 0; j < inputs; ++j) sum += counts[j] * output.weight.at(k, j);
-    const float factor = output.scale.values[k] / static_cast<float>(hidden.size());
-    update[k] = factor * static_cast<float>(sum) + output.bias.values[k];
-  }
-  return update;
 }
 
 }  // namespace spikeserve

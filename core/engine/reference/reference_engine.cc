@@ -12,7 +12,6 @@
 #include "core/engine/reference/populations.h"
 #include "core/math/exp.h"
 #include "core/math/layer_norm.h"
-#include "core/neuron/coder.h"
 #include "core/neuron/lif.h"
 #include "core/neuron/phase.h"
 
@@ -29,7 +28,6 @@ class ReferencePass {
         lif_{config_.membrane_decay, config_.threshold},
         tokens_(context.tokens()),
         first_new_token_(context.first_new_token()),
-        seed_(context.seed()),
         trace_(trace) {}
 
   void Run(Engine::Output* output) {
@@ -37,8 +35,7 @@ class ReferencePass {
     CountPhase();
     for (int layer = 0; layer < config_.layers; ++layer) Layer(layer);
     const size_t last = tokens_.size() - 1;
-    const CodedToken coded =
-        Code(policy_.weights.readout_coder, x_[last], last, 2 * config_.layers);
+    const CodedToken coded = Code(policy_.weights.readout_coder, x_[last], last);
     AddSpikes(last, Stage::kReadout, kNoLayer, coded.spikes);
     output->readout.assign(config_.hidden_size, 0.0f);
     for (int j = 0; j < config_.hidden_size; ++j) output->readout[j] = Rate(coded.spikes, j);
@@ -70,7 +67,7 @@ class ReferencePass {
     if (IsNew(token)) counts_.layer_norm_elements += x.size();
   }
 
-  void AddMultiplies(size_t token, const auto& map, const std::vector<float>& input) {
+  void AddMultiplies(size_t token, const Linear& map, const std::vector<float>& input) {
     if (IsNew(token)) counts_.multiply_accumulates += CountProducts(map, input);
   }
 
@@ -104,44 +101,26 @@ class ReferencePass {
     AddSpikes(tokens_.size() - 1, Stage::kPhase, kNoLayer, PhaseSpikes(tokens_.back().timestep));
   }
 
-  CodedToken Code(const Coder& coder, const std::vector<float>& x, size_t token, int site) {
+  CodedToken Code(const Coder& coder, const std::vector<float>& x, size_t token) {
     CodedToken coded;
-    coded.periodic = config_.coder == CoderKind::kLif;
     coded.groups.resize(config_.ticks);
     coded.spikes.assign(config_.ticks, std::vector<uint8_t>(x.size(), 0));
-    const BernoulliKey key = {.seed = seed_,
-                              .timestep = tokens_[token].timestep,
-                              .token = static_cast<int>(tokens_[token].kind),
-                              .site = site};
     for (size_t j = 0; j < x.size(); ++j) {
       if (IsNew(token)) {
         ++counts_.coder_gains;
-        // The draws of a Bernoulli coder have no membrane.
-        if (coded.periodic) counts_.membrane_updates += config_.ticks;
+        counts_.membrane_updates += config_.ticks;
       }
-      const float gain = coder.gain.values[j];
-      const float bias = coder.bias.values[j];
-      const int neuron = static_cast<int>(j);
-      if (coded.periodic) {
-        const int period = lif_.Period(x[j] * gain + bias, config_.ticks);
-        if (period == 0) continue;  // silent
-        coded.groups[period - 1].push_back(neuron);
-        for (int tick = period; tick <= config_.ticks; tick += period)
-          coded.spikes[tick - 1][j] = 1;
-      } else {
-        for (int tick = 0; tick < config_.ticks; ++tick) {
-          if (!BernoulliSpike(key, neuron, tick, x[j], gain, bias)) continue;
-          coded.groups[tick].push_back(neuron);
-          coded.spikes[tick][j] = 1;
-        }
-      }
+      const int period =
+          lif_.Period(x[j] * coder.gain.values[j] + coder.bias.values[j], config_.ticks);
+      if (period == 0) continue;  // silent
+      coded.groups[period - 1].push_back(static_cast<int>(j));
+      for (int tick = period; tick <= config_.ticks; tick += period) coded.spikes[tick - 1][j] = 1;
     }
     return coded;
   }
 
-  // Returns the spikes of a population of either arithmetic: [T][out].
-  template <class Population>
-  SpikeTrain Project(const Population& population, const CodedToken& coded, const SpikeTrain& phase,
+  // Returns the spikes of a population: [T][out].
+  SpikeTrain Project(const Linear& population, const CodedToken& coded, const SpikeTrain& phase,
                      size_t token) {
     if (IsNew(token)) {
       for (int tick = 0; tick < config_.ticks; ++tick) {
@@ -160,16 +139,14 @@ class ReferencePass {
     keys_.clear();
     values_.clear();
     for (size_t i = 0; i < tokens_.size(); ++i) {
-      const CodedToken coded = Code(weights.coder, x_[i], i, 2 * layer);
+      const CodedToken coded = Code(weights.coder, x_[i], i);
       const SpikeTrain phase = PhaseSpikes(tokens_[i].timestep);
       // In the last layer, only the state token's output is used.
       const bool has_output = !last_layer || tokens_[i].kind == TokenKind::kState;
       SpikeTrain query;
-      VisitMaps(config_.arithmetic, weights, [&](const auto& maps) {
-        keys_.push_back(Project(maps.key, coded, phase, i));
-        values_.push_back(Project(maps.value, coded, phase, i));
-        if (has_output) query = Project(maps.query, coded, phase, i);
-      });
+      keys_.push_back(Project(weights.key, coded, phase, i));
+      values_.push_back(Project(weights.value, coded, phase, i));
+      if (has_output) query = Project(weights.query, coded, phase, i);
       AddSpikes(i, Stage::kCoder, layer, coded.spikes);
       AddSpikes(i, Stage::kKey, layer, keys_[i]);
       AddSpikes(i, Stage::kValue, layer, values_[i]);
@@ -341,19 +318,14 @@ class ReferencePass {
   // x <- norm(x + W2 (spike count / T) + b2).
   void FeedForward(int layer, size_t i) {
     const LayerWeights& weights = policy_.weights.layers[layer];
-    const CodedToken coded = Code(weights.ffn_coder, x_[i], i, 2 * layer + 1);
-    VisitMaps(config_.arithmetic, weights, [&](const auto& maps) {
-      const SpikeTrain hidden = Project(maps.ffn_hidden, coded, SpikeTrain(config_.ticks), i);
-      AddSpikes(i, Stage::kFfnIn, layer, coded.spikes);
-      AddSpikes(i, Stage::kFfnHidden, layer, hidden);
-      std::vector<float> rates;
-      for (int j = 0; j < config_.ffn_size; ++j) rates.push_back(Rate(hidden, j));
-      AddMultiplies(i, maps.ffn_output, rates);
-      if (IsNew(i) && config_.arithmetic == Arithmetic::kInt8) {
-        counts_.integer_multiply_accumulates += CountProducts(maps.ffn_output, rates);
-      }
-      AddResidual(i, MapCounts(maps.ffn_output, hidden), weights.ffn_norm);
-    });
+    const CodedToken coded = Code(weights.ffn_coder, x_[i], i);
+    const SpikeTrain hidden = Project(weights.ffn_hidden, coded, SpikeTrain(config_.ticks), i);
+    AddSpikes(i, Stage::kFfnIn, layer, coded.spikes);
+    AddSpikes(i, Stage::kFfnHidden, layer, hidden);
+    std::vector<float> rates;
+    for (int j = 0; j < config_.ffn_size; ++j) rates.push_back(Rate(hidden, j));
+    AddMultiplies(i, weights.ffn_output, rates);
+    AddResidual(i, Affine(weights.ffn_output, rates), weights.ffn_norm);
   }
 
   void AddResidual(size_t i, const std::vector<float>& update, const Norm& norm) {
@@ -366,7 +338,6 @@ class ReferencePass {
   const Lif lif_;
   const std::vector<Token>& tokens_;
   const size_t first_new_token_;
-  const uint64_t seed_;
   Trace* const trace_;                 // may be null
   std::vector<std::vector<float>> x_;  // [tokens][d]
   std::vector<SpikeTrain> keys_;       // of the current layer, [tokens][T][d]

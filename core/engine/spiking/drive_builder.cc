@@ -3,7 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "core/engine/spiking/kernels/integer_kernels.h"
+#include "core/engine/spiking/kernels/event_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
 #include "core/engine/spiking/packed/packed_linear.h"
 #include "core/engine/spiking/packed_integers.h"
@@ -64,8 +64,8 @@ void DriveBuilder<Current>::SumGroups(const SpikeInput& input, const Population&
     Current* const sum = sums_.data() + afferents_.size() * width;
     afferents_.push_back(
         {.sum = kernels::SumRows(population, input.members(group), group.count, width, sum),
-         .next = group.tick,
-         .period = input.periodic() ? group.tick : 0});
+         .next = group.period,
+         .period = group.period});
   }
 }
 

@@ -6,7 +6,7 @@
 // A rate coder's neuron of period n fires at the ticks n, 2n, 3n, ... The rows of all neurons of
 // one period are therefore added up once per token. The current at tick t is the bias, plus this
 // sum for each period that divides t, ascending, plus the rows of the phase spikes at t by head.
-// Bernoulli spikes have no period, so every tick is added up separately. Not thread-safe.
+// Not thread-safe.
 #ifndef CORE_ENGINE_SPIKING_DRIVE_BUILDER_H_
 #define CORE_ENGINE_SPIKING_DRIVE_BUILDER_H_
 
@@ -33,7 +33,7 @@ class DriveBuilder {
   struct Afferent {
     const Current* sum = nullptr;  // of the rows of the group
     int next = 0;                  // tick at which the group fires next
-    int period = 0;                // ticks until it fires again; 0: never
+    int period = 0;                // ticks until it fires again
   };
 
   template <class Population>

@@ -1,7 +1,5 @@
 #include "core/engine/spiking/integer_attention.h"
 
-#include <algorithm>
-
 #include "core/engine/spiking/packed/packed_linear.h"
 
 namespace spikeserve {
@@ -57,18 +55,14 @@ int32_t IntegerAttention::WeighKeys(const ModelConfig& config, int32_t scale, co
   const int slots = band.used_slots();
   overlaps_.resize(slots);
   weights_.resize(slots);
-  const uint64_t products = kernels::Overlaps(query_, head, band.held(), slots, overlaps_.data());
-  counts->attention_products += products;
+  counts->attention_products +=
+      kernels::Overlaps(query_, head, band.held(), slots, overlaps_.data());
   if (biases != nullptr) {
     counts->attention_products += tokens;
     return kernels::BiasedShiftmax(scale, overlaps_.data(), biases + band.slots() - 1 - band.last(),
                                    band.held(), slots, weights_.data());
   }
-  if (config.attention == Attention::kShiftmax) {
-    return kernels::Shiftmax(scale, overlaps_.data(), band.held(), slots, weights_.data());
-  }
-  std::copy(overlaps_.begin(), overlaps_.end(), weights_.begin());
-  return static_cast<int32_t>(products);
+  return kernels::Shiftmax(scale, overlaps_.data(), band.held(), slots, weights_.data());
 }
 
 }  // namespace spikeserve

@@ -10,6 +10,7 @@
 
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
+#include "core/engine/fixed_point_maps.h"
 #include "core/engine/spiking/drive_builder.h"
 #include "core/engine/spiking/head_bits.h"
 #include "core/engine/spiking/integer_attention.h"
@@ -286,24 +287,7 @@ class IntegerTokenPass {
     counts_->wide_multiply_accumulates += Apply(packed.routing_gate, scratch_.input);
     std::vector<int32_t>& gates = scratch_.gates;
     gates.assign(scratch_.sums.begin(), scratch_.sums.begin() + config_.heads);
-    if (config_.gate == Gate::kSigmoid) {
-      for (int32_t& gate : gates) {
-        const int64_t other = PowerOfTwo(std::abs(int64_t{gate}));
-        const int64_t own = gate >= 0 ? 65536 : other;
-        gate = static_cast<int32_t>(RoundDivide(own << kGateFraction, 65536 + other));
-      }
-      return;
-    }
-    const int64_t best = *std::max_element(gates.begin(), gates.end());
-    int64_t sum = 0;
-    for (int32_t& gate : gates) {
-      gate = PowerOfTwo(best - gate);
-      sum += gate;
-    }
-    for (int32_t& gate : gates) {
-      gate = static_cast<int32_t>(RoundDivide(int64_t{gate} << kGateFraction, sum));
-    }
-    counts_->softmax_terms += static_cast<uint64_t>(config_.heads);
+    counts_->softmax_terms += GateScores(config_, gates);
   }
 
   // x <- norm(x + W2 (spike counts) + b2).
@@ -356,7 +340,7 @@ class IntegerEngine final : public Engine {
     return policy;
   }
 
-  std::unique_ptr<Context> NewContext(uint64_t /*seed*/, int64_t first_timestep) const override {
+  std::unique_ptr<Context> NewContext(int64_t first_timestep) const override {
     return std::make_unique<IntegerContext>(policy_->config, first_timestep);
   }
 

@@ -38,27 +38,4 @@ PackedIntegerPopulation Pack(std::initializer_list<const IntegerPopulation*> pop
   return packed;
 }
 
-PackedIntegerOutput Pack(const IntegerOutput& output, int ticks) {
-  const int outputs = output.weight.shape[0];
-  PackedIntegerOutput packed;
-  packed.inputs = output.weight.shape[1];
-  packed.width = PadToLanes(outputs);
-  packed.narrow_counts = ticks <= std::numeric_limits<int8_t>::max();
-  AlignedVector<int8_t> rows(static_cast<size_t>(PadToLanes(packed.inputs)) * packed.width);
-  packed.factor.assign(packed.width, 0.0f);
-  packed.bias.assign(packed.width, 0.0f);
-  packed.nonzero.assign(PadToLanes(packed.inputs), 0);
-  for (int k = 0; k < outputs; ++k) {
-    packed.factor[k] = output.scale.values[k] / static_cast<float>(ticks);
-    packed.bias[k] = output.bias.values[k];
-    for (int j = 0; j < packed.inputs; ++j) {
-      const int8_t weight = output.weight.at(k, j);
-      rows[(static_cast<size_t>(j / 2) * packed.width + k) * 2 + j % 2] = weight;
-      packed.nonzero[j] = static_cast<int16_t>(packed.nonzero[j] + (weight != 0));
-    }
-  }
-  packed.rows = std::move(rows);
-  return packed;
-}
-
 }  // namespace spikeserve

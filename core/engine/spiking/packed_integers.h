@@ -37,28 +37,9 @@ struct PackedIntegerPopulation {
   }
 };
 
-// The map of spike counts to updates. The rows of two successive inputs are interleaved, so that
-// one instruction multiplies both by their counts and adds the products.
-struct PackedIntegerOutput {
-  int inputs = 0;                  // F
-  int width = 0;                   // number of all lanes
-  ConstantArray<int8_t> rows;      // [pad(F) / 2][width][2]
-  AlignedVector<float> factor;     // [width]: scale / T
-  AlignedVector<float> bias;       // [width]
-  AlignedVector<int16_t> nonzero;  // [pad(F)]: number of nonzero weights of an input
-  bool narrow_counts = false;      // whether no count exceeds 127
-
-  // Returns the interleaved weights of the inputs 2 pair and 2 pair + 1, [width][2].
-  const int8_t* row(int pair) const { return rows.data() + static_cast<size_t>(pair) * width * 2; }
-  int8_t weight(int input, int lane) const { return row(input / 2)[2 * lane + input % 2]; }
-};
-
 // Packs populations of equal inputs side by side. Inputs from `hidden_size` on are phase inputs.
 PackedIntegerPopulation Pack(std::initializer_list<const IntegerPopulation*> populations,
                              int hidden_size);
-
-// Packs the map of spike counts over `ticks` ticks.
-PackedIntegerOutput Pack(const IntegerOutput& output, int ticks);
 
 }  // namespace spikeserve
 

@@ -9,7 +9,6 @@
 #include <vector>
 
 #include "absl/status/status.h"
-#include "core/engine/spiking/arithmetic.h"
 #include "core/engine/spiking/packed/aligned_vector.h"
 #include "core/engine/spiking/packed/packed_linear.h"
 #include "core/model/policy.h"
@@ -25,10 +24,9 @@ struct SilentFeedForward {
 };
 
 // The packed weights of one layer.
-template <class Arithmetic>
 struct PackedLayer {
   // [in][3 pad(d)]. A token that needs no query uses only the first two thirds.
-  typename Arithmetic::Population key_value_query;
+  PackedLinear key_value_query;
   std::vector<uint32_t> nonzero_query;  // [in]: the query's part of key_value_query.nonzero
   PackedLinear routing_hidden;          // modes with routing
   PackedLinear routing_gate;            // modes with routing
@@ -36,8 +34,8 @@ struct PackedLayer {
   // zero.
   uint64_t silent_gate_products = 0;
   PackedLinear attention_output;
-  typename Arithmetic::Population ffn_hidden;
-  typename Arithmetic::Output ffn_output;
+  PackedLinear ffn_hidden;
+  PackedLinear ffn_output;
   SilentFeedForward silent_ffn;
   // [H][d_h + 1]: exp(-|c_h| distance), where the distance is that of an overlap from the best one.
   std::vector<float> attention_weight;
@@ -45,7 +43,6 @@ struct PackedLayer {
 };
 
 // The packed weights of a policy, and the period table of its coders.
-template <class Arithmetic>
 struct PackedWeights {
   explicit PackedWeights(const Policy& policy);
 
@@ -62,7 +59,7 @@ struct PackedWeights {
   PackedLinear embed_return;
   PackedLinear embed_state;
   PackedLinear embed_action;
-  std::vector<PackedLayer<Arithmetic>> layers;
+  std::vector<PackedLayer> layers;
   std::vector<uint32_t> head_nonzero;  // [d]: number of nonzero weights of an input
   PeriodTable periods;                 // of the coder neurons
 };

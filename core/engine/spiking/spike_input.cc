@@ -42,7 +42,6 @@ void PhaseSpikes::Set(const std::vector<IntegerPhase>& phases, int ticks, int64_
 void SpikeInput::Code(const PackedPeriodCoder& coder, const int16_t* x) {
   ticks_ = coder.ticks;
   neurons_ = coder.neurons;
-  periodic_ = true;
   periods_.resize(coder.width);
   active_.resize(coder.width / 32);
   kernels::CoderPeriods(coder, x, periods_.data(), active_.data());
@@ -50,21 +49,12 @@ void SpikeInput::Code(const PackedPeriodCoder& coder, const int16_t* x) {
 }
 
 void SpikeInput::Code(const ModelConfig& config, const PeriodTable& periods, const Coder& coder,
-                      const float* x, const BernoulliKey& key) {
+                      const float* x) {
   ticks_ = config.ticks;
   neurons_ = config.hidden_size;
-  periodic_ = config.coder == CoderKind::kLif;
-  if (periodic_) {
-    CodePeriods(periods, coder, x);
-  } else {
-    CodeBernoulli(coder, x, key);
-  }
-}
-
-void SpikeInput::CodePeriods(const PeriodTable& table, const Coder& coder, const float* x) {
   periods_.resize(neurons_);
   active_.resize((neurons_ + 31) / 32);
-  kernels::CoderPeriods(table, x, coder.gain.values.data(), coder.bias.values.data(), neurons_,
+  kernels::CoderPeriods(periods, x, coder.gain.values.data(), coder.bias.values.data(), neurons_,
                         periods_.data(), active_.data());
   GroupByPeriod();
 }
@@ -87,28 +77,11 @@ void SpikeInput::GroupByPeriod() {
     const int count = next_[n];
     next_[n] = first;
     if (count == 0) continue;
-    groups_.push_back({.tick = n, .first = first, .count = count, .spikes = ticks_ / n});
+    groups_.push_back({.period = n, .first = first, .count = count, .spikes = ticks_ / n});
     total_ += static_cast<uint64_t>(count) * groups_.back().spikes;
     first += count;
   }
   for_each_active([this](int32_t j) { members_[next_[periods_[j]]++] = j; });
-}
-
-void SpikeInput::CodeBernoulli(const Coder& coder, const float* x, const BernoulliKey& key) {
-  groups_.clear();
-  members_.clear();
-  for (int tick = 0; tick < ticks_; ++tick) {
-    const int first = static_cast<int>(members_.size());
-    for (int j = 0; j < neurons_; ++j) {
-      if (BernoulliSpike(key, j, tick, x[j], coder.gain.values[j], coder.bias.values[j])) {
-        members_.push_back(j);
-      }
-    }
-    const int count = static_cast<int>(members_.size()) - first;
-    if (count > 0)
-      groups_.push_back({.tick = tick + 1, .first = first, .count = count, .spikes = 1});
-  }
-  total_ = members_.size();
 }
 
 void SpikeInput::Rates(std::vector<float>* rates) const {

@@ -1,7 +1,7 @@
 // Computes the spikes that flow into a population over the ticks of one token.
 //
 //   SpikeInput input;
-//   input.Code(config, periods, coder, x, key);
+//   input.Code(config, periods, coder, x);
 //   const kernels::Drive<float>& drive = builder.Build(input, linear, linear.width, &phase);
 //
 // Not thread-safe.
@@ -14,7 +14,6 @@
 #include "absl/types/span.h"
 #include "core/engine/spiking/packed/packed_fixed_point.h"
 #include "core/model/policy.h"
-#include "core/neuron/coder.h"
 #include "core/neuron/period_table.h"
 #include "core/neuron/phase.h"
 
@@ -32,11 +31,10 @@ struct PhaseSpikes {
   void Set(const std::vector<IntegerPhase>& phases, int ticks, int64_t timestep);
 };
 
-// Neurons whose rows are added together: those of one period (rate coder), or those that fire at
-// one tick (Bernoulli coder). At least one.
+// The neurons of one period, whose rows are added together. At least one.
 struct SpikeGroup {
-  int tick = 0;   // the period, or the tick, 1 ... T
-  int first = 0;  // index of the first member in the input's list
+  int period = 0;  // 1 ... T
+  int first = 0;   // index of the first member in the input's list
   int count = 0;
   int spikes = 0;  // of each member in this group
 };
@@ -45,9 +43,9 @@ struct SpikeGroup {
 class SpikeInput {
  public:
   // Computes the coder spikes of a token vector x [d]. `periods` is the table of the policy's
-  // neurons; only the Bernoulli coder uses `key`.
+  // neurons.
   void Code(const ModelConfig& config, const PeriodTable& periods, const Coder& coder,
-            const float* x, const BernoulliKey& key);
+            const float* x);
 
   // The same in integer arithmetic; `x` is [coder.width].
   void Code(const PackedPeriodCoder& coder, const int16_t* x);
@@ -60,8 +58,7 @@ class SpikeInput {
 
   int ticks() const { return ticks_; }
   int neurons() const { return neurons_; }                           // d
-  bool periodic() const { return periodic_; }                        // true for the rate coder
-  const std::vector<SpikeGroup>& groups() const { return groups_; }  // ascending by tick
+  const std::vector<SpikeGroup>& groups() const { return groups_; }  // ascending by period
   // Returns the neurons of a group, ascending, [count].
   const int32_t* members(const SpikeGroup& group) const { return members_.data() + group.first; }
 
@@ -70,18 +67,14 @@ class SpikeInput {
   uint64_t Products(absl::Span<const uint32_t> nonzero, const PhaseSpikes* phase) const;
 
  private:
-  void CodePeriods(const PeriodTable& table, const Coder& coder, const float* x);
   // Sets the groups from periods_ and active_.
   void GroupByPeriod();
-  void CodeBernoulli(const Coder& coder, const float* x, const BernoulliKey& key);
 
   int ticks_ = 0;
   int neurons_ = 0;  // d
-  bool periodic_ = true;
   uint64_t total_ = 0;
   std::vector<int32_t> members_;  // neurons by group, ascending inside a group
   std::vector<SpikeGroup> groups_;
-  // Used by the rate coder:
   std::vector<int32_t> periods_;  // [d]
   std::vector<uint32_t> active_;  // [ceil(d / 32)] words: bit j is set if neuron j fires
   std::vector<int> next_;         // [T + 1]: members of each period, then next index to write

@@ -6,13 +6,11 @@
 
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
-#include "core/engine/spiking/arithmetic.h"
 #include "core/engine/spiking/attention_cache.h"
 #include "core/engine/spiking/drive_builder.h"
 #include "core/engine/spiking/head_bits.h"
 #include "core/engine/spiking/integer_engine.h"
 #include "core/engine/spiking/kernels/attention_kernels.h"
-#include "core/engine/spiking/kernels/integer_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
 #include "core/engine/spiking/kernels/linear_kernels.h"
 #include "core/engine/spiking/kernels/routing_kernels.h"
@@ -28,12 +26,11 @@ namespace {
 
 class StreamingContext : public Engine::Context {
  public:
-  StreamingContext(const ModelConfig& config, uint64_t first_seed, int64_t first_timestep)
-      : seed(first_seed), timestep(first_timestep), band(config) {
+  StreamingContext(const ModelConfig& config, int64_t first_timestep)
+      : timestep(first_timestep), band(config) {
     for (int layer = 0; layer < config.layers; ++layer) caches.emplace_back(config, band.slots());
   }
 
-  const uint64_t seed;
   int64_t timestep;                         // of the next token
   std::vector<float> previous_observation;  // see SetStateInput
   AttentionBand band;
@@ -56,41 +53,38 @@ struct NewToken {
 };
 
 // Buffers of one thread, reused by its calls. Their contents do not outlive a call.
-template <class Arithmetic>
 struct Scratch {
   std::vector<NewToken> tokens;
   std::vector<float> input;  // a token's embedding input
   SpikeInput spikes;         // into the current population
-  DriveBuilder<typename Arithmetic::Current> drives;
+  DriveBuilder<float> drives;
   AlignedVector<uint32_t> bits;  // [T][pad(d) / 32]: keys, values or queries
   AlignedVector<uint32_t> keys;  // [T][H][W]
   AlignedVector<uint32_t> values;
-  AlignedVector<float> y;                               // [T][H][d_h]
-  AlignedVector<float> routing;                         // [pad(m)]
-  AlignedVector<float> gates;                           // [pad(H)]
-  AlignedVector<float> merged;                          // [d_h] or [d]
-  AlignedVector<float> update;                          // [pad(d)]
-  AlignedVector<typename Arithmetic::Activity> hidden;  // [pad(F)]
-  kernels::ActiveInputs active;                         // of the current linear map
+  AlignedVector<float> y;        // [T][H][d_h]
+  AlignedVector<float> routing;  // [pad(m)]
+  AlignedVector<float> gates;    // [pad(H)]
+  AlignedVector<float> merged;   // [d_h] or [d]
+  AlignedVector<float> update;   // [pad(d)]
+  AlignedVector<float> hidden;   // [pad(F)]
+  kernels::ActiveInputs active;  // of the current linear map
 };
 
-template <class Arithmetic>
-Scratch<Arithmetic>& ThreadScratch() {
-  thread_local Scratch<Arithmetic> scratch;
+Scratch& ThreadScratch() {
+  thread_local Scratch scratch;
   return scratch;
 }
 
 // Computes new tokens of any number of contexts. The tokens of one context belong to the same
 // timestep.
-template <class Arithmetic>
 class TokenPass {
  public:
-  TokenPass(const Policy& policy, const PackedWeights<Arithmetic>& packed)
+  TokenPass(const Policy& policy, const PackedWeights& packed)
       : policy_(policy),
         config_(policy.config),
-        lif_(Arithmetic::NeuronOf(policy.config)),
+        lif_{policy.config.membrane_decay, policy.config.threshold},
         packed_(packed),
-        scratch_(ThreadScratch<Arithmetic>()) {}
+        scratch_(ThreadScratch()) {}
 
   // Adds the next token of the context's timestep and computes its embedding from `input`. Its cost
   // is added to `counts`.
@@ -137,7 +131,7 @@ class TokenPass {
   // activity of the action head.
   void Readout(size_t index, std::vector<float>* readout) {
     token_ = &scratch_.tokens[index];
-    Code(policy_.weights.readout_coder, 2 * config_.layers, Stage::kReadout);
+    Code(policy_.weights.readout_coder, Stage::kReadout);
     scratch_.spikes.Rates(readout);
     for (int j = 0; j < config_.hidden_size; ++j) {
       if ((*readout)[j] > 0.0f) counts().multiply_accumulates += packed_.head_nonzero[j];
@@ -145,8 +139,7 @@ class TokenPass {
   }
 
  private:
-  using Population = typename Arithmetic::Population;
-  using Drive = kernels::Drive<typename Arithmetic::Current>;
+  using Drive = kernels::Drive<float>;
 
   float* x() { return token_->x.data(); }
   Counts& counts() { return *token_->counts; }
@@ -173,18 +166,14 @@ class TokenPass {
     }
   }
 
-  void Code(const Coder& coder, int site, Stage stage) {
-    const BernoulliKey key = {.seed = token_->context->seed,
-                              .timestep = token_->context->timestep,
-                              .token = static_cast<int>(token_->kind),
-                              .site = site};
-    scratch_.spikes.Code(config_, packed_.periods, coder, x(), key);
+  void Code(const Coder& coder, Stage stage) {
+    scratch_.spikes.Code(config_, packed_.periods, coder, x());
     counts().spikes(stage) += scratch_.spikes.total();
   }
 
   // Computes and stores the token's keys and values, and its query if its output is used.
   void StoreKeysAndValues(int layer, bool needs_query) {
-    Code(policy_.weights.layers[layer].coder, 2 * layer, Stage::kCoder);
+    Code(policy_.weights.layers[layer].coder, Stage::kCoder);
     const uint64_t value_spikes = Project(packed_.layers[layer], needs_query);
     token_->context->caches[layer].Store(scratch_.keys.data(), scratch_.values.data(), value_spikes,
                                          token_->slot());
@@ -193,7 +182,7 @@ class TokenPass {
   // x <- norm(x + W_O mean_t yhat(t) + b_O).
   void Attend(int layer) {
     const LayerWeights& weights = policy_.weights.layers[layer];
-    const PackedLayer<Arithmetic>& packed = packed_.layers[layer];
+    const PackedLayer& packed = packed_.layers[layer];
     const AttentionCache& cache = token_->context->caches[layer];
     scratch_.y.resize(static_cast<size_t>(config_.ticks) * config_.hidden_size);
     counts().attention_products += cache.ValueSpikes(token_->band);
@@ -211,8 +200,8 @@ class TokenPass {
 
   // Computes keys, values and, if `needs_query`, queries: LIF(W [R || P] + b). Returns the number
   // of value spikes.
-  uint64_t Project(const PackedLayer<Arithmetic>& packed, bool needs_query) {
-    const Population& population = packed.key_value_query;
+  uint64_t Project(const PackedLayer& packed, bool needs_query) {
+    const PackedLinear& population = packed.key_value_query;
     const int section = PadToLanes(config_.hidden_size);
     const int width = needs_query ? 3 * section : 2 * section;
     const Drive& drive = scratch_.drives.Build(scratch_.spikes, population, width, &phase());
@@ -231,7 +220,7 @@ class TokenPass {
 
   // Computes the spikes of the d neurons from lane `first` on and groups them by head, [T][H][W].
   // Returns the number of spikes.
-  uint64_t RunSection(const Population& population, const Drive& drive, int first, int section,
+  uint64_t RunSection(const PackedLinear& population, const Drive& drive, int first, int section,
                       AlignedVector<uint32_t>& heads) {
     const int size = config_.head_size();
     const int words = (size + 31) / 32;
@@ -249,7 +238,7 @@ class TokenPass {
   // Computes mean_t yhat(t): the gated heads (eq. 4.8 to 4.11), summed or concatenated. scratch_.y
   // contains only the `ticks` ticks at which a head's output is not zero; the other ticks add
   // nothing, whatever their gates are.
-  void Merge(const PackedLayer<Arithmetic>& packed, int ticks) {
+  void Merge(const PackedLayer& packed, int ticks) {
     const int stride =
         config_.has_routing() ? packed.routing_gate.width : PadToLanes(config_.heads);
     scratch_.gates.resize(static_cast<size_t>(ticks) * stride);
@@ -268,7 +257,7 @@ class TokenPass {
 
   // Computes the gates of the `ticks` ticks in scratch_.y, [ticks][stride]. The equations define
   // gates at the other ticks too, so their operations are counted, although they are not computed.
-  void Route(const PackedLayer<Arithmetic>& packed, int ticks, int stride) {
+  void Route(const PackedLayer& packed, int ticks, int stride) {
     const PackedLinear& hidden = packed.routing_hidden;
     scratch_.routing.resize(static_cast<size_t>(ticks) * hidden.width);
     counts().multiply_accumulates +=
@@ -292,20 +281,16 @@ class TokenPass {
   // x <- norm(x + W2 (spike count / T) + b2).
   void FeedForward(int layer) {
     const LayerWeights& weights = policy_.weights.layers[layer];
-    const PackedLayer<Arithmetic>& packed = packed_.layers[layer];
-    Code(weights.ffn_coder, 2 * layer + 1, Stage::kFfnIn);
-    const uint64_t products =
+    const PackedLayer& packed = packed_.layers[layer];
+    Code(weights.ffn_coder, Stage::kFfnIn);
+    counts().multiply_accumulates +=
         scratch_.spikes.groups().empty() ? SilentUpdate(packed.silent_ffn) : HiddenUpdate(packed);
-    counts().multiply_accumulates += products;
-    if (config_.arithmetic == spikeserve::Arithmetic::kInt8) {
-      counts().integer_multiply_accumulates += products;
-    }
     AddResidual(weights.ffn_norm);
   }
 
   // Computes W2 (spike count / T) + b2 from the coder's spikes. Returns the number of products.
-  uint64_t HiddenUpdate(const PackedLayer<Arithmetic>& packed) {
-    const Population& population = packed.ffn_hidden;
+  uint64_t HiddenUpdate(const PackedLayer& packed) {
+    const PackedLinear& population = packed.ffn_hidden;
     scratch_.hidden.resize(population.width);
     const Drive& drive =
         scratch_.drives.Build(scratch_.spikes, population, population.width, nullptr);
@@ -331,21 +316,20 @@ class TokenPass {
 
   const Policy& policy_;
   const ModelConfig& config_;
-  const typename Arithmetic::Neuron lif_;
-  const PackedWeights<Arithmetic>& packed_;
-  Scratch<Arithmetic>& scratch_;
+  const Lif lif_;
+  const PackedWeights& packed_;
+  Scratch& scratch_;
   size_t token_count_ = 0;
   NewToken* token_ = nullptr;  // the current token
 };
 
-template <class Arithmetic>
 class StreamingEngine final : public Engine {
  public:
   explicit StreamingEngine(std::shared_ptr<const Policy> policy)
       : policy_(std::move(policy)), packed_(*policy_) {
     kernels::ChooseTarget();
   }
-  StreamingEngine(std::shared_ptr<const Policy> policy, PackedWeights<Arithmetic> packed)
+  StreamingEngine(std::shared_ptr<const Policy> policy, PackedWeights packed)
       : policy_(std::move(policy)), packed_(std::move(packed)) {
     kernels::ChooseTarget();
   }
@@ -358,8 +342,8 @@ class StreamingEngine final : public Engine {
     return policy;
   }
 
-  std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep) const override {
-    return std::make_unique<StreamingContext>(policy_->config, seed, first_timestep);
+  std::unique_ptr<Context> NewContext(int64_t first_timestep) const override {
+    return std::make_unique<StreamingContext>(policy_->config, first_timestep);
   }
 
   void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
@@ -374,7 +358,7 @@ class StreamingEngine final : public Engine {
   }
 
   void DecideTogether(absl::Span<const Decision> decisions) const override {
-    TokenPass<Arithmetic> pass(*policy_, packed_);
+    TokenPass pass(*policy_, packed_);
     for (const Decision& decision : decisions) {
       auto& context = static_cast<StreamingContext&>(*decision.context);
       Counts& counts = decision.output->counts;
@@ -384,7 +368,7 @@ class StreamingEngine final : public Engine {
       counts.spikes(Stage::kPhase) += context.phase.generators.size();  // once per timestep
       const float standard_return = StandardizeReturn(*policy_, decision.return_to_go);
       pass.Add(context, counts, TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
-      std::vector<float>& input = ThreadScratch<Arithmetic>().input;
+      std::vector<float>& input = ThreadScratch().input;
       SetStateInput(*policy_, decision.observation, &context.previous_observation, &input);
       pass.Add(context, counts, TokenKind::kState, input);
     }
@@ -395,7 +379,7 @@ class StreamingEngine final : public Engine {
   }
 
   void AppendActionsTogether(absl::Span<const TakenAction> actions) const override {
-    TokenPass<Arithmetic> pass(*policy_, packed_);
+    TokenPass pass(*policy_, packed_);
     for (const TakenAction& action : actions) {
       auto& context = static_cast<StreamingContext&>(*action.context);
       context.action_counts = Counts();
@@ -409,27 +393,13 @@ class StreamingEngine final : public Engine {
 
  private:
   std::shared_ptr<const Policy> policy_;
-  PackedWeights<Arithmetic> packed_;
+  PackedWeights packed_;
 };
 
-template <class Arithmetic>
-std::unique_ptr<Engine> MakeOf(PackedWeights<Arithmetic> packed, Policy policy) {
+std::unique_ptr<Engine> MakeOf(PackedWeights packed, Policy policy) {
   packed.DropFrom(&policy.weights);
-  return std::make_unique<StreamingEngine<Arithmetic>>(
-      std::make_shared<const Policy>(std::move(policy)), std::move(packed));
-}
-
-template <class Arithmetic>
-std::unique_ptr<Engine> MakeCompact(Policy policy) {
-  PackedWeights<Arithmetic> packed(policy);
-  return MakeOf(std::move(packed), std::move(policy));
-}
-
-template <class Arithmetic>
-absl::StatusOr<std::unique_ptr<Engine>> MakeShared(Policy policy, const std::string& folder) {
-  PackedWeights<Arithmetic> packed(policy);
-  RETURN_IF_ERROR(packed.ShareRows(folder));
-  return MakeOf(std::move(packed), std::move(policy));
+  return std::make_unique<StreamingEngine>(std::make_shared<const Policy>(std::move(policy)),
+                                           std::move(packed));
 }
 
 }  // namespace
@@ -443,28 +413,22 @@ absl::StatusOr<std::unique_ptr<Engine>> MakeSharedSpikingEngine(Policy policy,
                                                                 const std::string& folder) {
   SPIKESERVE_DCHECK(!policy.config.is_dense());
   if (policy.config.is_integer()) return MakeSharedIntegerEngine(std::move(policy), folder);
-  if (policy.config.arithmetic == Arithmetic::kInt8) {
-    return MakeShared<Int8Arithmetic>(std::move(policy), folder);
-  }
-  return MakeShared<Float32Arithmetic>(std::move(policy), folder);
+  PackedWeights packed(policy);
+  RETURN_IF_ERROR(packed.ShareRows(folder));
+  return MakeOf(std::move(packed), std::move(policy));
 }
 
 std::unique_ptr<Engine> MakeCompactSpikingEngine(Policy policy) {
   SPIKESERVE_DCHECK(!policy.config.is_dense());
   if (policy.config.is_integer()) return MakeCompactIntegerEngine(std::move(policy));
-  if (policy.config.arithmetic == Arithmetic::kInt8) {
-    return MakeCompact<Int8Arithmetic>(std::move(policy));
-  }
-  return MakeCompact<Float32Arithmetic>(std::move(policy));
+  PackedWeights packed(policy);
+  return MakeOf(std::move(packed), std::move(policy));
 }
 
 std::unique_ptr<Engine> MakeSpikingStreamingEngine(std::shared_ptr<const Policy> policy) {
   SPIKESERVE_DCHECK(!policy->config.is_dense());
   if (policy->config.is_integer()) return MakeIntegerStreamingEngine(std::move(policy));
-  if (policy->config.arithmetic == Arithmetic::kInt8) {
-    return std::make_unique<StreamingEngine<Int8Arithmetic>>(std::move(policy));
-  }
-  return std::make_unique<StreamingEngine<Float32Arithmetic>>(std::move(policy));
+  return std::make_unique<StreamingEngine>(std::move(policy));
 }
 
 }  // namespace spikeserve

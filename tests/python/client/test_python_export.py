@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import stat
-from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -15,22 +14,17 @@ import spikeserve
 from random_policy import SMALL, export_random, random_tensors
 from serving import RELEASED_POLICIES, SHIPPED_POLICIES, running_server
 from spikeserve.export import ModelConfig, export_policy, tensor_shapes
-from spikeserve.integer_weights import quantize
 
-SMALL_POLICIES = {
-    version: RELEASED_POLICIES / "cartpole-sparse" / version / "policy.safetensors" for version in "12"
-}
+SMALL_POLICY = RELEASED_POLICIES / "cartpole-sparse/1/policy.safetensors"
 SHAPES = [
     *({"mode": mode} for mode in ModelConfig.CHOICES["mode"]),
     {"mode": "full", "merge": "concat", "gate": "sigmoid", "phase_clock": "window"},
-    {"mode": "pos", "coder": "bernoulli", "layers": 1, "heads": 4},
+    {"mode": "pos", "layers": 1, "heads": 4},
     {"mode": "route", "routing_hidden_size": 3, "ffn_size": 7, "threshold": 0.5},
     *({"mode": mode, "observation_changes": True} for mode in ("full", "dense")),
-    {"mode": "full", "observation_changes": True, "arithmetic": "int8"},
-    *({"mode": "baseline", "relative_bias": True, "arithmetic": arithmetic} for arithmetic in ("float32", "int8")),
+    {"mode": "baseline", "relative_bias": True},
     {"mode": "full", "norm": "none"},
-    {"mode": "baseline", "norm": "none", "arithmetic": "int8"},
-    *({"mode": mode, "arithmetic": "int8"} for mode in ModelConfig.CHOICES["mode"][:-1]),
+    {"mode": "full", "arithmetic": "integer"},
 ]
 
 
@@ -67,9 +61,8 @@ def play(client, policy):
     return [(d.action, d.action_probabilities.tolist(), d.stats.spikes) for d in decisions]
 
 
-@pytest.mark.parametrize("version", SMALL_POLICIES, ids=["float32", "int8"])
-def test_the_server_plays_an_exported_policy_as_the_original(tmp_path, version):
-    metadata, tensors = read(SMALL_POLICIES[version])
+def test_the_server_plays_an_exported_policy_as_the_original(tmp_path):
+    metadata, tensors = read(SMALL_POLICY)
     numbers = ["return_offset", "return_scale", "target_return", "modulator_mean", "modulator_std"]
     path = tmp_path / "copy" / "1" / "policy.safetensors"
     export_policy(
@@ -84,7 +77,7 @@ def test_the_server_plays_an_exported_policy_as_the_original(tmp_path, version):
     assert os.listdir(path.parent) == ["policy.safetensors"]
     assert stat.S_IMODE(path.stat().st_mode) == 0o644
     (tmp_path / "original" / "1").mkdir(parents=True)
-    shutil.copy(SMALL_POLICIES[version], tmp_path / "original" / "1")
+    shutil.copy(SMALL_POLICY, tmp_path / "original" / "1")
     with running_server(tmp_path) as server, spikeserve.Client(server.grpc) as client:
         copy, original = client.list_policies()
         assert vars(copy) | {"name": "original"} == vars(original)
@@ -122,9 +115,8 @@ def test_a_box_policy_acts_within_its_bounds(tmp_path):
     assert decision.action_probabilities is None
 
 
-@pytest.mark.parametrize("version", SMALL_POLICIES, ids=["float32", "int8"])
-def test_tensor_names_and_shapes_are_those_of_the_shipped_policy(version):
-    metadata, tensors = read(SMALL_POLICIES[version])
+def test_tensor_names_and_shapes_are_those_of_a_trained_policy():
+    metadata, tensors = read(SMALL_POLICY)
     shapes = tensor_shapes(ModelConfig(**json.loads(metadata["config"])), 4, 2)
     assert {name: tensor.shape for name, tensor in tensors.items()} == shapes
 
@@ -140,7 +132,6 @@ def test_policies_in_integers_have_names_and_shapes(path):
 
 
 CONFIG = ModelConfig(**SMALL)
-INT8 = replace(CONFIG, arithmetic="int8")
 FIELDS = {"action_space": spikeserve.Discrete(2), "environment": "CartPole-v1", "target_return": 1}
 
 
@@ -175,65 +166,6 @@ def export_broken(path, name, tensor, space=FIELDS["action_space"]):
 def test_bad_tensors_are_refused_by_name(path, name, tensor, message):
     with pytest.raises(ValueError, match=f'tensor "{name}": .*{message}'):
         export_broken(path, name, tensor)
-    assert os.listdir(path.parent) == []
-
-
-def test_integer_tensors_are_written_as_integers(path):
-    tensors = quantize(random_tensors(CONFIG, 4, 2), CONFIG)
-    export_policy(path, tensors, INT8, **FIELDS)
-    metadata, written = read(path)
-    assert json.loads(metadata["config"])["arithmetic"] == "int8"
-    name = "layers.0.attention.query"
-    dtypes = {
-        part: str(written[f"{name}.{part}"].dtype)
-        for part in ("weight", "scale", "bias", "threshold")
-    }
-    assert dtypes == {"weight": "int8", "scale": "float32", "bias": "int16", "threshold": "int16"}
-    np.testing.assert_array_equal(
-        written["layers.1.ffn.output.weight"], tensors["layers.1.ffn.output.weight"]
-    )
-    export_policy(path, random_tensors(CONFIG, 4, 2), CONFIG, **FIELDS)
-    assert "arithmetic" not in json.loads(read(path)[0]["config"])
-
-
-def test_weights_round_to_the_nearest_level_ties_to_even():
-    tensors = random_tensors(CONFIG, 4, 2)
-    weight = tensors["layers.0.attention.query.weight"]
-    weight[:2] = 0
-    weight[0, :4] = [127, 1.5, 2.5, -0.5]
-    rounded = quantize(tensors, CONFIG)
-    assert rounded["layers.0.attention.query.weight"][0, :4].tolist() == [127, 2, 2, 0]
-    assert rounded["layers.0.attention.query.threshold"][:2].tolist() == [1, 16384]
-    with pytest.raises(ValueError, match="arithmetic: expected float32, received 'int8'"):
-        quantize(rounded, INT8)
-    with pytest.raises(ValueError, match="mode: expected a spiking mode, received 'dense'"):
-        quantize(tensors, ModelConfig(mode="dense"))
-    tensors["layers.1.ffn.hidden.bias"][3] = 1e9
-    with pytest.raises(
-        ValueError, match=r'"layers.1.ffn.hidden.bias": .* 32767 units, .* at index 3'
-    ):
-        quantize(tensors, CONFIG)
-
-
-@pytest.mark.parametrize(
-    ("name", "index", "value", "message"),
-    [
-        ("layers.0.attention.key.weight", (1, 2), -128, "-127 to 127, received -128 at index 20"),
-        ("layers.0.attention.key.weight", (0, 0), 0.5, "integers from -128 to 127, received 0.5"),
-        ("layers.0.attention.key.weight", (0, 1), 200, "integers from -128 to 127, received 200"),
-        ("layers.0.attention.key.bias", 3, 40000, "integers from -32768 to 32767, received 40000"),
-        ("layers.1.ffn.hidden.threshold", 4, 0, "1 to 32767, received 0 at index 4"),
-        ("layers.1.ffn.hidden.scale", 5, 0, "positive numbers, received 0.0 at index 5"),
-        ("layers.1.ffn.output.scale", 6, np.nan, "finite in float32, received nan at index 6"),
-        ("layers.0.attention.value.bias", 7, -32767, "of at most 32767, received "),
-    ],
-)
-def test_bad_integers_are_refused_by_name(path, name, index, value, message):
-    tensors = quantize(random_tensors(CONFIG, 4, 2), CONFIG)
-    tensors[name] = tensors[name].astype(float)
-    tensors[name][index] = value
-    with pytest.raises(ValueError, match=message):
-        export_policy(path, tensors, INT8, **FIELDS)
     assert os.listdir(path.parent) == []
 
 
@@ -278,7 +210,7 @@ def test_bad_fields_are_refused_by_name(path, field, value, message):
         ("membrane_decay", 1.5, "expected 0 to 1, received 1.5"),
         ("threshold", 0.0, "expected a positive finite number, received 0.0"),
         ("threshold", 1e-60, "expected a positive finite number, received 1e-60"),
-        ("arithmetic", "int4", "expected one of float32, int8, integer, received 'int4'"),
+        ("arithmetic", "int4", "expected one of float32, integer, received 'int4'"),
         ("norm", "batch", "expected one of layer, none, received 'batch'"),
     ],
 )
@@ -294,20 +226,13 @@ def test_a_dense_policy_has_norms():
         ModelConfig(mode="dense", norm="none")
 
 
-def test_integers_have_their_own_limits():
-    with pytest.raises(ValueError, match="arithmetic: expected float32 in mode dense"):
-        ModelConfig(mode="dense", arithmetic="int8")
-    with pytest.raises(ValueError, match="membrane_decay: expected at most 32767/32768"):
-        ModelConfig(membrane_decay=1.0, arithmetic="int8")
-
-
 def test_a_policy_in_integers_is_checked_and_not_exported(path):
     integer = ModelConfig(**SMALL | {"arithmetic": "integer", "membrane_decay": 0.9375})
-    with pytest.raises(ValueError, match="arithmetic: expected float32 or int8; `spiketrain quantize --to=integer`"):
+    with pytest.raises(ValueError, match="arithmetic: expected float32; `spiketrain quantize`"):
         export_policy(path, {}, integer, **FIELDS)
     for changes, field in (
         ({"membrane_decay": 0.95}, "membrane_decay"),
-        ({"membrane_decay": 0.9375, "leak": "none"}, "membrane_decay"),
+        ({"membrane_decay": 0.9375, "leak": "none"}, "leak"),
         ({"membrane_decay": 0.9375, "coder": "bernoulli"}, "coder"),
         ({"membrane_decay": 0.9375, "input_fraction": 15}, "input_fraction"),
     ):

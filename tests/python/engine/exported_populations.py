@@ -7,9 +7,9 @@ from policy_file import read_policy
 from serving import RELEASED_POLICIES, SHIPPED_POLICIES
 from spikeserve.export import to_nir
 
-# Policies in float32, with 8-bit weights and in integers.
+# Policies in float32 and in integers.
 POLICIES = (
-    *(RELEASED_POLICIES / "cartpole-sparse" / version for version in "12"),
+    RELEASED_POLICIES / "cartpole-sparse/1",
     *(SHIPPED_POLICIES / name for name in ("cartpole/1", "cartpole/2", "cartpole-small/1", "pendulum/1")),
 )
 TOKENS = 20
@@ -41,8 +41,6 @@ def fire(tensors, config, population, inputs):
     # A membrane that is rounded reaches its threshold from half a unit below.
     threshold = tensors[f"{population}.threshold"] - 0.5 if integers else np.nextafter(np.float32(config["threshold"]), 0)
     decay = np.float32(config["membrane_decay"])
-    if config.get("arithmetic") == "int8":
-        decay = round(float(decay) * 32768) / 32768
     membrane = np.zeros((len(inputs), len(bias)))
     spikes = np.zeros((*inputs.shape[:2], len(bias)), bool)
     for tick in range(inputs.shape[1]):

@@ -56,8 +56,7 @@ class IntegerEngine:
         self.offset, self.scale = (np.float32(metadata[f"return_{name}"]) for name in ("offset", "scale"))
         self.ticks, self.heads, self.size = (self.config[name] for name in ("ticks", "heads", "hidden_size"))
         self.head_size = self.size // self.heads
-        decay = self.config["membrane_decay"]
-        self.leak = None if self.config["leak"] == "none" else round(-math.log2(1 - decay))
+        self.leak = round(-math.log2(1 - self.config["membrane_decay"]))
         self.timestep = 0
         self.observation = None  # of the step before
         self.caches = [[] for _ in range(self.config["layers"])]  # (timestep, key spikes, value counts)
@@ -128,8 +127,7 @@ class IntegerEngine:
         membrane = np.zeros_like(bias)
         fired = np.zeros((self.ticks, len(bias)), bool)
         for tick in range(self.ticks):
-            leaked = 0 if self.leak is None else round_shift(membrane, self.leak)
-            membrane = np.clip(membrane - leaked + bias, -32768, 32767)
+            membrane = np.clip(membrane - round_shift(membrane, self.leak) + bias, -32768, 32767)
             if not inputs[tick].any():
                 continue
             membrane = np.clip(membrane + weight @ inputs[tick], -32768, 32767)
@@ -158,8 +156,6 @@ class IntegerEngine:
         return x
 
     def _weights(self, layer, head, overlaps):
-        if self.config["attention"] == "linear":
-            return overlaps if overlaps.any() else np.ones_like(overlaps)
         scores = int(self.tensors[f"layers.{layer}.attention.scale"][head]) * overlaps
         if self.config.get("relative_bias"):
             relative = self.tensors[f"layers.{layer}.attention.relative"][head].astype(np.int64)

@@ -7,7 +7,6 @@ from collections import Counter
 
 import numpy as np
 from integer_engine import IntegerEngine
-from integer_policy import IntegerPolicy
 
 # Picojoules of one operation: int_45nm.
 INTEGER_PRICES = {
@@ -24,15 +23,6 @@ INTEGER_PRICES = {
     "softmax": 1.15,
     "gate": 0.23,
     "norm": 3.15,
-}
-INT8_PRICES = INTEGER_PRICES | {
-    "update": 0.95,
-    "comparison": 0.1,
-    "gain": 4.6,
-    "attention": 0.9,
-    "softmax": 9.2,
-    "gate": 4.6,
-    "norm": 14.7,
 }
 
 
@@ -61,7 +51,7 @@ class Counted:
     def _norm(self, name, x):
         if self.config.get("norm") != "none":
             self.done["norm"] += len(x)
-        elif self.config["arithmetic"] == "integer":
+        else:
             self.done["comparison"] += 2 * len(x)
         return super()._norm(name, x)
 
@@ -105,7 +95,7 @@ class Counted:
 
 
 class CountedIntegerEngine(Counted, IntegerEngine):
-    """A policy in integer arithmetic with shiftmax attention."""
+    """A policy in integer arithmetic."""
 
     prices = INTEGER_PRICES
 
@@ -176,57 +166,4 @@ class CountedIntegerEngine(Counted, IntegerEngine):
             "neurons": neurons,
             "coders": 4 * d * self.ticks,
             "keys and values": 3 * self.config["context"] * token,
-        }
-
-
-class CountedInt8Policy(Counted, IntegerPolicy):
-    """A policy in int8 with routing."""
-
-    prices = INT8_PRICES
-
-    def _count_head(self, count):
-        self.moved["weights"] += 4 * count
-
-    def _code(self, name, x):
-        self.done["gain"] += len(x)
-        self.moved["coders"] += 8 * len(x)
-        return super()._code(name, x)
-
-    def _affine(self, name, x):
-        count = products(self.tensors[f"{name}.weight"], x)
-        self.done["float mac"] += count
-        self.moved["weights"] += 4 * count
-        return super()._affine(name, x)
-
-    def _fire(self, name, inputs):
-        synapses, neurons = self._synapses(name, inputs)
-        self.done["update"] += neurons * self.ticks
-        self.moved["weights"] += synapses
-        self.moved["neurons"] += 8 * neurons * self.ticks
-        fired = super()._fire(name, inputs)
-        if name.endswith("ffn.hidden"):
-            output = name.removesuffix("hidden") + "output.weight"
-            count = products(self.tensors[output], fired.any(axis=0))
-            self.done["mac"] += count
-            self.moved["weights"] += count
-        return fired
-
-    def _attend_head(self, overlaps, values, scale):
-        self.done["attention"] += int(overlaps.sum()) + int(values.sum())
-        self.done["softmax"] += len(overlaps)
-        self.moved["keys and values"] += len(overlaps) * self.head_size / 4
-        return super()._attend_head(overlaps, values, scale)
-
-    def _gates(self, layer, y):
-        self.done["gate"] += len(y)
-        self.done["softmax"] += self.heads
-        return super()._gates(layer, y)
-
-    def memories(self):
-        d, _, neurons = self._layer_sizes()
-        return {
-            "weights": self._weights_of_layers(4),
-            "neurons": neurons,
-            "coders": 16 * d,
-            "keys and values": 3 * self.config["context"] * 2 * ((self.ticks * d + 7) // 8),
         }

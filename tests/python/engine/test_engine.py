@@ -23,9 +23,8 @@ RANDOM = {
     "route": {"mode": "route"},
     "full": {"mode": "full"},
     "dense": {"mode": "dense"},
-    "bernoulli": {"mode": "full", "coder": "bernoulli"},
     "concat": {"mode": "full", "merge": "concat", "gate": "sigmoid"},
-    "int8": {"mode": "full", "arithmetic": "int8"},
+    "integer": {"mode": "full", "arithmetic": "integer"},
 }
 ENVIRONMENTS = {"discrete": "CartPole-v1", "box": "Pendulum-v1"}
 
@@ -197,7 +196,7 @@ def test_a_head_is_handed_on():
     assert continued.state().head_drift == pytest.approx(learned.state().head_drift)
 
 
-@pytest.mark.parametrize("policy", ["full-discrete", "route-box", "int8-discrete", "dense-box"])
+@pytest.mark.parametrize("policy", ["full-discrete", "route-box", "integer-discrete", "dense-box"])
 def test_explain_shows_what_the_server_shows(random_server, random_policies, policy):
     engine = spikeserve_engine.Engine(random_policies / policy / "1/policy.safetensors")
     local = engine.session()

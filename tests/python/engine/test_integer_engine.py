@@ -16,26 +16,26 @@ from serving import SHIPPED_POLICIES, Service, running_server
 
 PROGRAM = os.environ["INTEGER_DECISIONS_PROGRAM"]
 STEPS = 24  # longer than the context
-CASES = [  # environment, config, mode of the integer policy, attention
-    ("CartPole-v1", {"mode": "full"}, "full", "shiftmax"),
-    ("Pendulum-v1", {"mode": "full", "ticks": 10}, "baseline", "shiftmax"),
-    ("Acrobot-v1", {"mode": "full", "ticks": 10, "layers": 3}, "full", "linear"),
-    ("CartPole-v1", {"mode": "full", "gate": "sigmoid"}, "route", "shiftmax"),
-    ("Pendulum-v1", {"mode": "pos", "ticks": 1, "merge": "concat"}, "pos", "shiftmax"),
-    ("CartPole-v1", {"mode": "full", "phase_clock": "window"}, "pos", "shiftmax"),
-    ("CartPole-v1", {"mode": "baseline", "membrane_decay": 1.0, "observation_changes": True}, "baseline", "linear"),
-    ("CartPole-v1", {"mode": "pos", "hidden_size": 64, "heads": 8, "ticks": 1, "context": 9}, "pos", "shiftmax"),
-    ("MountainCar-v0", {"mode": "full", "relative_bias": True}, "baseline", "shiftmax"),
-    ("CartPole-v1", {"mode": "full", "relative_bias": True}, "full", "shiftmax"),
-    ("CartPole-v1", {"mode": "full", "norm": "none"}, "full", "shiftmax"),  # residuals reach their limits
-    ("CartPole-v1", {"mode": "full", "norm": "none", "relative_bias": True}, "baseline", "shiftmax"),
+CASES = [  # environment, config, mode of the integer policy
+    ("CartPole-v1", {"mode": "full"}, "full"),
+    ("Pendulum-v1", {"mode": "full", "ticks": 10}, "baseline"),
+    ("Acrobot-v1", {"mode": "full", "ticks": 10, "layers": 3}, "full"),
+    ("CartPole-v1", {"mode": "full", "gate": "sigmoid"}, "route"),
+    ("Pendulum-v1", {"mode": "pos", "ticks": 1, "merge": "concat"}, "pos"),
+    ("CartPole-v1", {"mode": "full", "phase_clock": "window"}, "pos"),
+    ("CartPole-v1", {"mode": "baseline", "membrane_decay": 1.0, "observation_changes": True}, "baseline"),
+    ("CartPole-v1", {"mode": "pos", "hidden_size": 64, "heads": 8, "ticks": 1, "context": 9}, "pos"),
+    ("MountainCar-v0", {"mode": "full", "relative_bias": True}, "baseline"),
+    ("CartPole-v1", {"mode": "full", "relative_bias": True}, "full"),
+    ("CartPole-v1", {"mode": "full", "norm": "none"}, "full"),  # residuals reach their limits
+    ("CartPole-v1", {"mode": "full", "norm": "none", "relative_bias": True}, "baseline"),
 ]
 SHIPPED = sorted(SHIPPED_POLICIES.glob("*/*/policy.safetensors"))
 
 
-def run(source, target, mode, attention, lines=()):
+def run(source, target, mode, lines=()):
     text = "".join(json.dumps(line) + "\n" for line in lines)
-    return decide([str(source), str(target), mode, attention], text)
+    return decide([str(source), str(target), mode], text)
 
 
 def decide(arguments, text):
@@ -68,13 +68,13 @@ def check_decisions(policy, lines, answers):
     return engine
 
 
-@pytest.mark.parametrize(("environment", "config", "mode", "attention"), CASES)
-def test_every_decision_is_that_of_the_page(tmp_path, environment, config, mode, attention):
+@pytest.mark.parametrize(("environment", "config", "mode"), CASES)
+def test_every_decision_is_that_of_the_page(tmp_path, environment, config, mode):
     export_random(tmp_path, "random", gymnasium.make(environment), **config)
     source, target = tmp_path / "random/1/policy.safetensors", tmp_path / "integer.safetensors"
     tensors, _ = read_policy(source)
     lines = list(episode(tensors, len(tensors["head.bias"])))
-    result = run(source, target, mode, attention, lines)
+    result = run(source, target, mode, lines)
     assert result.returncode == 0, result.stderr
     assert check_decisions(target, lines, result.stdout).config["mode"] == mode
 
@@ -94,7 +94,7 @@ def test_a_dense_decision_is_that_of_the_page(tmp_path, sizes):
     tensors, _ = read_policy(tmp_path / "dense/1/policy.safetensors")
     target = tmp_path / "integer.safetensors"
     lines = list(episode(tensors, 2))
-    result = run(tmp_path / "dense/1/policy.safetensors", target, "dense", "shiftmax", lines)
+    result = run(tmp_path / "dense/1/policy.safetensors", target, "dense", lines)
     assert result.returncode == 0, result.stderr
     engine = DenseEngine(*read_policy(target))
     readouts = []
@@ -115,23 +115,16 @@ def export(folder, **config):
 
 def test_a_part_that_the_policy_lacks_is_refused(tmp_path):
     source = export(tmp_path, mode="baseline")
-    result = run(source, tmp_path / "integer.safetensors", "full", "shiftmax")
+    result = run(source, tmp_path / "integer.safetensors", "full")
     assert result.returncode == 1
     assert "mode: expected one whose parts mode baseline has, received full" in result.stderr
     assert not (tmp_path / "integer.safetensors").exists()
 
 
-def test_unknown_names_are_refused_with_the_known_ones(tmp_path):
-    source = export(tmp_path)
-    result = run(source, tmp_path / "integer.safetensors", "full", "softmax")
-    assert result.returncode == 1
-    assert 'expected shiftmax or linear, received "softmax"' in result.stderr
-
-
 def test_a_server_serves_and_explains_it(tmp_path):
     target = tmp_path / "policies/integers/1/policy.safetensors"
     target.parent.mkdir(parents=True)
-    result = run(export(tmp_path), target, "full", "shiftmax")
+    result = run(export(tmp_path), target, "full")
     assert result.returncode == 0, result.stderr
     tensors, metadata = read_policy(target)
     engine = IntegerEngine(tensors, metadata)

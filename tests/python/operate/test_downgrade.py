@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 from redis_servers import WITHOUT_REDIS
-from release_files import RELEASES, assert_contains, play_first_half, play_second_half, server_on
+from release_files import RELEASES, assert_contains, convert_int8, play_first_half, play_second_half, server_on
 
 ROOT = pathlib.Path(__file__).parents[3]
 KINDS = ["file", pytest.param("redis", marks=WITHOUT_REDIS)]
@@ -43,6 +43,7 @@ def test_the_release_before_goes_on_with_the_files_of_today(kind, tmp_path, monk
     state = tmp_path / "left" / kind
     state.mkdir(parents=True)
     shutil.copytree(BEFORE / "policies", state.parent / "policies")
+    convert_int8(state.parent / "policies")  # which only the release before serves
     with server_on(state) as services:
         play_first_half(*services)
     twin = shutil.copytree(state.parent, tmp_path / "twin") / kind

@@ -5,9 +5,10 @@ import os
 import shutil
 import subprocess
 
+import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS
-from release_files import RELEASES, SESSIONS, assert_contains, play_second_half, server_on
+from release_files import RELEASES, SESSIONS, assert_contains, convert_int8, decide, opening, play_second_half, server_on
 from serving import running_server
 
 KINDS = ["file", pytest.param("redis", marks=WITHOUT_REDIS)]
@@ -21,21 +22,53 @@ def copy_of(release, kind, folder):
     return shutil.copytree(release / kind, folder / kind)
 
 
+def start_and_fail(*flags):
+    """Returns what a server says that does not start."""
+    command = [os.environ["SPIKESERVE_PROGRAM"], *flags, "--listen=127.0.0.1:0", "--http_listen="]
+    refused = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert refused.returncode != 0
+    return refused.stderr
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("release", FOLDERS, ids=lambda folder: folder.name)
 def test_sessions_and_settings_go_on_after_an_upgrade(release, kind, tmp_path):
     state = copy_of(release, kind, tmp_path)
     history = (state / "audit.jsonl").read_text()
+    converted = convert_int8(tmp_path / "policies")
+    expected = json.loads((state / "answers.json").read_text())
+    for policy in expected["policies"]["policies"]:
+        if (policy["name"], policy["version"]) in converted:
+            del policy["training_return"]  # of the file before
+    views = [expected[opening(i)["session_id"]][-1] for i in range(SESSIONS)]
+    ended = [i for i, view in enumerate(views) if (view["policy"], view["version"]) in converted]
+    for i in ended:  # their file is another one now
+        del expected[opening(i)["session_id"]]
     with server_on(state) as (service, admin):
-        assert_contains(play_second_half(service, admin), json.loads((state / "answers.json").read_text()))
+        goes_on = [i for i in range(SESSIONS) if i not in ended]
+        assert_contains(play_second_half(service, admin, goes_on), expected)
+        for i in ended:
+            with pytest.raises(grpc.RpcError, match="whose file is another one here") as refused:
+                decide(service, opening(i)["session_id"], 23, 13)
+            assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
         admin.RemoveLabel(policy="cartpole-sparse", label="stable")
+    assert len(ended) == SESSIONS / 2
     assert (state / "audit.jsonl").read_text().startswith(history)
     assert "RemoveLabel" in (state / "audit.jsonl").read_text().removeprefix(history)
 
 
 @pytest.mark.parametrize("release", FOLDERS, ids=lambda folder: folder.name)
+def test_a_file_in_int8_is_refused_with_the_command_that_converts_it(release, tmp_path):
+    shutil.copytree(release / "policies/cartpole-frugal", tmp_path / "policies/cartpole-frugal")
+    said = start_and_fail(f"--policies={tmp_path}/policies")  # beside others, it is logged
+    assert "policy.safetensors: config.arithmetic: expected float32 or integer, received int8" in said
+    assert "`spiketrain quantize --policy=OLD --out=NEW` converts the file" in said
+
+
+@pytest.mark.parametrize("release", FOLDERS, ids=lambda folder: folder.name)
 def test_recordings_replay_after_an_upgrade(release, tmp_path):
     state = copy_of(release, "file", tmp_path)
+    convert_int8(tmp_path / "policies")
     recordings = sorted((state / "recordings").iterdir())
     assert len(recordings) == SESSIONS
     with running_server(state.parent / "policies") as addresses:
@@ -57,16 +90,9 @@ def test_recordings_replay_after_an_upgrade(release, tmp_path):
 def test_settings_of_a_later_release_are_refused_by_name(tmp_path):
     """A server that does not know a setting does not start, instead of dropping it."""
     state = copy_of(BEFORE, "file", tmp_path)
+    convert_int8(tmp_path / "policies")
     settings = json.loads((state / "settings.json").read_text())
     settings["policies"]["cartpole-sparse"]["of_a_later_release"] = 1
     (state / "settings.json").write_text(json.dumps(settings))
-    refused = subprocess.run(
-        [
-            *(os.environ["SPIKESERVE_PROGRAM"], f"--policies={tmp_path}/policies", "--listen=127.0.0.1:0"),
-            *("--http_listen=", f"--policy_settings={state}/settings.json"),
-        ],
-        capture_output=True,
-        text=True,
-    )
-    assert refused.returncode != 0
-    assert "of_a_later_release" in refused.stderr
+    said = start_and_fail(f"--policies={tmp_path}/policies", f"--policy_settings={state}/settings.json")
+    assert "of_a_later_release" in said

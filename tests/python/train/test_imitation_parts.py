@@ -323,8 +323,8 @@ def test_looking_back_needs_phase_spikes_or_biases_by_distance():
 @pytest.mark.parametrize(
     ("flags", "reason"),
     [
-        (("--slope=4", "--arithmetic=int8"), "expected no --arithmetic, because stages continue from float32 weights"),
-        (("--arithmetic", "int8"), "expected no --arithmetic"),
+        (("--slope=4", "--arithmetic=integer"), "expected no --arithmetic, because stages continue from float32 weights"),
+        (("--arithmetic", "integer"), "expected no --arithmetic"),
         (("--lookback=3",), "expected no --lookback; lookback, mirror and patch_size are settings of imitate"),
         (("--mirror=3",), "expected no --mirror"),
         (("--image_shape=16,16,3",), "expected no --image_shape"),
@@ -339,12 +339,12 @@ def test_train_flags_that_a_later_stage_would_refuse_are_refused(flags, reason):
 
 def test_the_command_refuses_train_flags_before_it_records(tmp_path):
     command = [sys.executable, "-m", "spikeserve", "imitate", "CartPole-v1", "--expert=home_made:balance"]
-    flags = [f"--out={tmp_path}/run", "--train-flags=--arithmetic=int8"]
+    flags = [f"--out={tmp_path}/run", "--train-flags=--arithmetic=integer"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     finished = subprocess.run([*command, *flags], capture_output=True, text=True, env=environment, check=False)
     assert finished.returncode == 1
     assert "train_flags: expected no --arithmetic" in finished.stderr
-    assert "received --arithmetic=int8" in finished.stderr
+    assert "received --arithmetic=integer" in finished.stderr
     assert not (tmp_path / "run").exists()
 
 

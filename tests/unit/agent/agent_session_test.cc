@@ -264,8 +264,6 @@ struct CacheCase {
 };
 
 std::vector<CacheCase> CacheCases() {
-  ModelConfig bernoulli = SmallConfig();
-  bernoulli.coder = CoderKind::kBernoulli;
   ModelConfig dense = SmallConfig();
   dense.mode = Mode::kDense;
   ModelConfig deep = SmallConfig();
@@ -280,7 +278,6 @@ std::vector<CacheCase> CacheCases() {
           {"Greedy", SmallConfig(), ActionSpace::Discrete(3), {}},
           {"Sampled", SmallConfig(), ActionSpace::Discrete(3), sampled},
           {"SampledBox", SmallConfig(), ActionSpace::Box({-2.0f}, {2.0f}), sampled},
-          {"Bernoulli", bernoulli, ActionSpace::Discrete(3), {}},
           {"Deep", deep, ActionSpace::Discrete(3), {}},
           {"Dense", dense, ActionSpace::Discrete(3), {}}};
 }

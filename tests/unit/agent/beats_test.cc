@@ -64,12 +64,12 @@ std::vector<BeatCase> BeatCases() {
   const ActionSpace discrete = ActionSpace::Discrete(3);
   const ActionSpace box = ActionSpace::Box({-2.0f, 0.0f}, {2.0f, 1.0f});
   const ActionSelection sampled = {.sample = true, .temperature = 0.7f};
-  std::vector<BeatCase> cases = {
-      {"GreedyDiscrete", discrete},
-      {"GreedyBox", box},
-      {"SampledBox", box, sampled},
-      {"Int8", discrete, sampled, {}, Arithmetic::kInt8},
-      {"Int8Learning", box, sampled, LearningOptions{.learning_rate = 0.05}, Arithmetic::kInt8}};
+  std::vector<BeatCase> cases = {{"GreedyDiscrete", discrete},
+                                 {"GreedyBox", box},
+                                 {"SampledBox", box, sampled},
+                                 {"Integer", discrete, sampled, {}, Arithmetic::kInteger},
+                                 {"IntegerLearning", box, sampled,
+                                  LearningOptions{.learning_rate = 0.05}, Arithmetic::kInteger}};
   for (const auto& [rule, rule_name] : EnumNames(Rule())) {
     for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
       const LearningOptions learning = {

@@ -33,8 +33,6 @@ std::vector<Variant> Variants() {
     variants.push_back({std::string(ToString(mode)), SmallConfig()});
     variants.back().config.mode = mode;
   }
-  variants.push_back({"bernoulli", SmallConfig()});
-  variants.back().config.coder = CoderKind::kBernoulli;
   variants.push_back({"concat", SmallConfig()});
   variants.back().config.merge = Merge::kConcat;
   variants.push_back({"window", SmallConfig()});
@@ -52,8 +50,8 @@ std::vector<Variant> Variants() {
   variants.back().config.layers = 3;
   for (Variant variant : std::vector<Variant>(variants)) {
     if (variant.config.is_dense()) continue;
-    variant.name += "_int8";
-    variant.config.arithmetic = Arithmetic::kInt8;
+    variant.name += "_integer";
+    variant.config.arithmetic = Arithmetic::kInteger;
     variants.push_back(variant);
   }
   return variants;
@@ -121,7 +119,9 @@ TEST_P(ExplanationTest, AttentionAndGatesAreShares) {
         continue;
       }
       EXPECT_EQ(trace.gates.size(), trace.gated.size() * static_cast<size_t>(ticks * config.heads));
-      const float share = config.merge == Merge::kConcat ? static_cast<float>(config.heads) : 1.0f;
+      // In integers, concatenated heads are multiplied by H after their gates.
+      const bool scaled = config.merge == Merge::kConcat && !config.is_integer();
+      const float share = scaled ? static_cast<float>(config.heads) : 1.0f;
       EXPECT_NEAR(std::accumulate(trace.gates.begin(), trace.gates.begin() + config.heads, 0.0f),
                   share, 1e-5);
       if (layer + 1 == config.layers) {
@@ -142,7 +142,7 @@ TEST_P(ExplanationTest, TheHistoryHoldsEverything) {
 
   // Computes the same decision with an engine that keeps the whole episode.
   AgentSession replay(served_, NewSession("id", SmallOptions()), &clock_);
-  PrefixContext prefix(SmallOptions().seed, 0);
+  PrefixContext prefix(0);
   std::vector<float> action(static_cast<size_t>(served_->policy().action_space.size()));
   for (int64_t step = 0; step < kSteps; ++step) {
     ASSERT_TRUE(replay.Act(step, ObservationAt(step), RewardAt(step)).ok());

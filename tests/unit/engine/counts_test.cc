@@ -32,8 +32,8 @@ TEST(CountsTest, ADecisionBearsItsThreeTokens) {
     if (weight) slot.floats()->values.assign(slot.floats()->values.size(), -0.5f);
   }
   const auto shared = std::make_shared<const Policy>(policy);
-  for (const auto& engine : {MakeReferenceEngine(shared), MakeStreamingEngine(shared)}) {
-    const auto context = engine->NewContext(0);
+  for (const auto& engine : {MakeReferenceEngine(shared), MakeEngine(shared)}) {
+    const auto context = engine->NewContext();
     Engine::Output output;
     engine->Decide(*context, 1.0f, {1.0f, 2.0f, 3.0f, 4.0f}, &output);
     // The tokens are G_0 and s_0. The last layer codes both, but its feed-forward part computes

@@ -31,6 +31,8 @@ Counts SomeCounts() {
   counts.layer_norm_elements = 200;
   counts.softmax_terms = 300;
   counts.gate_products = 400;
+  counts.weight_bytes = 800;
+  counts.attention_bytes = 900;
   return counts;
 }
 
@@ -42,24 +44,20 @@ ModelConfig Configured(Arithmetic arithmetic) {
 
 TEST(EnergyTest, EveryModelPricesWhatItSays) {
   const Counts counts = SomeCounts();
-  const ModelConfig config = Configured(Arithmetic::kInt8);
+  const ModelConfig config = Configured(Arithmetic::kInteger);
   ASSERT_EQ(config.ticks, 5);
   const auto joules = [&](EnergyModel model) { return *EstimateEnergy(model, counts, config); };
-  const double others = 14.7 * 200 + 9.2 * 300;
   EXPECT_DOUBLE_EQ(joules(EnergyModel::kSpike5pj), 500 * kPico);
-  EXPECT_DOUBLE_EQ(joules(EnergyModel::kHorowitz45nm),
-                   (0.9 * (1000 + 500) + 4.6 * (60 + 3000 + 100 + 400) + others) * kPico);
-  // 500 of the 3,000 updates are of coder neurons, 100 elements times 5 ticks, which look up their
-  // period by 3 comparisons instead.
-  const double operations = 0.03 * 1000 + 0.23 * 20 + 4.6 * (40 + 400) + 0.95 * 2500 +
-                            (4.6 + 0.3) * 100 + 0.03 * 90 + 0.9 * 500 + others;
+  EXPECT_DOUBLE_EQ(
+      joules(EnergyModel::kHorowitz45nm),
+      (0.9 * (1000 + 500) + 4.6 * (60 + 3000 + 100 + 400) + 14.7 * 200 + 9.2 * 300) * kPico);
+  // A coder's element is looked up by 3 comparisons.
+  const double operations = 0.03 * 1000 + 0.23 * 20 + 4.6 * 40 + 0.1 * 3000 + 3 * 0.05 * 100 +
+                            0.03 * 90 + 0.1 * 500 + 1.15 * 300 + 0.23 * 400 + 3.15 * 200;
   EXPECT_NEAR(joules(EnergyModel::kInt45nm), operations * kPico, 1e-9 * kPico);
-  // Every memory of this small policy costs 1.25 pJ a byte. The gates of 2 heads of 8 neurons are
-  // 400 / 8 of the terms of softmaxes.
-  const double bytes = (1000 + 20 + 4 * 40) + 8 * 2500 + 8 * 100 + (300 - 50) * 8 / 4.0;
+  // Every memory of this small policy costs 1.25 pJ a byte.
+  const double bytes = 800 + 8 * 3000 + 2 * 3 * 100 + 900;
   EXPECT_NEAR(joules(EnergyModel::kIntSram45nm), (operations + 1.25 * bytes) * kPico, 1e-9 * kPico);
-  EXPECT_DOUBLE_EQ(joules(EnergyModel::kLoihi2018),
-                   (23.6 * 1060 + 81 * 90 + 52 * (3000 - 90) + 1.7 * 100) * kPico);
   EXPECT_EQ(DefaultEnergy(counts, config), joules(EnergyModel::kHorowitz45nm));
 }
 
@@ -80,27 +78,21 @@ TEST(EnergyTest, APolicyHasNoFigureUnderAModelThatDoesNotApply) {
     }
     return names;
   };
-  EXPECT_EQ(applying(Configured(Arithmetic::kInt8)),
-            " horowitz_45nm int_45nm int_sram_45nm loihi_2018 spike_5pj");
   EXPECT_EQ(applying(Configured(Arithmetic::kInteger)),
             " horowitz_45nm int_45nm int_sram_45nm spike_5pj");
   EXPECT_EQ(applying(Configured(Arithmetic::kFloat32)), " horowitz_45nm spike_5pj");
   EXPECT_EQ(applying(SmallConfig(Mode::kDense)), " horowitz_45nm");
 }
 
-TEST(EnergyTest, WithoutNormsIntegersAreLimitedAndFloatsAreNot) {
+TEST(EnergyTest, WithoutNormsTheResidualStreamIsLimited) {
   Counts counts;
   counts.coder_gains = 16;
-  const auto joules = [&](NormKind norm, Arithmetic arithmetic) {
-    ModelConfig config = Configured(arithmetic);
+  const auto joules = [&](NormKind norm) {
+    ModelConfig config = Configured(Arithmetic::kInteger);
     config.norm = norm;
     return *EstimateEnergy(EnergyModel::kInt45nm, counts, config);
   };
-  EXPECT_NEAR(joules(NormKind::kNone, Arithmetic::kInteger) -
-                  joules(NormKind::kLayer, Arithmetic::kInteger),
-              0.1 * 16 * kPico, 1e-9 * kPico);
-  EXPECT_EQ(joules(NormKind::kNone, Arithmetic::kInt8),
-            joules(NormKind::kLayer, Arithmetic::kInt8));
+  EXPECT_NEAR(joules(NormKind::kNone) - joules(NormKind::kLayer), 0.1 * 16 * kPico, 1e-9 * kPico);
 }
 
 // Every element that a norm would get is coded once, so the account counts limits by the coders.
@@ -113,21 +105,6 @@ TEST(EnergyTest, EveryElementOfTheStreamIsCodedOnce) {
       EXPECT_EQ(counts.coder_gains, counts.layer_norm_elements);
     }
   }
-}
-
-TEST(EnergyTest, ABernoulliCoderHasNoMembranes) {
-  ModelConfig config = Configured(Arithmetic::kInt8);
-  config.coder = CoderKind::kBernoulli;
-  Counts counts;
-  counts.spikes(Stage::kCoder) = 5;
-  counts.spikes(Stage::kQuery) = 3;
-  counts.coder_gains = 16;
-  counts.membrane_updates = 10;
-  EXPECT_DOUBLE_EQ(*EstimateEnergy(EnergyModel::kLoihi2018, counts, config),
-                   (81 * 3 + 52 * 7 + 1.7 * 8) * kPico);
-  // A float32 comparison with a draw at each of 5 ticks.
-  EXPECT_NEAR(*EstimateEnergy(EnergyModel::kInt45nm, counts, config),
-              (0.95 * 10 + (4.6 + 0.5) * 16) * kPico, 1e-9 * kPico);
 }
 
 // The three tokens of a decision at the paper's size, with a full window.
@@ -149,8 +126,8 @@ TEST(EnergyTest, ADecisionOfThePapersSizeUpdates55040Membranes) {
 TEST(EnergyTest, TheDenseTwinIsWhatADensePolicyOfTheSameSizesDoesInAFullWindow) {
   const auto policy =
       std::make_shared<const Policy>(*QuantizeToInteger(SmallPolicy(SmallConfig(Mode::kDense))));
-  const auto engine = MakeStreamingEngine(policy);
-  const auto context = engine->NewContext(0);
+  const auto engine = MakeEngine(policy);
+  const auto context = engine->NewContext();
   Engine::Output output;
   for (int step = 0; step < 6; ++step) {  // longer than the window of 4
     if (step > 0) engine->AppendAction(*context, {1.0f, 0.0f});
@@ -194,8 +171,8 @@ TEST(EnergyTest, EveryModelSaysWhatItCountsAndLeavesOut) {
 TEST(EnergyTest, EnginesCountThePartsOfTheirMode) {
   for (const Mode mode : {Mode::kBaseline, Mode::kFull, Mode::kDense}) {
     const auto policy = std::make_shared<const Policy>(SmallPolicy(SmallConfig(mode)));
-    const auto engine = MakeStreamingEngine(policy);
-    const auto context = engine->NewContext(0);
+    const auto engine = MakeEngine(policy);
+    const auto context = engine->NewContext();
     Engine::Output output;
     engine->Decide(*context, 1.0f, {1.0f, 2.0f, 3.0f, 4.0f}, &output);
     EXPECT_EQ(output.counts.membrane_updates > 0, mode != Mode::kDense);

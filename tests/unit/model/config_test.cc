@@ -14,8 +14,6 @@ TEST(ConfigNames, RoundTrip) {
     ASSERT_TRUE(ParseEnum<Mode>("mode", name).ok()) << name;
     EXPECT_EQ(ToString(*ParseEnum<Mode>("mode", name)), name);
   }
-  for (const char* name : {"lif", "bernoulli"})
-    EXPECT_EQ(ToString(*ParseEnum<CoderKind>("coder", name)), name);
   for (const char* name : {"timestep", "window"}) {
     EXPECT_EQ(ToString(*ParseEnum<PhaseClock>("phase_clock", name)), name);
   }
@@ -25,7 +23,7 @@ TEST(ConfigNames, RoundTrip) {
     EXPECT_EQ(ToString(*ParseEnum<Gate>("gate", name)), name);
   for (const char* name : {"layer", "none"})
     EXPECT_EQ(ToString(*ParseEnum<NormKind>("norm", name)), name);
-  for (const char* name : {"float32", "int8", "integer"})
+  for (const char* name : {"float32", "integer"})
     EXPECT_EQ(ToString(*ParseEnum<Arithmetic>("arithmetic", name)), name);
 }
 
@@ -48,20 +46,6 @@ TEST(ModelConfig, SizesFollowTheMode) {
   EXPECT_EQ(ModelConfig{.mode = Mode::kPos}.attention_inputs(), 132);
   EXPECT_EQ(ModelConfig{.merge = Merge::kConcat}.merged_size(), 128);
   EXPECT_EQ(ModelConfig{.mode = Mode::kDense}.merged_size(), 128);
-}
-
-TEST(ModelConfig, IntegerDecayRoundsToTheNearest) {
-  EXPECT_EQ(ModelConfig{}.integer_decay(), 31130);  // 0.95 * 32768 = 31129.6
-  EXPECT_EQ(ModelConfig{.membrane_decay = 0.0f}.integer_decay(), 0);
-  EXPECT_EQ(ModelConfig{.membrane_decay = 0.5f / 32768.0f}.integer_decay(), 0) << "ties to even";
-  EXPECT_EQ(ModelConfig{.membrane_decay = 1.5f / 32768.0f}.integer_decay(), 2) << "ties to even";
-  EXPECT_EQ(ModelConfig{.membrane_decay = 1.0f}.integer_decay(), 32768);
-}
-
-TEST(ModelConfig, Int8AcceptsTheLargestDecayThatFits) {
-  EXPECT_TRUE((ModelConfig{.membrane_decay = 32767.0f / 32768.0f, .arithmetic = Arithmetic::kInt8}
-                   .Validate()
-                   .ok()));
 }
 
 TEST(ModelConfig, ValidateNamesTheField) {
@@ -88,40 +72,10 @@ TEST(ModelConfig, ValidateNamesTheField) {
       {{.threshold = infinity}, "threshold: expected a positive finite number, received inf"},
       {{.mode = Mode::kDense, .norm = NormKind::kNone},
        "norm: expected layer in mode dense, received none"},
-      {{.mode = Mode::kDense, .arithmetic = Arithmetic::kInt8},
-       "arithmetic: expected float32 in mode dense, received int8"},
-      {{.membrane_decay = 1.0f, .arithmetic = Arithmetic::kInt8},
-       "membrane_decay: expected at most 32767/32768 after rounding with arithmetic int8, "
-       "received 1"},
-      // Below 1, but rounded to 32768.
-      {{.membrane_decay = 32767.5f / 32768.0f, .arithmetic = Arithmetic::kInt8},
-       "membrane_decay: expected at most 32767/32768 after rounding with arithmetic int8, "
-       "received 0.999985"},
       {{.ticks = 256, .membrane_decay = 0.9375f, .arithmetic = Arithmetic::kInteger},
        "ticks: expected 1 to 255, received 256"},
-      {{.hidden_size = 129,
-        .heads = 1,
-        .ticks = 255,
-        .context = 1,
-        .membrane_decay = 0.9375f,
-        .arithmetic = Arithmetic::kInteger,
-        .attention = Attention::kLinear},
-       "attention: expected shiftmax for overlaps of up to 32895 (ticks hidden_size / heads) and "
-       "sums of up to 25164675 (3 context ticks^2 hidden_size / heads), received linear"},
-      {{.ticks = 100,
-        .context = 4096,
-        .membrane_decay = 0.9375f,
-        .arithmetic = Arithmetic::kInteger,
-        .attention = Attention::kLinear},
-       "attention: expected shiftmax for overlaps of up to 3200 (ticks hidden_size / heads) and "
-       "sums of up to 3932160000 (3 context ticks^2 hidden_size / heads), received linear"},
       {{.mode = Mode::kDense, .relative_bias = true},
        "relative_bias: expected false in mode dense, received true"},
-      {{.membrane_decay = 0.9375f,
-        .arithmetic = Arithmetic::kInteger,
-        .relative_bias = true,
-        .attention = Attention::kLinear},
-       "relative_bias: expected false with attention linear, received true"},
   };
   for (const auto& c : cases) {
     const absl::Status status = c.config.Validate();

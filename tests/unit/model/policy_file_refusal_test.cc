@@ -10,7 +10,7 @@
 
 #include "core/model/policy_file.h"
 #include "core/model/safetensors.h"
-#include "core/quantize/quantize.h"
+#include "core/quantize/quantize_integer.h"
 #include "nlohmann/json.hpp"
 #include "tests/support/files.h"
 #include "tests/support/small_policy.h"
@@ -186,10 +186,9 @@ TEST_F(PolicyFileRefusalTest, IntegerTensors) {
        "tensor \"layers.0.attention.value.scale\": expected, but missing"},
       {[](auto& c) { c.tensors.erase("layers.1.ffn.hidden.threshold"); },
        "tensor \"layers.1.ffn.hidden.threshold\": expected, but missing"},
-      {[](auto& c) { c.tensors.erase("layers.1.ffn.output.scale"); },
-       "tensor \"layers.1.ffn.output.scale\": expected, but missing"},
       {[](auto& c) { c.tensors["layers.0.ffn.output.threshold"] = Int16Tensor::Zeros({16}); },
-       "tensor \"layers.0.ffn.output.threshold\": not expected in a policy of mode full in int8"},
+       "tensor \"layers.0.ffn.output.threshold\": not expected in a policy of mode full in "
+       "integer"},
       {[](auto& c) { c.tensors["layers.0.ffn.hidden.threshold"] = Int16Tensor::Zeros({31}); },
        "tensor \"layers.0.ffn.hidden.threshold\": expected shape [32], received [31] with 31 "
        "values"},
@@ -202,8 +201,6 @@ TEST_F(PolicyFileRefusalTest, IntegerTensors) {
        "tensor \"layers.0.attention.key.threshold\": expected 1 to 32767, received 0 at index 3"},
       {[=](auto& c) { ints16(c, "layers.0.ffn.hidden.threshold")[31] = -5; },
        "tensor \"layers.0.ffn.hidden.threshold\": expected 1 to 32767, received -5 at index 31"},
-      {[](auto& c) { Floats(c, "layers.0.ffn.output.bias")[4] = kInfinity; },
-       "tensor \"layers.0.ffn.output.bias\": expected finite numbers, received inf at index 4"},
       {[=](auto& c) { fill_neuron(c, 32767 - 18 * 127 + 1); }, too_large},
       {[=](auto& c) { fill_neuron(c, -(32767 - 18 * 127 + 1)); }, too_large},
       {[=](auto& c) {
@@ -212,7 +209,7 @@ TEST_F(PolicyFileRefusalTest, IntegerTensors) {
        },
        too_large},
   };
-  for (const char* name : {"layers.1.attention.query.scale", "layers.0.ffn.output.scale"}) {
+  for (const char* name : {"layers.1.attention.query.scale", "layers.0.ffn.hidden.scale"}) {
     const std::string tensor = "tensor \"" + std::string(name) + "\": expected ";
     refusals.push_back({[=](auto& c) { Floats(c, name)[1] = 0.0f; },
                         tensor + "positive finite numbers, received 0 at index 1"});
@@ -239,10 +236,7 @@ TEST_F(PolicyFileRefusalTest, IntegerTensors) {
                               "\", received \"" + (is_float ? "I8" : "F32") + "\""});
     }
   }
-  refusals.push_back(
-      {[](auto& c) { c.tensors["layers.0.ffn.output.bias"] = Int16Tensor::Zeros({16}); },
-       "tensor \"layers.0.ffn.output.bias\": expected dtype \"F32\", received \"I16\""});
-  const Policy policy = *Quantize(SmallPolicy());
+  const Policy policy = *QuantizeToInteger(SmallPolicy());
   ExpectRefused(refusals, policy);
 
   Safetensors contents = *ReadSafetensors(Path("good"));
@@ -251,24 +245,13 @@ TEST_F(PolicyFileRefusalTest, IntegerTensors) {
   EXPECT_TRUE(ReadPolicyFile(Path()).ok()) << ReadPolicyFile(Path()).status();
 }
 
-TEST_F(PolicyFileRefusalTest, IntegerConfig) {
-  ExpectRefused(
-      {
-          {SetConfig("arithmetic", "int4"),
-           "config.arithmetic: expected float32, int8 or integer, received \"int4\""},
-          {SetConfig("arithmetic", "float32"),
-           "tensor \"layers.0.attention.query.weight\": expected dtype \"F32\", received \"I8\""},
-          {SetConfig("mode", "dense"), "arithmetic: expected float32 in mode dense, received int8"},
-          {SetConfig("membrane_decay", 1.0),
-           "membrane_decay: expected at most 32767/32768 after rounding with arithmetic int8, "
-           "received 1"},
-          {SetConfig("ticks", 257), "ticks: expected 1 to 256, received 257"},
-          {SetConfig("ffn_size", 16385), "ffn_size: expected 1 to 16384, received 16385"},
-      },
-      *Quantize(SmallPolicy()));
-  ExpectRefused({{SetConfig("arithmetic", "int8"),
-                  "tensor \"layers.0.attention.query.weight\": expected dtype \"I8\", received "
-                  "\"F32\""}});
+TEST_F(PolicyFileRefusalTest, Arithmetics) {
+  ExpectRefused({{SetConfig("arithmetic", "int4"),
+                  "config.arithmetic: expected float32 or integer, received \"int4\""},
+                 {SetConfig("arithmetic", "int8"),
+                  "config.arithmetic: expected float32 or integer, received int8, which is no "
+                  "longer served: `spiketrain quantize --policy=OLD --out=NEW` converts the file "
+                  "to integers, and with --to=float32 to float32"}});
 }
 
 TEST_F(PolicyFileRefusalTest, ADenseTimestepEmbeddingOfNoRows) {
@@ -379,7 +362,7 @@ TEST_F(PolicyFileRefusalTest, Config) {
       "config.mode: expected baseline, pos, route, full or dense, "
       "received "
       "\"half\"");
-  set("coder", "poisson", "config.coder: expected lif or bernoulli, received \"poisson\"");
+  set("coder", "poisson", "config.coder: expected lif, received \"poisson\"");
   set("phase_clock", "tick", "config.phase_clock: expected timestep or window, received \"tick\"");
   set("merge", "mean", "config.merge: expected sum or concat, received \"mean\"");
   set("gate", "relu", "config.gate: expected softmax or sigmoid, received \"relu\"");

@@ -11,7 +11,6 @@
 #include <vector>
 
 #include "core/model/safetensors.h"
-#include "core/quantize/quantize.h"
 #include "core/quantize/quantize_integer.h"
 #include "nlohmann/json.hpp"
 #include "tests/support/files.h"
@@ -92,7 +91,7 @@ TEST_F(PolicyFileTest, IntegerPoliciesRoundTripBitForBit) {
     for (const Merge merge : {Merge::kSum, Merge::kConcat}) {
       ModelConfig config = SmallConfig(mode);
       config.merge = merge;
-      ExpectRoundTrip(*Quantize(SmallPolicy(config)), Path());
+      ExpectRoundTrip(*QuantizeToInteger(SmallPolicy(config)), Path());
     }
   }
 }
@@ -104,7 +103,6 @@ TEST_F(PolicyFileTest, PoliciesWithoutNormsRoundTripBitForBit) {
     const Policy policy = SmallPolicy(config);
     ExpectRoundTrip(policy, Path());
     EXPECT_THAT(*FormatPolicyFile(policy), testing::Not(HasSubstr(".norm.")));
-    ExpectRoundTrip(*Quantize(policy), Path());
     ExpectRoundTrip(*QuantizeToInteger(policy), Path());
   }
 }
@@ -114,7 +112,6 @@ TEST_F(PolicyFileTest, EveryFieldRoundTripsBitForBit) {
   config.layers = 3;
   config.membrane_decay = std::nextafter(0.9f, 1.0f);
   config.threshold = 1.0f / 3.0f;
-  config.coder = CoderKind::kBernoulli;
   config.phase_clock = PhaseClock::kWindow;
   Policy policy = SmallPolicy(config);
   policy.return_offset = -0.0f;
@@ -179,19 +176,19 @@ TEST_F(PolicyFileTest, MetadataIsReadableByOthers) {
 }
 
 TEST_F(PolicyFileTest, IntegerTensorsHaveTheDtypesThatOthersExpect) {
-  ASSERT_TRUE(WritePolicyFile(*Quantize(SmallPolicy()), Path()).ok());
+  ASSERT_TRUE(WritePolicyFile(*QuantizeToInteger(SmallPolicy()), Path()).ok());
   const auto contents = ReadSafetensors(Path());
   ASSERT_TRUE(contents.ok());
-  EXPECT_EQ(json::parse(contents->metadata.at("config"))["arithmetic"], "int8");
+  EXPECT_EQ(json::parse(contents->metadata.at("config"))["arithmetic"], "integer");
   const auto dtype = [&](const char* name) { return DtypeName(contents->tensors.at(name)); };
   EXPECT_EQ(dtype("layers.1.attention.query.weight"), "I8");
   EXPECT_EQ(dtype("layers.1.attention.query.scale"), "F32");
   EXPECT_EQ(dtype("layers.1.attention.query.bias"), "I16");
   EXPECT_EQ(dtype("layers.1.attention.query.threshold"), "I16");
-  EXPECT_EQ(dtype("layers.1.attention.scale"), "F32");
+  EXPECT_EQ(dtype("layers.1.attention.scale"), "I16");
   EXPECT_EQ(dtype("layers.1.ffn.output.weight"), "I8");
-  EXPECT_EQ(dtype("layers.1.ffn.output.bias"), "F32");
-  EXPECT_EQ(dtype("layers.1.attention.output.weight"), "F32");
+  EXPECT_EQ(dtype("layers.1.ffn.output.bias"), "I16");
+  EXPECT_EQ(dtype("head.weight"), "F32");
 }
 
 TEST_F(PolicyFileTest, OtherAnnotationsAreLeftAlone) {

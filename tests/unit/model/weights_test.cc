@@ -133,19 +133,6 @@ TEST(TensorSlots, DenseHasTimestepsAndNoNeurons) {
   EXPECT_EQ(ShapesOf(OneLayer(Mode::kDense)), expected);
 }
 
-TEST(TensorSlots, Int8HasIntegerMaps) {
-  ModelConfig config = OneLayer(Mode::kBaseline);
-  config.arithmetic = Arithmetic::kInt8;
-  Shapes expected = SpikingShapes();
-  for (const char* name : {"attention.query", "attention.key", "attention.value", "ffn.hidden"}) {
-    const std::string population = "layers.0." + std::string(name);
-    expected[population + ".scale"] = expected[population + ".bias"];
-    expected[population + ".threshold"] = expected[population + ".bias"];
-  }
-  expected["layers.0.ffn.output.scale"] = {16};
-  EXPECT_EQ(ShapesOf(config), expected);
-}
-
 TEST(TensorSlots, EveryLayerHasItsOwn) {
   ModelConfig config = OneLayer(Mode::kFull);
   const size_t one = ShapesOf(config).size();

@@ -2,7 +2,6 @@
 
 #include <cmath>
 
-#include "core/neuron/coder.h"
 #include "core/neuron/lif.h"
 #include "core/neuron/period_table.h"
 #include "core/neuron/phase.h"
@@ -82,33 +81,6 @@ TEST(PhaseTest, ClocksCountAsThePaperAndThePositionDo) {
   EXPECT_DOUBLE_EQ(TimestepPhaseTime(3, 5, 10), 3.5);
   EXPECT_DOUBLE_EQ(WindowPhaseTime(0), 1.0);
   EXPECT_FALSE(PhaseSpike(1.0f, 0.0f, 0.0)) << "sin 0 is not above zero";
-}
-
-TEST(BernoulliTest, FiresWithTheSigmoidOfItsCurrent) {
-  int spikes = 0;
-  for (int neuron = 0; neuron < 20000; ++neuron) {
-    spikes += BernoulliSpike({.seed = 1, .timestep = 2, .token = 1, .site = 0}, neuron, 3, 2.0f,
-                             0.5f, 0.2f);
-  }
-  EXPECT_NEAR(spikes / 20000.0, Sigmoid(1.2f), 0.01);
-}
-
-TEST(BernoulliTest, EveryPartOfTheKeyMatters) {
-  const auto train = [](const BernoulliKey& key, int tick) {
-    uint64_t bits = 0;
-    for (int neuron = 0; neuron < 64; ++neuron) {
-      bits = bits << 1 | BernoulliSpike(key, neuron, tick, 0.0f, 1.0f, 0.0f);
-    }
-    return bits;
-  };
-  const BernoulliKey key = {.seed = 1, .timestep = 2, .token = 1, .site = 4};
-  const uint64_t base = train(key, 0);
-  EXPECT_EQ(train(key, 0), base);
-  EXPECT_NE(train(key, 1), base);
-  for (const BernoulliKey& other : {BernoulliKey{2, 2, 1, 4}, BernoulliKey{1, 3, 1, 4},
-                                    BernoulliKey{1, 2, 2, 4}, BernoulliKey{1, 2, 1, 5}}) {
-    EXPECT_NE(train(other, 0), base);
-  }
 }
 
 }  // namespace

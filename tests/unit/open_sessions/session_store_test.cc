@@ -119,9 +119,9 @@ class CountingEngine final : public Engine {
   explicit CountingEngine(std::shared_ptr<const Engine> engine) : engine_(std::move(engine)) {}
 
   const Policy& policy() const override { return engine_->policy(); }
-  std::unique_ptr<Context> NewContext(uint64_t seed, int64_t first_timestep) const override {
+  std::unique_ptr<Context> NewContext(int64_t first_timestep) const override {
     ++contexts;
-    return engine_->NewContext(seed, first_timestep);
+    return engine_->NewContext(first_timestep);
   }
   void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
               Output* output) const override {

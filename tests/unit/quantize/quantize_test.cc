@@ -1,12 +1,12 @@
-#include "core/quantize/quantize.h"
-
+// Tests how a float32 policy becomes one in integers: its populations (round_population.h), and
+// what is refused.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <cmath>
 #include <limits>
 #include <string>
 
+#include "core/quantize/quantize_integer.h"
 #include "tests/support/small_policy.h"
 
 namespace spikeserve {
@@ -37,13 +37,13 @@ ModelConfig TinyConfig() {
   return config;
 }
 
-TEST(Quantize, RoundsToTheNearestLevelOfEachNeuron) {
+TEST(QuantizeToInteger, RoundsToTheNearestLevelOfEachNeuron) {
   Policy policy = SmallPolicy(TinyConfig());
   Linear& query = policy.weights.layers[0].query;
   SetRow(query.weight, 0, {127.0f, 1.5f, 2.5f, -0.5f});  // a scale of 1; ties
   SetRow(query.weight, 1, {-1.0f, 0.5f, 0.25f, 0.0f});   // a scale of 1 / 127
   query.bias.values = {-3.5f, 0.1f, 0.0f, 0.0f};
-  const IntegerPopulation integer = Quantize(policy)->weights.layers[0].integer.query;
+  const IntegerPopulation integer = QuantizeToInteger(policy)->weights.layers[0].integer.query;
   EXPECT_THAT(Row(integer.weight, 0), ElementsAre(127, 2, 2, 0));
   EXPECT_EQ(integer.scale.values[0], 1.0f);
   EXPECT_EQ(integer.bias.values[0], -4);
@@ -54,13 +54,13 @@ TEST(Quantize, RoundsToTheNearestLevelOfEachNeuron) {
   EXPECT_EQ(integer.threshold.values[1], 127);
 }
 
-TEST(Quantize, AThresholdIsAtLeastOneUnitAndAtMost16384) {
+TEST(QuantizeToInteger, AThresholdIsAtLeastOneUnitAndAtMost16384) {
   Policy policy = SmallPolicy(TinyConfig());
   Linear& hidden = policy.weights.layers[0].ffn_hidden;
   SetRow(hidden.weight, 0, {12700.0f});  // the threshold of 1 is 0.01 units
   SetRow(hidden.weight, 1, {1e-9f});
   SetRow(hidden.weight, 2, {});
-  const IntegerPopulation integer = Quantize(policy)->weights.layers[0].integer.ffn_hidden;
+  const IntegerPopulation integer = QuantizeToInteger(policy)->weights.layers[0].integer.ffn_hidden;
   EXPECT_EQ(integer.threshold.values[0], 1);
   EXPECT_EQ(integer.threshold.values[1], 16384);
   EXPECT_EQ(integer.threshold.values[2], 16384);
@@ -68,59 +68,25 @@ TEST(Quantize, AThresholdIsAtLeastOneUnitAndAtMost16384) {
   EXPECT_THAT(Row(integer.weight, 1), Each(0));
 }
 
-TEST(Quantize, TheOutputKeepsItsBiasAndHasNoThreshold) {
-  Policy policy = SmallPolicy(TinyConfig());
-  Linear& output = policy.weights.layers[0].ffn_output;
-  SetRow(output.weight, 0, {1e-9f, -0.5e-9f, 0.0f, 0.0f});  // scales may be arbitrarily small
-  SetRow(output.weight, 1, {});
-  const std::vector<float> bias = output.bias.values;
-  const IntegerOutput integer = Quantize(policy)->weights.layers[0].integer.ffn_output;
-  EXPECT_THAT(Row(integer.weight, 0), ElementsAre(127, -64, 0, 0));
-  EXPECT_EQ(integer.scale.values[0], 1e-9f / 127.0f);
-  EXPECT_THAT(Row(integer.weight, 1), Each(0));
-  EXPECT_EQ(integer.scale.values[1], 1.0f);
-  EXPECT_EQ(integer.bias.values, bias);
-}
-
-TEST(Quantize, SubnormalWeightsStayInRange) {
-  Policy policy = SmallPolicy(TinyConfig());
-  const float smallest = std::numeric_limits<float>::denorm_min();
-  SetRow(policy.weights.layers[0].ffn_output.weight, 0, {190.0f * smallest});  // scale: 1, not 1.5
-  SetRow(policy.weights.layers[0].ffn_output.weight, 1, {smallest});           // scale: 0
-  const absl::StatusOr<Policy> integer = Quantize(policy);
-  ASSERT_TRUE(integer.ok()) << integer.status();
-  EXPECT_EQ(integer->weights.layers[0].integer.ffn_output.weight.at(0, 0), 127);
-  EXPECT_EQ(integer->weights.layers[0].integer.ffn_output.weight.at(1, 0), 0);
-}
-
-TEST(Quantize, TheRestStaysAsItIsAndFloat32MapsAreGone) {
+TEST(QuantizeToInteger, TheHeadStaysAsItIsAndFloat32MapsAreGone) {
   const Policy policy = SmallPolicy();
-  const absl::StatusOr<Policy> integer = Quantize(policy);
+  const absl::StatusOr<Policy> integer = QuantizeToInteger(policy);
   ASSERT_TRUE(integer.ok()) << integer.status();
-  EXPECT_EQ(integer->config.arithmetic, Arithmetic::kInt8);
+  EXPECT_EQ(integer->config.arithmetic, Arithmetic::kInteger);
   EXPECT_EQ(integer->weights.head.weight.values, policy.weights.head.weight.values);
-  EXPECT_EQ(integer->weights.layers[1].attention_output.weight.values,
-            policy.weights.layers[1].attention_output.weight.values);
   EXPECT_TRUE(integer->weights.layers[1].query.weight.values.empty());
   EXPECT_TRUE(integer->weights.layers[1].ffn_output.bias.values.empty());
 }
 
 std::string Refusal(const Policy& policy) {
-  const absl::Status status = Quantize(policy).status();
+  const absl::Status status = QuantizeToInteger(policy).status();
   EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
   return std::string(status.message());
 }
 
-TEST(Quantize, RefusesWhatIntegersCannotHold) {
-  EXPECT_EQ(Refusal(SmallPolicy(SmallConfig(Mode::kDense))),
-            "arithmetic: expected float32 in mode dense, received int8");
-  EXPECT_EQ(Refusal(*Quantize(SmallPolicy())), "arithmetic: expected float32, received int8");
-  ModelConfig no_leak = SmallConfig();
-  no_leak.membrane_decay = 1.0f;
-  EXPECT_EQ(Refusal(SmallPolicy(no_leak)),
-            "membrane_decay: expected at most 32767/32768 after rounding with arithmetic int8, "
-            "received 1");
-
+TEST(QuantizeToInteger, RefusesWhatIntegersCannotHold) {
+  EXPECT_EQ(Refusal(*QuantizeToInteger(SmallPolicy())),
+            "arithmetic: expected float32, received integer");
   Policy policy = SmallPolicy(TinyConfig());
   SetRow(policy.weights.layers[0].key.weight, 3, {127.0f});  // a scale of 1
   policy.weights.layers[0].key.bias.values[3] = 32768.0f;
@@ -132,13 +98,7 @@ TEST(Quantize, RefusesWhatIntegersCannotHold) {
             "tensor \"layers.0.attention.key.weight\": expected |bias| + sum of |weight| of at "
             "most 32767, received 32894 at index 3");
   policy.weights.layers[0].key.bias.values[3] = -32640.0f;
-  EXPECT_TRUE(Quantize(policy).ok()) << Quantize(policy).status();
-
-  policy.config.threshold = std::numeric_limits<float>::denorm_min();
-  SetRow(policy.weights.layers[0].query.weight, 0, {});
-  EXPECT_EQ(Refusal(policy),
-            "tensor \"layers.0.attention.query.bias\": expected at most 32767 units of 0, received "
-            "0.1 at index 0");
+  EXPECT_TRUE(QuantizeToInteger(policy).ok()) << QuantizeToInteger(policy).status();
 
   policy.weights.head.bias.values[0] = std::numeric_limits<float>::quiet_NaN();
   EXPECT_EQ(Refusal(policy),

@@ -4,6 +4,7 @@
 # usage: spiketrain_test.sh SPIKETRAIN
 set -euo pipefail
 spiketrain=$1
+releases=$(realpath "$(dirname "$0")/../../releases")
 dir=$(mktemp -d)
 trap 'rm -rf "$dir"' EXIT
 cd "$dir"
@@ -184,45 +185,55 @@ refuses '--activity_router: expected no such flag beside --init, but --freeze=ro
 { "$spiketrain" train --data=data.cbor --out=x "${tiny[@]}" --freeze=heads 2>&1 || true; } |
   grep -q 'between dots: embed.*; received heads$' || fail "--freeze"
 
-# Rounds weights to 8 bits; equal starts give a small difference, and a policy is rounded once.
-"$spiketrain" quantize --to=int8 --policy=whole/policy.safetensors --out=new/2/policy.safetensors --episodes=3 --seed=2000000 \
+# Rounds a policy from end to end; equal starts give a small difference, and a policy is rounded once.
+"$spiketrain" quantize --policy=whole/policy.safetensors --out=new/2/policy.safetensors --episodes=3 --seed=2000000 \
   --allow_loss --json |
   grep -q '"difference_95_percent"'
 grep -aq "parent_sha256.*$(sha256sum <whole/policy.safetensors | cut -d' ' -f1)" new/2/policy.safetensors ||
   fail "the parent's hash"
-grep -aq 'command.*spiketrain quantize --policy=whole/policy.safetensors .*--to=int8 .*--allow_loss.*lineage.*--out=whole' new/2/policy.safetensors ||
+grep -aq 'command.*spiketrain quantize --policy=whole/policy.safetensors .*--allow_loss.*lineage.*--out=whole' new/2/policy.safetensors ||
   fail "the command or the lineage of the integer policy"
 "$spiketrain" eval --policy=new/2/policy.safetensors --episodes=1 --ablate=phase --json | grep -q '"phase"'
-refuses 'new/2/policy.safetensors: arithmetic: expected float32, received int8' \
+refuses 'new/2/policy.safetensors: arithmetic: expected float32, received integer' \
   quantize --policy=new/2/policy.safetensors --out=x
+# Converts a policy in int8 that a release left, to float32 and to integers, which play alike.
+int8=$releases/0.1.0/policies/cartpole-frugal/2/policy.safetensors
+refuses "$int8: config.arithmetic: expected float32 or integer, received int8, which is no longer served: \`spiketrain quantize --policy=OLD \
+--out=NEW\` converts the file to integers, and with --to=float32 to float32" \
+  eval --policy="$int8" --episodes=1
+"$spiketrain" quantize --policy="$int8" --out=float32/policy.safetensors --to=float32
+says float32/policy.safetensors "\\\"parent_sha256\\\":\\\"$(sha "$int8")\\\""
+"$spiketrain" quantize --policy="$int8" --out=converted/policy.safetensors --episodes=20 --json >converted.json ||
+  fail "the released policy in integers: $(cat converted.json)"
+"$spiketrain" eval --policy=float32/policy.safetensors --episodes=20 --json | grep -q '"mean_return": 500.0' || fail "the returns of the converted policy"
+refuses '--to=float32: expected a policy in int8, received one in float32' \
+  quantize --policy=whole/policy.safetensors --out=x --to=float32
 refuses '--out: expected the file to write, received none' quantize --policy=whole/policy.safetensors
 refuses '--policy: expected a policy file, received none' quantize --out=x
 refuses '--episodes: expected at least 1, received 0' quantize --policy=whole/policy.safetensors --out=x --episodes=0
 
-# Rounds a policy from end to end, and leaves hidden neurons out. The record names the calibration set.
+# Leaves hidden neurons out. The record names the calibration set.
 "$spiketrain" quantize --prune --policy=whole/policy.safetensors --data=data.cbor --out=new/3/policy.safetensors \
   --episodes=3 --allow_loss >/dev/null
 says new/3/policy.safetensors '\"arithmetic\":\"integer\"'
 says new/3/policy.safetensors '\"rounding_loss\":{\"measure\":\"return\",'
 refuses '--max_loss: expected 0 to 1, received 2' quantize --policy=whole/policy.safetensors --out=x --max_loss=2
 says new/3/policy.safetensors "\\\"data_sha256\\\":{\\\"data.cbor\\\":\\\"$(sha data.cbor)\\\"}"
-refuses '--mode, --leak, --attention, --data, --prune: expected with --to=integer, received --to=int8' \
-  quantize --to=int8 --policy=whole/policy.safetensors --out=x --prune
-# A dense policy has no silent neurons and no membranes.
+refuses '--mode, --data, --prune: expected with --to=integer, received --to=float32' \
+  quantize --to=float32 --policy=whole/policy.safetensors --out=x --prune
+# A dense policy has no silent neurons.
 "$spiketrain" train --data=data.cbor --out=dense --mode=dense --hidden_size=16 --batch=4 --iterations=1 --episodes=1 >/dev/null 2>&1
 refuses 'dense/policy.safetensors: --prune: expected a mode with spikes, received dense' \
   quantize --to=integer --policy=dense/policy.safetensors --out=x --prune
-refuses 'dense/policy.safetensors: leak: expected a mode with membranes, received shift in mode dense' \
-  quantize --to=integer --policy=dense/policy.safetensors --out=x --leak=shift
-refuses '--init: expected a policy in float32, received one in int8' \
+refuses '--init: expected a policy in float32, received one in integer' \
   train --data=data.cbor --init=new/2/policy.safetensors --out=x
 
 # Trains in integers, from nothing and from a float32 policy. The policy is an integer policy, and its record says so.
-integers() { "$spiketrain" train --data=data.cbor --arithmetic=int8 --batch=4 --episodes=2 "$@"; }
+integers() { "$spiketrain" train --data=data.cbor --arithmetic=integer --batch=4 --episodes=2 "$@"; }
 integers --out=integers "${tiny[@]}" --iterations=4 >integers.txt 2>/dev/null
-grep -q '^shape: .*, arithmetic int8$' integers.txt || fail "the shape: $(cat integers.txt)"
-says integers/policy.safetensors '\"arithmetic\":\"int8\"'
-says integers/policy.safetensors ' --arithmetic=int8 '
+grep -q '^shape: .*, arithmetic integer$' integers.txt || fail "the shape: $(cat integers.txt)"
+says integers/policy.safetensors '\"arithmetic\":\"integer\"'
+says integers/policy.safetensors ' --arithmetic=integer '
 says integers/policy.safetensors '"dtype":"I8"'
 cp -r integers integers2
 rm integers2/policy.safetensors
@@ -231,30 +242,17 @@ cmp <(grep -v '^policy:' integers.txt) <(grep -v '^policy:' integers2.txt)
 if "$spiketrain" train --data=data.cbor --out=integers "${tiny[@]}" --iterations=4 --resume 2>message; then
   fail "accepted: a checkpoint of another arithmetic"
 fi
-grep -q 'made with .* --arithmetic=int8 .*, not ' message || fail "the arithmetic of a checkpoint: $(cat message)"
+grep -q 'made with .* --arithmetic=integer .*, not ' message || fail "the arithmetic of a checkpoint: $(cat message)"
 integers --out=tuned-integers --init=whole/policy.safetensors --iterations=2 --json 2>/dev/null |
   grep -q '"int_45nm"' || fail "the energy of an integer policy"
 "$spiketrain" account --policy=tuned-integers/policy.safetensors --episodes=1 | grep -q '^int_sram_45nm ' ||
   fail "the account of an integer policy"
-refuses '--policy: arithmetic: expected int8 or integer, received float32' account --policy=whole/policy.safetensors --episodes=1
+refuses '--policy: arithmetic: expected integer, received float32' account --policy=whole/policy.safetensors --episodes=1
 says tuned-integers/policy.safetensors "\\\"parent_sha256\\\":\\\"$(sha whole/policy.safetensors)\\\""
 grep -aq 'lineage.*--out=whole' tuned-integers/policy.safetensors || fail "lineage of integers"
-# Without an iteration that changes weights, training in integers gives what rounding gives.
-integers --out=rounded --init=whole/policy.safetensors --iterations=1 --learning_rate=1e-30 --validation=0 >/dev/null 2>&1
-tensors() { tail -c +"$((9 + $(od -An -t u8 -N8 "$1")))" "$1"; }
-cmp <(tensors rounded/policy.safetensors) <(tensors new/2/policy.safetensors) || fail "trained and rounded tensors"
-# The same from end to end, whose record names the arithmetic.
-"$spiketrain" train --data=data.cbor --out=fixed --init=whole/policy.safetensors --arithmetic=integer --batch=4 --iterations=2 \
-  --episodes=2 --json 2>/dev/null | grep -q '"int_sram_45nm"' || fail "the energy of training in integers"
-says fixed/policy.safetensors '\"arithmetic\":\"integer\"'
-says fixed/policy.safetensors ' --arithmetic=integer '
 refuses '--arithmetic=integer: expected a mode with spikes, received dense; `spiketrain quantize --to=integer` converts a trained '\
 'dense policy' train --data=data.cbor --out=x --mode=dense --arithmetic=integer
-refuses '--arithmetic=integer: coder: expected lif with arithmetic integer, received bernoulli' \
-  train --data=data.cbor --out=x --coder=bernoulli --arithmetic=integer
-refuses '--arithmetic=int8: arithmetic: expected float32 in mode dense, received int8' \
-  train --data=data.cbor --out=x --mode=dense --arithmetic=int8
-refuses '--arithmetic: expected float32, int8 or integer, received "int4"' train --data=data.cbor --out=x --arithmetic=int4
+refuses '--arithmetic: expected float32 or integer, received "int4"' train --data=data.cbor --out=x --arithmetic=int4
 
 # Records episodes of a student, labelled by the expert.
 "$spiketrain" dataset --steps=100 --expert_fraction=0 --student=whole/policy.safetensors --weigh --out=student-v0 |
@@ -294,8 +292,8 @@ grep -q '^residual_limit ' account.txt || fail "no limits: $(cat account.txt)"
 refuses '--norm: expected layer for a policy without norms, received fade' \
   train --data=data.cbor --init=faded/policy.safetensors --out=x --norm=fade
 refuses '--norm: expected layer in mode dense, received fade' train --data=data.cbor --out=x --mode=dense --norm=fade
-refuses '--norm: expected layer with arithmetic int8, received fade' \
-  train --data=data.cbor --out=x --arithmetic=int8 --norm=fade
+refuses '--norm: expected layer with arithmetic integer, received fade' \
+  train --data=data.cbor --out=x --arithmetic=integer --norm=fade
 refuses '--arithmetic=integer: expected a policy with norms, received one without; `spiketrain quantize --to=integer` '\
 'converts a trained one' train --data=data.cbor --init=faded/policy.safetensors --out=x --arithmetic=integer
 refuses '--env: expected CartPole-v1 as in --data, received Acrobot-v1' train --data=data.cbor --env=Acrobot-v1 --out=x

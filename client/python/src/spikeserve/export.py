@@ -6,9 +6,6 @@
                   action_space=env.action_space, environment="CartPole-v1",
                   return_offset=250, return_scale=250, target_return=500)
 
-With `ModelConfig(arithmetic="int8")` the spike-driven weights are 8-bit integers; `quantize` of
-`spikeserve.integer_weights` rounds float32 weights to such tensors.
-
 `to_nir` writes the spiking populations of a policy file in NIR (docs/design/chips.md).
 
 The exporter checks everything that the server checks, before it writes anything. It needs the
@@ -30,7 +27,6 @@ from numpy.typing import NDArray
 
 from spikeserve.check import check
 from spikeserve.fixed_point_shapes import Shape, fixed_point_shapes
-from spikeserve.integer_weights import check_integers, integer_dtype, integer_shapes
 from spikeserve.model_config import ModelConfig
 from spikeserve.nir_export import to_nir
 from spikeserve.spaces import ActionSpace, Discrete, as_action_space
@@ -67,11 +63,11 @@ def export_policy(
     """
     import safetensors.numpy  # an optional dependency that agents do not need
 
-    expected = "float32 or int8; `spiketrain quantize --to=integer` makes the integers of a policy"
+    expected = "float32; `spiketrain quantize` makes the integers of a policy"
     check(not config.is_integer, "arithmetic", expected, repr(config.arithmetic))
     space = as_action_space(action_space)
     _check_space(space)
-    arrays = {name: _convert(name, tensor, config) for name, tensor in tensors.items()}
+    arrays = {name: _convert(name, tensor) for name, tensor in tensors.items()}
     _check_tensors(arrays, config, _action_size(space))
     numbers = {
         "return_offset": _number("return_offset", return_offset),
@@ -145,7 +141,7 @@ def _layer_shapes(config: ModelConfig, layer: str) -> dict[str, Shape]:
     shapes |= _linear(f"{layer}.ffn.hidden", config.ffn_size, d)
     shapes |= _linear(f"{layer}.ffn.output", d, config.ffn_size)
     shapes |= _norm(config, f"{layer}.ffn.norm")
-    return shapes | (integer_shapes(config, layer) if config.is_int8 else {})
+    return shapes
 
 
 def _linear(name: str, outputs: int, inputs: int) -> dict[str, Shape]:
@@ -180,10 +176,7 @@ def _check_space(space: ActionSpace) -> None:
 def _config_values(config: ModelConfig) -> dict[str, Any]:
     values = asdict(config)
     # Without these keys, servers that do not know them can read the file.
-    check(not config.is_integer, "arithmetic", "float32 or int8", repr(config.arithmetic))
-    if not config.is_int8:
-        del values["arithmetic"]
-    for field in ("leak", "attention", "input_fraction", "residual_fraction"):
+    for field in ("arithmetic", "leak", "attention", "input_fraction", "residual_fraction"):
         del values[field]  # of arithmetic integer
     for field in ("observation_changes", "relative_bias"):
         if not values[field]:
@@ -193,23 +186,10 @@ def _config_values(config: ModelConfig) -> dict[str, Any]:
     return values
 
 
-def _convert(name: str, tensor: Any, config: ModelConfig) -> NDArray[Any]:
-    """Returns the tensor as an array of the dtype that the file requires."""
+def _convert(name: str, tensor: Any) -> NDArray[Any]:
     array = _real(name, tensor)
-    dtype = integer_dtype(name) if config.is_int8 else None
-    if dtype is not None:
-        return _integers(name, array, dtype)
     with np.errstate(over="ignore"):  # an overflow becomes infinite, which _check_tensor rejects
         return np.ascontiguousarray(array, np.float32).reshape(array.shape)
-
-
-def _integers(name: str, array: NDArray[Any], dtype: type[np.signedinteger[Any]]) -> NDArray[Any]:
-    limits = np.iinfo(dtype)
-    bad = ~((array >= limits.min) & (array <= limits.max) & (np.rint(array) == array))
-    for i in np.flatnonzero(bad)[:1]:
-        expected = f"integers from {limits.min} to {limits.max}"
-        check(False, f'tensor "{name}"', expected, f"{array.flat[i]} at index {i}")
-    return np.ascontiguousarray(array, dtype).reshape(array.shape)
 
 
 def _real(name: str, tensor: Any) -> NDArray[Any]:
@@ -236,8 +216,6 @@ def _check_tensors(
         check(name in expected, f'tensor "{name}"', f"no such tensor in mode {config.mode}", "one")
     for name, shape in expected.items():
         _check_tensor(name, arrays[name], shape)
-    if config.is_int8:
-        check_integers(arrays, config)
     for name in ("observation.std", "observation.change_std"):
         scales = arrays.get(name, np.ones(1))
         for i in np.flatnonzero(scales <= 0)[:1]:

@@ -28,32 +28,32 @@ class ModelConfig:
     ffn_size: int = 512  # 4d
     membrane_decay: float = 0.95
     threshold: float = 1.0
-    coder: str = "lif"  # or bernoulli
+    coder: str = "lif"
     phase_clock: str = "timestep"  # or window
     merge: str = "sum"  # or concat
     gate: str = "softmax"  # or sigmoid
-    arithmetic: str = "float32"  # of the spike-driven weights; or int8; or integer, of all parts
+    arithmetic: str = "float32"  # or integer, of everything but the head
     norm: str = "layer"  # after each addition to the residual stream; or none
     # Whether the state token also contains the change of the observation since the last timestep.
     observation_changes: bool = False
     # Whether attention adds a learned number to a score, by head and distance in tokens.
     relative_bias: bool = False
     # The following belong to arithmetic integer (docs/design/integer.md).
-    leak: str = "shift"  # or none
-    attention: str = "shiftmax"  # or linear
+    leak: str = "shift"
+    attention: str = "shiftmax"
     input_fraction: int = 8  # fraction bits of the embeddings' inputs
     residual_fraction: int = 10  # fraction bits of the residual stream
 
     CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {
         "mode": ("baseline", "pos", "route", "full", "dense"),
-        "coder": ("lif", "bernoulli"),
+        "coder": ("lif",),
         "phase_clock": ("timestep", "window"),
         "merge": ("sum", "concat"),
         "gate": ("softmax", "sigmoid"),
-        "arithmetic": ("float32", "int8", "integer"),
+        "arithmetic": ("float32", "integer"),
         "norm": ("layer", "none"),
-        "leak": ("shift", "none"),
-        "attention": ("shiftmax", "linear"),
+        "leak": ("shift",),
+        "attention": ("shiftmax",),
     }
     # The largest sizes that the server accepts.
     LIMITS: ClassVar[dict[str, int]] = {
@@ -87,28 +87,16 @@ class ModelConfig:
         fits = bool(0 < np.float32(self.threshold) < np.inf)
         check(fits, "threshold", "a positive finite number", self.threshold)
         check(self.has_norms or not self.is_dense, "norm", "layer in mode dense", repr(self.norm))
-        if self.is_int8:
-            check(not self.is_dense, "arithmetic", "float32 in mode dense", repr(self.arithmetic))
-            fits = np.rint(np.float32(self.membrane_decay) * np.float32(32768)) <= 32767
-            expected = "at most 32767/32768 after rounding with arithmetic int8"
-            check(bool(fits), "membrane_decay", expected, self.membrane_decay)
         if self.is_integer and not self.is_dense:
-            check(self.coder == "lif", "coder", "lif with arithmetic integer", repr(self.coder))
             check(self.ticks <= 255, "ticks", "at most 255 with arithmetic integer", self.ticks)
-            shifts = [1 - 2.0**-k for k in range(1, 9)] if self.leak == "shift" else [1.0]
-            expected = "1 - 2^-k for a k from 1 to 8 with leak shift, and 1 with leak none"
-            fits = self.membrane_decay in shifts
+            fits = self.membrane_decay in [1 - 2.0**-k for k in range(1, 9)]
+            expected = "1 - 2^-k for a k from 1 to 8 in integers"
             check(fits, "membrane_decay", expected, self.membrane_decay)
 
     @property
     def is_integer(self) -> bool:
         """Returns whether everything but the action head is computed with integers."""
         return self.arithmetic == "integer"
-
-    @property
-    def is_int8(self) -> bool:
-        """Returns whether the spike-driven weights are 8-bit integers."""
-        return self.arithmetic == "int8"
 
     @property
     def is_dense(self) -> bool:

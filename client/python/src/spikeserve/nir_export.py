@@ -101,8 +101,7 @@ def _population(name: str, tensors: dict[str, NDArray[Any]], config: ModelConfig
 
 def _leak(config: ModelConfig) -> float:
     """Returns the share of a membrane that leaks at each tick."""
-    decay = float(np.float32(config.membrane_decay))
-    leak = 1 - (round(decay * 32768) / 32768 if config.is_int8 else decay)
+    leak = 1 - float(np.float32(config.membrane_decay))
     return min(max(leak, _NEGLIGIBLE), 1 - _NEGLIGIBLE)
 
 

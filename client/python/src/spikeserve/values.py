@@ -170,7 +170,6 @@ class Stats:
     gate_products: int
     integer_multiply_accumulates: int  # those with an 8-bit weight
     spike_energy_joules: float | None  # by spike_5pj; None for a dense policy
-    loihi_energy_joules: float | None  # by loihi_2018; None unless in int8
     int_energy_joules: float | None  # by int_45nm; None for a policy in float32
     int_sram_energy_joules: float | None  # by int_sram_45nm; None for a policy in float32
 

@@ -17,6 +17,8 @@ namespace {
 
 // Number of vectors of neurons that run together; see lif_kernels.cc.
 constexpr int kLifVectors = kManyRegisters ? 8 : 4;
+// Number of vectors of a row that are added in one pass over the rows; see lif_kernels.cc.
+constexpr int kSumVectors = kManyRegisters ? 12 : 8;
 
 void CoderPeriodsImpl(const PackedPeriodCoder& coder, const int16_t* x, int32_t* periods,
                       uint32_t* active) {
@@ -46,6 +48,30 @@ void CoderPeriodsImpl(const PackedPeriodCoder& coder, const int16_t* x, int32_t*
     hn::StoreU(hn::PromoteTo(di, hn::LowerHalf(half, found)), di, periods + j);
     hn::StoreU(hn::PromoteTo(di, hn::UpperHalf(half, found)), di, periods + j + kVector);
   }
+}
+
+// Adds kVectors vectors of each row, from `lane` on.
+template <int kVectors>
+HWY_INLINE void SumBlock(const PackedIntegerPopulation& population, const int32_t* members,
+                         int count, int lane, int16_t* sum) {
+  const I16 d;
+  VecI16 total[kVectors];
+  const int8_t* first = population.row(members[0]) + lane;
+  for (int v = 0; v < kVectors; ++v) total[v] = LoadWide(first + v * kVector16);
+  for (int m = 1; m < count; ++m) {
+    const int8_t* row = Opaque(population.row(members[m]) + lane);
+    for (int v = 0; v < kVectors; ++v) {
+      total[v] = hn::Add(total[v], LoadWide(row + v * kVector16));
+    }
+  }
+  for (int v = 0; v < kVectors; ++v) hn::StoreU(total[v], d, sum + lane + v * kVector16);
+}
+
+void SumRowsImpl(const PackedIntegerPopulation& population, const int32_t* members, int count,
+                 int width, int16_t* sum) {
+  ForEachBlock<kSumVectors, kVector16>(0, width, [&](int lane, auto vectors) HWY_ATTR {
+    SumBlock<vectors>(population, members, count, lane, sum);
+  });
 }
 
 // Runs kVectors vectors of neurons, from `lane` on, until the last tick with an input spike. Calls
@@ -167,6 +193,7 @@ HWY_AFTER_NAMESPACE();
 namespace spikeserve::kernels {
 
 HWY_EXPORT(CoderPeriodsImpl);
+HWY_EXPORT(SumRowsImpl);
 HWY_EXPORT(LifBitsImpl);
 HWY_EXPORT(LifCountsImpl);
 HWY_EXPORT(ApplyImpl);
@@ -174,6 +201,12 @@ HWY_EXPORT(ApplyImpl);
 void CoderPeriods(const PackedPeriodCoder& coder, const int16_t* x, int32_t* periods,
                   uint32_t* active) {
   HWY_DYNAMIC_DISPATCH(CoderPeriodsImpl)(coder, x, periods, active);
+}
+
+const int16_t* SumRows(const PackedIntegerPopulation& population, const int32_t* members, int count,
+                       int width, int16_t* sum) {
+  HWY_DYNAMIC_DISPATCH(SumRowsImpl)(population, members, count, width, sum);
+  return sum;
 }
 
 void LifBits(const ShiftLif& lif, const PackedIntegerPopulation& population,

@@ -22,6 +22,11 @@ namespace spikeserve::kernels {
 void CoderPeriods(const PackedPeriodCoder& coder, const int16_t* x, int32_t* periods,
                   uint32_t* active);
 
+// Returns `sum`, set to the sum of the rows of `members` [count] for lane < width. REQUIRES:
+// count > 0.
+const int16_t* SumRows(const PackedIntegerPopulation& population, const int32_t* members, int count,
+                       int width, int16_t* sum);
+
 // Runs the neurons of the lanes first ... first + width - 1 from V = 0 and writes their spikes to
 // `bits` [ticks][width / 32]: lane first + i is bit i % 32 of word i / 32. A tick without a term in
 // `drive` has no input spike. REQUIRES: `first` and `width` are multiples of kLanes.

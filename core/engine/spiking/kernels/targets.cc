@@ -1,12 +1,6 @@
 #include "core/engine/spiking/kernels/targets.h"
 
-#include <atomic>
-
 #include "hwy/highway.h"
-
-#if HWY_ARCH_ARM_A64
-#include <sys/auxv.h>
-#endif
 
 namespace spikeserve::kernels {
 namespace {
@@ -23,27 +17,10 @@ int64_t Supported() {
 #endif
 }
 
-constexpr char kNeonSdot[] = "NEON_SDOT";
-
-bool HasSdot() {
-#if HWY_ARCH_ARM_A64
-  constexpr unsigned long kDotProducts = 1UL << 20;  // HWCAP_ASIMDDP of <asm/hwcap.h>
-  static const bool has = (getauxval(AT_HWCAP) & kDotProducts) != 0;
-  return has;
-#else
-  return false;
-#endif
-}
-
-std::atomic<bool> sdot_allowed = true;
-
 }  // namespace
-
-bool UsesSdot() { return HasSdot() && sdot_allowed.load(std::memory_order_relaxed); }
 
 std::vector<std::string> SupportedTargets() {
   std::vector<std::string> names;
-  if (HasSdot()) names.emplace_back(kNeonSdot);
   for (int64_t targets = Supported(); targets != 0; targets &= targets - 1) {
     names.emplace_back(hwy::TargetName(targets & -targets));
   }
@@ -56,17 +33,13 @@ void ChooseTarget() {
 }
 
 bool ForceTargetForTest(const std::string& name) {
-  const bool sdot = name == kNeonSdot && HasSdot();
-  sdot_allowed.store(sdot || name.empty(), std::memory_order_relaxed);
   for (int64_t targets = Supported(); targets != 0; targets &= targets - 1) {
     const int64_t target = targets & -targets;
-    const bool named = name == hwy::TargetName(target);
-    if (!named && !(sdot && target == HWY_STATIC_TARGET)) continue;
+    if (name != hwy::TargetName(target)) continue;
     hwy::GetChosenTarget().Update(target);
     return true;
   }
   hwy::GetChosenTarget().Update(Supported());
-  sdot_allowed.store(true, std::memory_order_relaxed);
   return name.empty();
 }
 

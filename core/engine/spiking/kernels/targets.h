@@ -9,8 +9,7 @@
 namespace spikeserve::kernels {
 
 // Returns the names of the targets that this processor supports, best first. The last one is
-// EMU128, which is plain C++. The first one is in use unless a test forces another. NEON_SDOT is
-// NEON with the instruction SDOT, which Highway does not tell apart.
+// EMU128, which is plain C++. The first one is in use unless a test forces another.
 std::vector<std::string> SupportedTargets();
 
 // Makes every kernel run on the best target, unless a target is chosen. Every engine calls it
@@ -21,9 +20,6 @@ void ChooseTarget();
 // not supported. Returns whether the kernels run on what was asked for. For tests only. Not
 // thread-safe: no other thread may run a kernel during the call.
 [[nodiscard]] bool ForceTargetForTest(const std::string& name);
-
-// Returns whether kernels for NEON use SDOT. Thread-safe.
-bool UsesSdot();
 
 }  // namespace spikeserve::kernels
 

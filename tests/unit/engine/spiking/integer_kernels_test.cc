@@ -1,15 +1,13 @@
 // Compares the integer kernels with plain loops at the ends of their ranges, on every SIMD target
 // of this processor. The parity tests compare them on ordinary policies.
-#include "core/engine/spiking/kernels/integer_kernels.h"
-
 #include <gtest/gtest.h>
 
 #include <limits>
 #include <vector>
 
+#include "core/engine/spiking/kernels/event_kernels.h"
 #include "core/engine/spiking/packed/packed_linear.h"
 #include "core/math/counter_random.h"
-#include "core/model/config.h"
 #include "tests/support/simd_targets.h"
 
 namespace spikeserve {
@@ -46,14 +44,15 @@ struct Extremes {
   }
 
   // Returns whether each neuron fires at each tick, [ticks][width].
-  std::vector<std::vector<bool>> Spikes(const IntegerLif& lif) const {
+  std::vector<std::vector<bool>> Spikes(const ShiftLif& lif) const {
     std::vector<std::vector<bool>> spikes(kTicks, std::vector<bool>(term.size()));
     for (size_t k = 0; k < term.size(); ++k) {
       int16_t membrane = 0;
       for (int tick = 0; tick < kTicks; ++tick) {
-        const int current = population.bias[k] + (tick % 2 == 1 ? term[k] : 0);
+        lif.Leak(population.bias[k], membrane);
+        if (tick % 2 == 0) continue;
         const auto threshold = static_cast<int16_t>(population.silent[k] + 1);
-        spikes[tick][k] = lif.Step(static_cast<int16_t>(current), threshold, membrane);
+        spikes[tick][k] = ShiftLif::Charge(term[k], threshold, membrane);
       }
     }
     return spikes;
@@ -68,21 +67,21 @@ TEST(IntegerKernelsTest, NeuronsAtTheEndsOfTheirRangesEqualTheEquation) {
   OnEverySimdTarget([] {
     for (const int width : {32, 96, 512 + 32}) {
       const Extremes extremes(width);
-      for (const int16_t decay : {0, 1, 16384, 31130, 32767}) {
-        const IntegerLif lif = {decay};
+      for (const int shift : {0, 1, 4, 8}) {
+        const ShiftLif lif = {shift};
         const auto spikes = extremes.Spikes(lif);
         std::vector<uint32_t> bits(static_cast<size_t>(kTicks) * width / 32);
         kernels::LifBits(lif, extremes.population, extremes.drive, 0, width, bits.data());
         std::vector<int16_t> counts(width);
         const uint64_t total =
-            kernels::LifActivity(lif, extremes.population, extremes.drive, counts.data());
+            kernels::LifCounts(lif, extremes.population, extremes.drive, 0, width, counts.data());
         uint64_t expected_total = 0;
         for (int k = 0; k < width; ++k) {
           int count = 0;
           for (int tick = 0; tick < kTicks; ++tick) {
             const uint32_t word = bits[(static_cast<size_t>(tick) * width + k) / 32];
             ASSERT_EQ((word >> (k % 32) & 1u) != 0, spikes[tick][k])
-                << "neuron " << k << ", tick " << tick << ", decay " << decay;
+                << "neuron " << k << ", tick " << tick << ", shift " << shift;
             count += spikes[tick][k];
           }
           ASSERT_EQ(counts[k], count) << "neuron " << k;
@@ -114,75 +113,6 @@ TEST(IntegerKernelsTest, RowsOfTheLargestWeightsAddUpExactly) {
       kernels::SumRows(population, members.data(), count, population.width, sum.data());
       for (int k = 0; k < population.width; ++k) {
         ASSERT_EQ(sum[k], (k % 2 == 0 ? 127 : -127) * count) << "lane " << k;
-      }
-    }
-  });
-}
-
-// The largest sum that a valid policy can reach, 256 ticks and 16384 neurons, and those of the
-// largest counts of 8 bits and of more.
-TEST(IntegerKernelsTest, TheLargestCountsMapExactly) {
-  OnEverySimdTarget([] {
-    constexpr int kInputs = ModelLimits::kFfnSize;
-    IntegerOutput output = {.weight = Int8Tensor::Zeros({3, kInputs}),
-                            .scale = {.shape = {3}, .values = {1.0f, 0.5f, 3.0f}},
-                            .bias = {.shape = {3}, .values = {0.0f, 1.0f, -7.0f}}};
-    int32_t random_sum = 0;
-    uint64_t nonzero = 2 * kInputs;
-    for (int j = 0; j < kInputs; ++j) {
-      output.weight.values[j] = 127;
-      output.weight.values[kInputs + j] = -127;
-      output.weight.values[2 * kInputs + j] = static_cast<int8_t>(Draw(255, 4, j) - 127);
-      random_sum += output.weight.at(2, j);
-      nonzero += output.weight.at(2, j) != 0;
-    }
-    for (const int ticks : {127, 128, ModelLimits::kTicks}) {
-      const PackedIntegerOutput packed = Pack(output, ticks);
-      const std::vector<int16_t> counts(kInputs, static_cast<int16_t>(ticks));
-      std::vector<float> update(packed.width);
-      kernels::ActiveInputs active;
-      EXPECT_EQ(kernels::Affine(packed, counts.data(), &active, update.data()), nonzero);
-      const auto expected = [&](int k, int32_t sum) {
-        return output.scale.values[k] / static_cast<float>(ticks) *
-                   static_cast<float>(sum * ticks) +
-               output.bias.values[k];
-      };
-      EXPECT_EQ(update[0], expected(0, 127 * kInputs)) << ticks;
-      EXPECT_EQ(update[1], expected(1, -127 * kInputs)) << ticks;
-      EXPECT_EQ(update[2], expected(2, random_sum)) << ticks;
-    }
-  });
-}
-
-TEST(IntegerKernelsTest, CountsOfAnySparsityMapExactly) {
-  OnEverySimdTarget([] {
-    constexpr int kInputs = 69;
-    constexpr int kOutputs = 72;
-    IntegerOutput output = {.weight = Int8Tensor::Zeros({kOutputs, kInputs}),
-                            .scale = Tensor::Zeros({kOutputs}),
-                            .bias = Tensor::Zeros({kOutputs})};
-    for (size_t i = 0; i < output.weight.values.size(); ++i) {
-      output.weight.values[i] = static_cast<int8_t>(Draw(255, 5, i) - 127);
-    }
-    for (int k = 0; k < kOutputs; ++k) {
-      output.scale.values[k] = 0.01f * static_cast<float>(1 + Draw(9, 6, k));
-      output.bias.values[k] = static_cast<float>(Draw(9, 7, k));
-    }
-    const PackedIntegerOutput packed = Pack(output, 10);
-    kernels::ActiveInputs active;
-    for (const int one_in : {1, 2, 7, 40, 100}) {
-      std::vector<int16_t> counts(PadToLanes(kInputs), 0);
-      for (int j = 0; j < kInputs; ++j) {
-        if (Draw(one_in, 8, j) == 0) counts[j] = static_cast<int16_t>(1 + Draw(10, 9, j));
-      }
-      std::vector<float> update(packed.width);
-      kernels::Affine(packed, counts.data(), &active, update.data());
-      for (int k = 0; k < kOutputs; ++k) {
-        int32_t sum = 0;
-        for (int j = 0; j < kInputs; ++j) sum += counts[j] * output.weight.at(k, j);
-        ASSERT_EQ(update[k],
-                  output.scale.values[k] / 10.0f * static_cast<float>(sum) + output.bias.values[k])
-            << "output " << k << ", one in " << one_in;
       }
     }
   });

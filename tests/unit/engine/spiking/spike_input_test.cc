@@ -15,43 +15,34 @@ namespace {
 
 constexpr int64_t kTimestep = 17;
 
-class SpikeInputTest : public testing::TestWithParam<CoderKind> {
+class SpikeInputTest : public testing::Test {
  protected:
   SpikeInputTest() {
-    config_.coder = GetParam();
     policy_ = RandomPolicy(config_, 4, ActionSpace::Discrete(2), 5);
     for (int j = 0; j < config_.hidden_size; ++j) {
       x_.push_back(4.0f * UniformFloat(RandomBits({9, static_cast<uint64_t>(j)})) - 1.0f);
     }
     phase_.Set(policy_, kTimestep);
-    input_.Code(config_, PeriodTable(Lif(), config_.ticks), Coder(), x_.data(), Key());
+    input_.Code(config_, PeriodTable(Lif(), config_.ticks), Coder(), x_.data());
   }
 
   const struct Coder& Coder() const { return policy_.weights.layers[0].coder; }
-  static BernoulliKey Key() { return {.seed = 3, .timestep = kTimestep, .token = 1, .site = 0}; }
 
   // Returns whether coder neuron j fires at `tick`, from 1 to T.
-  bool Fires(int j, int tick) const {
-    const float gain = Coder().gain.values[j], bias = Coder().bias.values[j];
-    if (GetParam() == CoderKind::kBernoulli)
-      return BernoulliSpike(Key(), j, tick - 1, x_[j], gain, bias);
-    return Period(j) > 0 && tick % Period(j) == 0;
-  }
+  bool Fires(int j, int tick) const { return Period(j) > 0 && tick % Period(j) == 0; }
   int Period(int j) const {
     return Lif().Period(x_[j] * Coder().gain.values[j] + Coder().bias.values[j], config_.ticks);
   }
 
-  // Returns the current into output i, added up in the canonical order: the bias; then one sum per
-  // group of neurons, which are those of a period that divides the tick (LIF coder) or those that
-  // fire at the tick (Bernoulli coder); then the phase spikes one by one.
+  // Returns the current into output i, added up in the canonical order: the bias; then one sum for
+  // the neurons of each period that divides the tick; then the phase spikes one by one.
   float Current(const Linear& linear, int i, int tick) const {
     float current = linear.bias.values[i];
     for (int n = 1; n <= tick; ++n) {
-      if (GetParam() == CoderKind::kBernoulli ? n != tick : tick % n != 0) continue;
+      if (tick % n != 0) continue;
       float group = 0.0f;
       for (int j = 0; j < config_.hidden_size; ++j) {
-        const bool member = GetParam() == CoderKind::kBernoulli ? Fires(j, tick) : Period(j) == n;
-        if (member) group += linear.weight.at(i, j);
+        if (Period(j) == n) group += linear.weight.at(i, j);
       }
       current += group;
     }
@@ -72,7 +63,7 @@ class SpikeInputTest : public testing::TestWithParam<CoderKind> {
   SpikeInput input_;
 };
 
-TEST_P(SpikeInputTest, CurrentsAddUpInTheCanonicalOrder) {
+TEST_F(SpikeInputTest, CurrentsAddUpInTheCanonicalOrder) {
   const Linear& key = policy_.weights.layers[0].key;
   const PackedLinear packed = Pack({&key});
   DriveBuilder<float> builder;
@@ -87,7 +78,7 @@ TEST_P(SpikeInputTest, CurrentsAddUpInTheCanonicalOrder) {
   }
 }
 
-TEST_P(SpikeInputTest, CountsSpikesAndTheSynapsesTheyMeet) {
+TEST_F(SpikeInputTest, CountsSpikesAndTheSynapsesTheyMeet) {
   std::vector<float> rates;
   input_.Rates(&rates);
   uint64_t total = 0, products = 0;
@@ -105,10 +96,6 @@ TEST_P(SpikeInputTest, CountsSpikesAndTheSynapsesTheyMeet) {
   EXPECT_EQ(input_.Products(nonzero, nullptr), products);
   EXPECT_GT(input_.Products(nonzero, &phase_), products);
 }
-
-INSTANTIATE_TEST_SUITE_P(Coders, SpikeInputTest,
-                         testing::Values(CoderKind::kLif, CoderKind::kBernoulli),
-                         [](const auto& test) { return std::string(ToString(test.param)); });
 
 }  // namespace
 }  // namespace spikeserve

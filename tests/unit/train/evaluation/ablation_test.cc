@@ -34,8 +34,8 @@ Policy MakePolicy(Mode mode = Mode::kFull, bool relative_bias = false) {
 // Returns the readout of the last of four steps. `first` is the first observation, `shift` is the
 // return-to-go of every step.
 std::vector<float> Readouts(const Policy& policy, float first, float shift) {
-  const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
-  const auto context = engine->NewContext(0);
+  const auto engine = MakeEngine(std::make_shared<const Policy>(policy));
+  const auto context = engine->NewContext();
   Engine::Output output;
   for (int t = 0; t < 4; ++t) {
     const std::vector<float> observation = {t == 0 ? first : 0.3f * static_cast<float>(t)};

@@ -29,8 +29,8 @@ Policy IntegerPolicy(float level) {
 
 // Returns the readouts of all decisions of the episode.
 std::vector<std::vector<float>> Readouts(const Policy& policy, const Episode& episode) {
-  const auto engine = MakeStreamingEngine(std::make_shared<const Policy>(policy));
-  const auto context = engine->NewContext(0);
+  const auto engine = MakeEngine(std::make_shared<const Policy>(policy));
+  const auto context = engine->NewContext();
   const std::vector<float> returns = ReturnsToGo(episode);
   const auto size = static_cast<size_t>(policy.observation_size());
   std::vector<float> encoded(policy.action_space.size());

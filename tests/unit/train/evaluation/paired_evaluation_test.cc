@@ -5,7 +5,7 @@
 
 #include <memory>
 
-#include "core/quantize/quantize.h"
+#include "core/quantize/quantize_integer.h"
 #include "tests/support/small_policy.h"
 
 namespace spikeserve {
@@ -46,7 +46,7 @@ TEST(EvaluatePairTest, APolicyDoesNotDifferFromItself) {
 
 TEST(EvaluatePairTest, DifferencesAreSecondMinusFirstOnEqualStarts) {
   const auto first = std::make_shared<const Policy>(CartPolePolicy(1));
-  const auto second = std::make_shared<const Policy>(*Quantize(CartPolePolicy(2)));
+  const auto second = std::make_shared<const Policy>(*QuantizeToInteger(CartPolePolicy(2)));
   const EvaluationOptions options = {.episodes = 3, .first_seed = 11};
   const absl::StatusOr<PairedEvaluation> pair = EvaluatePair(first, second, options);
   ASSERT_TRUE(pair.ok()) << pair.status();

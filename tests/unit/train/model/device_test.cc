@@ -71,7 +71,6 @@ ClipTensors MetaClips(const Policy& policy) {
           .observations = torch::empty({kClips, kSteps, policy.observation_size()}, options),
           .actions = torch::empty({kClips, kSteps, policy.action_space.size()}, options),
           .timesteps = torch::empty({kClips, kSteps}, numbers),
-          .seeds = torch::empty({kClips}, numbers),
           .previous = torch::empty({kClips, policy.observation_size()}, options)};
 }
 
@@ -124,15 +123,11 @@ TEST(DeviceTest, NamesAreThoseOfDevicesThatAreHere) {
   EXPECT_EQ(DeviceNamed("cuda:99").status().code(), absl::StatusCode::kInvalidArgument);
 }
 
-TEST(DeviceTest, IntegersAndBernoulliCodersNeedTheProcessor) {
-  ModelConfig config = SmallConfig();
-  EXPECT_TRUE(CheckDevice(torch::kCUDA, config, Arithmetic::kFloat32).ok());
-  EXPECT_EQ(CheckDevice(torch::kCUDA, config, Arithmetic::kInteger).message(),
+TEST(DeviceTest, IntegersNeedTheProcessor) {
+  EXPECT_TRUE(CheckDevice(torch::kCUDA, Arithmetic::kFloat32).ok());
+  EXPECT_EQ(CheckDevice(torch::kCUDA, Arithmetic::kInteger).message(),
             "--device: expected cpu with --arithmetic=integer, received cuda");
-  config.coder = CoderKind::kBernoulli;
-  EXPECT_EQ(CheckDevice(torch::kCUDA, config, Arithmetic::kFloat32).message(),
-            "--device: expected cpu with --coder=bernoulli, received cuda");
-  EXPECT_TRUE(CheckDevice(torch::kCPU, config, Arithmetic::kInteger).ok());
+  EXPECT_TRUE(CheckDevice(torch::kCPU, Arithmetic::kInteger).ok());
 }
 
 }  // namespace

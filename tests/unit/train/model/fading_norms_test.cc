@@ -20,7 +20,6 @@ ClipTensors RandomClips(uint64_t seed) {
           .observations = torch::randn({kClips, kSteps, 4}),
           .actions = torch::rand({kClips, kSteps, 2}),
           .timesteps = torch::arange(kSteps).repeat({kClips, 1}),
-          .seeds = torch::zeros({kClips}, torch::kLong),
           .previous = {}};
 }
 

@@ -182,28 +182,19 @@ TEST_P(LifGradientTest, EqualsTheGraphOverTicks) {
 }
 
 constexpr int64_t kWidth = 26;  // of the population; kNeurons is a multiple of it
-constexpr IntegerLif kScaled = {.decay = 29491};
 constexpr ShiftLif kShifted = {.shift = 3};
 
-// Returns options of both kinds of integer neurons, whose thresholds and biases are at most `size`
-// times the largest ones.
-std::vector<IntegerLifOptions> IntegerOptions(const Surrogate& surrogate, double size = 1.0) {
+// Returns options of integer neurons, whose thresholds and biases are at most `size` times the
+// largest ones.
+IntegerLifOptions IntegerOptions(const Surrogate& surrogate, double size = 1.0) {
   torch::manual_seed(5);
-  const IntegerLifOptions scaled = {
-      .neuron = kScaled,
-      .threshold = torch::ceil(torch::randint(1, 16385, {kWidth}) * size).to(torch::kFloat),
-      .scale = torch::rand({kWidth}) * 1e-4 + 1e-5,
-      .ticks = kTicks,
-      .surrogate = surrogate};
-  IntegerLifOptions shifted = scaled;
-  shifted.neuron = kShifted;
-  shifted.bias = torch::floor(torch::randint(-3000, 3000, {kWidth}) * size).to(torch::kFloat);
-  shifted.events = torch::randint(0, 2, {kTicks, kNeurons / kWidth}).to(torch::kFloat);
-  return {scaled, shifted};
-}
-
-bool IsShifted(const IntegerLifOptions& options) {
-  return std::holds_alternative<ShiftLif>(options.neuron);
+  return {.neuron = kShifted,
+          .threshold = torch::ceil(torch::randint(1, 16385, {kWidth}) * size).to(torch::kFloat),
+          .scale = torch::rand({kWidth}) * 1e-4 + 1e-5,
+          .ticks = kTicks,
+          .surrogate = surrogate,
+          .bias = torch::floor(torch::randint(-3000, 3000, {kWidth}) * size).to(torch::kFloat),
+          .events = torch::randint(0, 2, {kTicks, kNeurons / kWidth}).to(torch::kFloat)};
 }
 
 // Integer currents of 16 bits for `kNeurons` neurons, many of which saturate the membrane at a size
@@ -214,14 +205,13 @@ torch::Tensor RandomIntegerCurrent(const IntegerLifOptions& options, double size
   const torch::Tensor current =
       torch::floor(torch::randint(-29000, 29000, shape) * torch::randint(0, 2, shape) * size)
           .to(torch::kFloat);
-  return IsShifted(options) ? current * options.events.unsqueeze(-1) + options.bias : current;
+  return current * options.events.unsqueeze(-1) + options.bias;
 }
 
 // Returns whether neuron i fires at a tick.
 bool StepAlone(const IntegerLifOptions& options, int tick, int64_t i, int16_t input,
                int16_t& membrane) {
   const auto threshold = static_cast<int16_t>(options.threshold[i % kWidth].item<float>());
-  if (!IsShifted(options)) return kScaled.Step(input, threshold, membrane);
   const auto bias = static_cast<int16_t>(options.bias[i % kWidth].item<float>());
   kShifted.Leak(bias, membrane);
   if (options.events[tick][i / kWidth].item<float>() == 0.0f) return false;
@@ -231,23 +221,22 @@ bool StepAlone(const IntegerLifOptions& options, int tick, int64_t i, int16_t in
 // Large numbers saturate membranes; with small ones the rounding of a membrane decides on spikes.
 TEST(IntegerLifFunctionTest, SpikesEqualTheNeuronSteppedAlone) {
   for (const double size : {1.0, 1e-3}) {
-    for (const IntegerLifOptions& options : IntegerOptions({}, size)) {
-      const torch::Tensor current = RandomIntegerCurrent(options, size);
-      const torch::Tensor spikes = IntegerLifPerTick(current, options);
-      ASSERT_EQ(spikes.sizes(), current.sizes());
-      const torch::Tensor flat = current.flatten(1), trains = spikes.flatten(1);
-      int fired = 0;
-      for (int64_t i = 0; i < kNeurons; ++i) {
-        int16_t membrane = 0;
-        for (int tick = 0; tick < kTicks; ++tick) {
-          const auto input = static_cast<int16_t>(flat[tick][i].item<float>());
-          const bool spike = StepAlone(options, tick, i, input, membrane);
-          ASSERT_EQ(trains[tick][i].item<float>(), spike ? 1.0f : 0.0f) << "neuron " << i;
-          fired += spike;
-        }
+    const IntegerLifOptions options = IntegerOptions({}, size);
+    const torch::Tensor current = RandomIntegerCurrent(options, size);
+    const torch::Tensor spikes = IntegerLifPerTick(current, options);
+    ASSERT_EQ(spikes.sizes(), current.sizes());
+    const torch::Tensor flat = current.flatten(1), trains = spikes.flatten(1);
+    int fired = 0;
+    for (int64_t i = 0; i < kNeurons; ++i) {
+      int16_t membrane = 0;
+      for (int tick = 0; tick < kTicks; ++tick) {
+        const auto input = static_cast<int16_t>(flat[tick][i].item<float>());
+        const bool spike = StepAlone(options, tick, i, input, membrane);
+        ASSERT_EQ(trains[tick][i].item<float>(), spike ? 1.0f : 0.0f) << "neuron " << i;
+        fired += spike;
       }
-      EXPECT_GT(fired, kNeurons / 2);
     }
+    EXPECT_GT(fired, kNeurons / 2);
   }
 }
 
@@ -255,10 +244,6 @@ TEST(IntegerLifFunctionTest, SpikesEqualTheNeuronSteppedAlone) {
 torch::Tensor ChargeExactly(const IntegerLifOptions& options, int tick, const torch::Tensor& kept,
                             const torch::Tensor& current) {
   const torch::Tensor membrane = kept.to(torch::kDouble);
-  if (!IsShifted(options)) {
-    const torch::Tensor leaked = torch::floor((membrane * kScaled.decay + 16384.0) / 32768.0);
-    return (leaked + current).clamp(-32768.0, 32767.0).to(torch::kFloat);
-  }
   const torch::Tensor leaked =
       (membrane - torch::floor((membrane + 4.0) / 8.0) + options.bias).clamp(-32768.0, 32767.0);
   const torch::Tensor charged = (leaked + current - options.bias).clamp(-32768.0, 32767.0);
@@ -269,10 +254,9 @@ torch::Tensor ChargeExactly(const IntegerLifOptions& options, int tick, const to
 // without rounding and saturation.
 torch::Tensor NaiveIntegerLif(const torch::Tensor& current, const IntegerLifOptions& options) {
   std::vector<torch::Tensor> spikes;
-  const double decay = IsShifted(options) ? 0.875 : static_cast<double>(kScaled.decay) / 32768.0;
   torch::Tensor membrane = torch::zeros_like(current[0]);
   for (int tick = 0; tick < options.ticks; ++tick) {
-    const torch::Tensor smooth_membrane = decay * membrane + current[tick];
+    const torch::Tensor smooth_membrane = 0.875 * membrane + current[tick];
     const torch::Tensor exact =
         ChargeExactly(options, tick, membrane.detach(), current[tick].detach());
     membrane = smooth_membrane + (exact - smooth_membrane.detach());
@@ -280,11 +264,9 @@ torch::Tensor NaiveIntegerLif(const torch::Tensor& current, const IntegerLifOpti
     const torch::Tensor through = u + options.scale * (smooth_membrane - smooth_membrane.detach());
     torch::Tensor smooth = Antiderivative(options.surrogate, through);
     torch::Tensor step = (exact >= options.threshold).to(torch::kFloat);
-    if (IsShifted(options)) {
-      const torch::Tensor event = options.events[tick].unsqueeze(-1);
-      smooth = smooth * event;
-      step = step * event;
-    }
+    const torch::Tensor event = options.events[tick].unsqueeze(-1);
+    smooth = smooth * event;
+    step = step * event;
     spikes.push_back(step + (smooth - smooth.detach()));
     membrane = exact * (1.0 - step) + (membrane - membrane.detach()) * (1.0 - step);
   }
@@ -293,23 +275,21 @@ torch::Tensor NaiveIntegerLif(const torch::Tensor& current, const IntegerLifOpti
 
 TEST_P(LifGradientTest, OfIntegerNeuronsEqualsTheGraphOverTicks) {
   const torch::Tensor weight = torch::randn({kTicks, kNeurons / kWidth, kWidth});
-  for (const IntegerLifOptions& options : IntegerOptions({GetParam(), 4.0f})) {
-    for (const bool same_at_every_tick : {false, true}) {
-      torch::Tensor fused = RandomIntegerCurrent(options);
-      torch::Tensor naive = fused.clone();
-      fused.requires_grad_();
-      naive.requires_grad_();
-      const torch::Tensor spikes = IntegerLifPerTick(fused, options);
-      const torch::Tensor expected = NaiveIntegerLif(naive, options);
-      ASSERT_TRUE(torch::equal(spikes, torch::round(expected)));
-      for (const torch::Tensor& output : {spikes, expected}) {
-        (same_at_every_tick ? (output.sum(0) * weight[0]).sum() : (output * weight).sum())
-            .backward();
-      }
-      EXPECT_GT(naive.grad().abs().sum().item<float>(), 1e-2f);
-      EXPECT_TRUE(torch::allclose(fused.grad(), naive.grad(), 1e-3, 1e-9))
-          << "same at every tick " << same_at_every_tick;
+  const IntegerLifOptions options = IntegerOptions({GetParam(), 4.0f});
+  for (const bool same_at_every_tick : {false, true}) {
+    torch::Tensor fused = RandomIntegerCurrent(options);
+    torch::Tensor naive = fused.clone();
+    fused.requires_grad_();
+    naive.requires_grad_();
+    const torch::Tensor spikes = IntegerLifPerTick(fused, options);
+    const torch::Tensor expected = NaiveIntegerLif(naive, options);
+    ASSERT_TRUE(torch::equal(spikes, torch::round(expected)));
+    for (const torch::Tensor& output : {spikes, expected}) {
+      (same_at_every_tick ? (output.sum(0) * weight[0]).sum() : (output * weight).sum()).backward();
     }
+    EXPECT_GT(naive.grad().abs().sum().item<float>(), 1e-2f);
+    EXPECT_TRUE(torch::allclose(fused.grad(), naive.grad(), 1e-3, 1e-9))
+        << "same at every tick " << same_at_every_tick;
   }
 }
 

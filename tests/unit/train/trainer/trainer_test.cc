@@ -238,10 +238,10 @@ TEST_F(LargeDataTest, FilesThatCannotBeReadInPartsAreRefused) {
 
 TEST_F(TrainerTest, IntegerTrainingGivesTheRoundedPolicyOfItsFloats) {
   TrainOptions options = options_;
-  options.arithmetic = Arithmetic::kInt8;
+  options.arithmetic = Arithmetic::kInteger;
   const std::string path = testing::TempDir() + "/integer.pt";
   Trainer whole(Initial(), source_, options);
-  EXPECT_EQ(whole.CurrentPolicy().config.arithmetic, Arithmetic::kInt8);
+  EXPECT_EQ(whole.CurrentPolicy().config.arithmetic, Arithmetic::kInteger);
   while (!whole.done()) ASSERT_TRUE(whole.Step().ok());
   EXPECT_TRUE(whole.CurrentPolicy().Validate().ok());
 
@@ -258,7 +258,7 @@ TEST_F(TrainerTest, IntegerTrainingGivesTheRoundedPolicyOfItsFloats) {
 
 TEST_F(TrainerTest, IntegerTrainingReportsWeightsThatCannotBeRounded) {
   TrainOptions options = options_;
-  options.arithmetic = Arithmetic::kInt8;
+  options.arithmetic = Arithmetic::kInteger;
   options.learning_rate = 1e36;  // after one step, sums leave the numbers of float32
   Trainer trainer(Initial(), source_, options);
   absl::Status status;
@@ -306,8 +306,7 @@ TEST_P(TrainerModeTest, LearnsToImitate) {
     o.learning_rate = 5e-3;
     o.warmup = 10;
   });
-  for (const Arithmetic arithmetic :
-       {Arithmetic::kFloat32, Arithmetic::kInt8, Arithmetic::kInteger}) {
+  for (const Arithmetic arithmetic : {Arithmetic::kFloat32, Arithmetic::kInteger}) {
     if (GetParam() == Mode::kDense && arithmetic != Arithmetic::kFloat32) continue;
     options.arithmetic = arithmetic;
     Trainer trainer(Initial(SmallConfig(GetParam())), experts, options);
@@ -367,11 +366,11 @@ TEST(TrainOptionsTest, BadOptionsAreNamed) {
             "trace_decay: expected 0 to 1, received 2");
   EXPECT_EQ(With([](TrainOptions& o) {
               o.norm = NormTraining::kFade;
-              o.arithmetic = Arithmetic::kInt8;
+              o.arithmetic = Arithmetic::kInteger;
             })
                 .Validate()
                 .message(),
-            "norm: expected layer with arithmetic int8, received fade");
+            "norm: expected layer with arithmetic integer, received fade");
 }
 
 }  // namespace

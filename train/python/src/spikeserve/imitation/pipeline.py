@@ -351,8 +351,7 @@ class _Run:
         second: pathlib.Path | None = None
         second_figures: Figures | None = None
         lost: list[str] = []
-        # A Bernoulli coder has no integers.
-        if not self._is_dense and "--coder=bernoulli" not in self._options.train_flags:
+        if not self._is_dense:
             stage = folder / "stages/quantized/policy.safetensors"
             # From the published file, so that its record names a parent that exists for others.
             quantized = self._trainer.quantize(first, self._data, stage)
