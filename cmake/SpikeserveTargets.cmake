@@ -102,12 +102,13 @@ endfunction()
 
 add_custom_target(cpp_tests)  # the unit and integration tests in C++
 
-# spikeserve_test(NAME LABEL unit|parity|integration|slow SOURCES file... [DEPENDS target...]): adds a GoogleTest
-# program and a ctest test that runs it whole: a process for each TEST takes longer than most TESTs.
+# spikeserve_test(NAME LABEL unit|parity|integration|slow [UNITS] SOURCES file... [DEPENDS target...]): adds a GoogleTest
+# program and a ctest test that runs it whole: a process for each TEST takes longer than most TESTs. UNITS: compiles the
+# sources in units.
 function(spikeserve_test name)
-  cmake_parse_arguments(ARG "" "LABEL" "SOURCES;DEPENDS" ${ARGN})
+  cmake_parse_arguments(ARG "UNITS" "LABEL" "SOURCES;DEPENDS" ${ARGN})
   set(units ${ARG_SOURCES})
-  if(SPIKESERVE_UNITY)
+  if(ARG_UNITS AND SPIKESERVE_UNITY)
     spikeserve_units(units ${name} ${ARG_SOURCES})
   endif()
   add_executable(${name} ${units} ${SPIKESERVE_PROGRAM_SOURCES})
