@@ -106,8 +106,7 @@ std::string Sizes(const Policy& policy, const EmitOptions& options, absl::string
   define("RELATIVE", int{config.relative_bias});
   define("CHANGES", int{config.observation_changes});
   const int leak = config.leak_shift();
-  define("LEAKED(v)",
-         leak == 0 ? "0" : absl::StrCat("(((v) + ", 1 << (leak - 1), ") >> ", leak, ")"));
+  define("LEAKED(v)", absl::StrCat("(((v) + ", 1 << (leak - 1), ") >> ", leak, ")"));
   define("INPUT_UNIT", absl::StrCat(1 << config.input_fraction, ".0f"));
   define("RETURN_OFFSET", CNumber(policy.return_offset));
   define("RETURN_SCALE", CNumber(policy.return_scale));

@@ -1,13 +1,15 @@
-/* Plays a stream of calls (chip_stream.cc) on the C of a policy, and prints the hash of its
-   answers.
+/* Plays a stream of calls (chip_stream.cc) on the C of a policy. Prints in hexadecimal: the hash of its answers, the mean and
+   the most instructions of a decision, the bytes of the stack, and the mean picojoules of a decision by int_45nm.
 
    The stream, little-endian, without padding; a flag is a byte, and an action comes behind one:
+
    'O' target f64, seed u64, temperature f32      spike_open
    'I' size u32, bytes                            spike_import, into a state of other contents
-   'D' observation, reward f64, executed          spike_decide; the answer and spike_counts are
-   hashed 'N' observation, reward f64                    spike_decide, which must fail and change
-   nothing 'E' reward f64, terminated flag, target f64    spike_end_episode 'X' spike_export, which
-   is hashed 'Q'                                            end */
+   'D' observation, reward f64, executed          spike_decide; the answer and spike_counts are hashed
+   'N' observation, reward f64                    spike_decide, which must fail and change nothing
+   'E' reward f64, terminated flag, target f64    spike_end_episode
+   'X'                                            spike_export, which is hashed
+   'Q'                                            end */
 #include <string.h>
 
 #include "port.h"
@@ -21,6 +23,7 @@ static spike_state state;
 static uint8_t value[MOST_VALUE];
 static uint64_t hash = 0xcbf29ce484222325u, instructions;
 static uint32_t decisions, most_instructions;
+static double joules;
 
 static void add(const void* bytes, size_t size) {
   const uint8_t* byte = bytes;
@@ -75,6 +78,7 @@ static void decide(int must_fail) {
   add(report.probabilities, sizeof(report.probabilities));
 #endif
   add(&report.last, sizeof(report.last));
+  joules += report.int_45nm;
   add(&report.int_45nm, 8);
   add(&report.int_sram_45nm, 8);
 }
@@ -153,7 +157,8 @@ int main(void) {
   print_hexadecimal(hash, ' ');
   print_hexadecimal(decisions == 0 ? 0 : instructions / decisions, ' ');
   print_hexadecimal(most_instructions, ' ');
-  print_hexadecimal(port_stack(), '\n');
+  print_hexadecimal(port_stack(), ' ');
+  print_hexadecimal(decisions == 0 ? 0 : (uint64_t)(1e12 * joules / decisions), '\n');
   port_exit(0);
   return 0;
 }

@@ -30,6 +30,7 @@ class Chip:
     machine: list
     clock: int  # of SysTick, in Hz
     memory: tuple = LARGE
+    bytes_of_none: int | None = None
 
     def link(self, emitted, level, **sources):
         """Returns the program of a policy for this chip."""
@@ -39,17 +40,19 @@ class Chip:
         flags += ["-nostartfiles", f"-T{script}", "-Wl,--gc-sections"]
         return emitted.compile([self.prefix + "gcc"], *flags, port="port_emulator.c", out=f"play{level}", **sources)
 
-    def flash(self, emitted):
+    def flash(self, emitted, program="calls_all.c"):
         """Returns the bytes of the seven functions, their tables, and what they need of the compiler's library."""
-        sizes = []
-        for program in ("calls_all.c", "calls_none.c"):
-            linked = self.link(emitted, "-Os", program=program)
-            sizes.append(sum(map(int, run(self.prefix + "size", linked).splitlines()[1].split()[:2])))
-        return sizes[0] - sizes[1]
+        if self.bytes_of_none is None:
+            self.bytes_of_none = self._size(emitted, "calls_none.c")  # the same for every policy
+        return self._size(emitted, program) - self.bytes_of_none
 
-    def run(self, emitted, level):
-        """Returns the hash, the mean and the most instructions of a decision, and the bytes of the stack."""
-        program = self.link(emitted, level)
+    def _size(self, emitted, program):
+        linked = self.link(emitted, "-Os", program=program)
+        return sum(map(int, run(self.prefix + "size", linked).splitlines()[1].split()[:2]))
+
+    def run(self, emitted, level, **sources):
+        """Returns the hash, and what else chip_play.c prints, in hexadecimal."""
+        program = self.link(emitted, level, **sources)
         command = [*self.machine, "-display", "none", "-serial", "none", "-monitor", "none", "-icount", "shift=0"]
         command += ["-semihosting-config", "enable=on,target=native", "-kernel", program.name]
         done = subprocess.run(command, cwd=emitted.folder, capture_output=True, text=True)

@@ -58,7 +58,9 @@ def test_refusals(tmp_path):
     assert "spiketrain quantize --policy=FILE --to=integer" in refusal(f"--policy={float32}", f"--out={tmp_path}/c")
     assert "--ram: expected at least 3816 bytes" in refusal(f"--policy={small}", f"--out={tmp_path}/c", "--ram=3000")
     assert "--policy: expected a policy file" in refusal(f"--out={tmp_path}/c")
-    assert "--kind: expected plain, arduino or zephyr" in refusal(f"--policy={small}", f"--out={tmp_path}/c", "--kind=x")
+    assert "--kind: expected plain, arduino or zephyr" in refusal(
+        f"--policy={small}", f"--out={tmp_path}/c", "--kind=x"
+    )
     assert not (tmp_path / "c").exists()
 
 
