@@ -1,7 +1,6 @@
 # Targets for users and developers. Each installs what it needs by itself, on a bare Debian 12 as root with make and git.
-# README.md lists what each costs. PRESET selects the CMake preset: `make test PRESET=clang`.
-PRESET := release
-BUILD := build/$(PRESET)
+# README.md lists what each costs.
+BUILD := build/release
 BIN := $(BUILD)/bin
 SETUP := deploy/setup.sh build
 EMPTY :=
@@ -11,7 +10,7 @@ export CCACHE_NOHASHDIR := 1
 
 SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc')
 
-.PHONY: demo measure-setup test test-all test-slow test-arm64 test-arm64-short test-chips golden build dist site reference playground bench attacks chaos trace soak \
+.PHONY: demo measure-setup test test-all checked test-slow test-arm64 test-arm64-short test-chips golden build dist site reference playground bench attacks chaos trace soak \
   sanitize fuzz format clean help \
   setup configure
 
@@ -22,7 +21,7 @@ demo:
 	@echo "demo: 1/3 installing 99 packages, the first time: 119 MB to download, 1 to 3 minutes"
 	@$(SETUP) server
 	@echo "demo: 2/3 compiling the server and spikectl, the first time: about $$(($(DEMO_PROCESSOR_MINUTES) / $$(nproc) + 1)) minutes on the $$(nproc) idle processors of this machine"
-	@test -e $(BUILD)/build.ninja || cmake --preset $(PRESET) --log-level=WARNING -DSPIKESERVE_BUILD_TESTS=OFF \
+	@test -e $(BUILD)/build.ninja || cmake --preset release --log-level=WARNING -DSPIKESERVE_BUILD_TESTS=OFF \
 	  -DSPIKESERVE_BUILD_TRAIN=OFF -DSPIKESERVE_BUILD_PYTHON=OFF
 	@cmake --build $(BUILD) --target spikeserve spikectl
 	@echo "demo: 3/3 $(if $(PLAY),playing until Ctrl-C,playing 20 episodes of CartPole: a few seconds)"
@@ -37,11 +36,18 @@ measure-setup:
 # Builds everything and runs the tests, but for those of test-all.
 test: build
 	$(SETUP) clang tests
-	ctest --preset $(PRESET)
+	ctest --preset release
 
 # Runs also the tests that need a browser, a proxy, Go, Node.js or a virtual machine, clang's checks, attacks and faults.
 test-all: setup test
-	ctest --preset $(PRESET)-rest
+	ctest --preset release-rest
+
+# Builds the unit and integration tests in C++ with clang, its thread analysis, and checks of what headers require, and runs them.
+checked:
+	$(SETUP) server build clang
+	cmake --preset checked $(if $(VERBOSE),,--log-level=WARNING)
+	cmake --build --preset checked
+	ctest --preset checked
 
 # The tests that take hours; CONTRIBUTING.md lists them.
 test-slow: build setup
@@ -174,7 +180,7 @@ setup:
 	$(SETUP)
 
 configure:
-	$(SETUP) server build $(if $(filter clang,$(PRESET)),clang)
-	cmake --preset $(PRESET) $(if $(VERBOSE),,--log-level=WARNING)
+	$(SETUP) server build
+	cmake --preset release $(if $(VERBOSE),,--log-level=WARNING)
 
 -include lab/lab.mk

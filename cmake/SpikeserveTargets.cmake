@@ -24,9 +24,9 @@ if(SPIKESERVE_TSAN)
     ${PROJECT_SOURCE_DIR}/tests/sanitizers/tsan_absl.cc ${PROJECT_SOURCE_DIR}/tests/sanitizers/tsan_grpc.cc)
 endif()
 
-# Most of the time of a source goes into headers. Units compile them once for up to eight sources of a library: a quarter of
+# Most of the time of a source goes into headers. Units compile them once for up to eight sources of a library or a test: a quarter of
 # the processor time for everything, but more after a change of one source.
-option(SPIKESERVE_UNITY "Compile the sources of a library in units of up to eight" ON)
+option(SPIKESERVE_UNITY "Compile the sources of a library or a test in units of up to eight" ON)
 
 # Writes units that include the sources `ARGN`, and returns in the variable `out` what is to be compiled instead. The paths
 # in a unit are relative to the project, so that clones in different folders share the compiler cache. A generated file
@@ -49,6 +49,8 @@ function(spikeserve_units out name)
     file(CONFIGURE OUTPUT ${path} CONTENT "${text_${i}}" @ONLY)
     list(APPEND compiled ${path})
   endforeach()
+  # In a unit, a type of an anonymous namespace is not in the main file, but in no header either.
+  set_source_files_properties(${compiled} PROPERTIES COMPILE_OPTIONS $<$<CXX_COMPILER_ID:GNU>:-Wno-subobject-linkage>)
   set(${out} ${compiled} PARENT_SCOPE)
 endfunction()
 
@@ -61,8 +63,6 @@ function(spikeserve_library name)
   set(units ${ARG_SOURCES})
   if(SPIKESERVE_UNITY)
     spikeserve_units(units ${name} ${ARG_SOURCES})
-    # In a unit, a type of an anonymous namespace is not in the main file, but in no header either.
-    set_source_files_properties(${units} PROPERTIES COMPILE_OPTIONS $<$<CXX_COMPILER_ID:GNU>:-Wno-subobject-linkage>)
   endif()
   add_library(${name} STATIC ${units} ${ARG_SEPARATE})
   target_link_libraries(${name}
@@ -100,23 +100,30 @@ function(spikeserve_limit_time seconds)
   set_tests_properties(${ARGN} PROPERTIES TIMEOUT ${limit})
 endfunction()
 
-# spikeserve_test(NAME LABEL unit|parity|integration|slow SOURCES file... [DEPENDS target...]): adds a GoogleTest
-# program and one ctest test for each TEST in it. ctest lists the TESTs when it starts.
+add_custom_target(cpp_tests)  # the unit and integration tests in C++
+
+# spikeserve_test(NAME LABEL unit|parity|integration|slow [UNITS] SOURCES file... [DEPENDS target...]): adds a GoogleTest
+# program and a ctest test that runs it whole: a process for each TEST takes longer than most TESTs. UNITS: compiles the
+# sources in units.
 function(spikeserve_test name)
-  cmake_parse_arguments(ARG "" "LABEL" "SOURCES;DEPENDS" ${ARGN})
-  add_executable(${name} ${ARG_SOURCES} ${SPIKESERVE_PROGRAM_SOURCES})
+  cmake_parse_arguments(ARG "UNITS" "LABEL" "SOURCES;DEPENDS" ${ARGN})
+  set(units ${ARG_SOURCES})
+  if(ARG_UNITS AND SPIKESERVE_UNITY)
+    spikeserve_units(units ${name} ${ARG_SOURCES})
+  endif()
+  add_executable(${name} ${units} ${SPIKESERVE_PROGRAM_SOURCES})
   set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/tests)
   target_link_libraries(${name} PRIVATE spikeserve_options ${ARG_DEPENDS} spikeserve_test_main)
-  set(timeout 600)
-  if(ARG_LABEL STREQUAL "slow")
-    set(timeout 7200)
+  if(ARG_LABEL MATCHES "unit|integration")
+    add_dependencies(cpp_tests ${name})
   endif()
-  math(EXPR timeout "${timeout} * ${SPIKESERVE_TEST_TIME}")
-  math(EXPR discovery "60 * ${SPIKESERVE_TEST_TIME}")
   # One thread: those of two programs that compute at once wait for each other in spin loops, many times as long as the work.
-  # NO_PRETTY_VALUES: names end with the name of the parameter. Its value prints as bytes, with addresses that vary.
-  gtest_discover_tests(${name} NO_PRETTY_VALUES
-    DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT ${discovery} PROPERTIES LABELS ${ARG_LABEL} TIMEOUT ${timeout} ENVIRONMENT OMP_NUM_THREADS=1)
+  add_test(NAME ${name} COMMAND ${name} --gtest_brief=1)
+  set_tests_properties(${name} PROPERTIES LABELS ${ARG_LABEL} ENVIRONMENT OMP_NUM_THREADS=1)
+  spikeserve_limit_time(1800 ${name})
+  if(ARG_LABEL STREQUAL "slow")
+    spikeserve_limit_time(7200 ${name})
+  endif()
 endfunction()
 
 # Links each library into a program with only the dependencies that its CMakeLists.txt names, so that a missing one

@@ -6,7 +6,7 @@
 # | part    | what it installs                                                                                    |
 # | server  | compiler and libraries of spikeserve, spikectl and spikeload                                        |
 # | build   | libraries of the tests and the training, and the Python environment of the tests, BUILD_DIR/venv    |
-# | clang   | clang and its tools, for the presets clang and fuzz, and for `make format`                          |
+# | clang   | clang and its tools, for the presets checked and fuzz, and for `make format`                        |
 # | tests   | programs that tests run: Redis, Prometheus, shells                                                |
 # | full    | programs that only `make test-all` runs: a browser, proxies, Go, a virtual machine                  |
 # | chips   | snnTorch, NeuroBench and NIR, in BUILD_DIR/chips                                                    |

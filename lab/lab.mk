@@ -1,5 +1,5 @@
-# Targets of the laboratory, which the Makefile includes if the folder is there. They build in build/lab.
-LAB := build/lab
+# Targets of the laboratory, which the Makefile includes if the folder is there. They build in the folder of the product.
+LAB := build/release
 LAB_PYTHON = PYTHONPATH=$$(ls -td $(LAB)/tests/python_client-* | head -1):$(LAB)/python:lab/recipes build/venv/bin/python
 LAB_CLIENT = ctest --test-dir $(LAB) --output-on-failure --tests-regex '^python_client_install$$'
 

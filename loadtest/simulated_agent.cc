@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "core/base/status_macros.h"
+#include "core/contract/dcheck.h"
 #include "spikeserve/status.h"
 
 namespace spikeserve {
@@ -20,6 +21,7 @@ SimulatedAgent::SimulatedAgent(RemoteSession session, int observation_size, int 
       observation_bound_(observation_bound),
       random_(static_cast<std::minstd_rand::result_type>(seed)),
       observation_(observation_size) {
+  SPIKESERVE_DCHECK_EQ(session_.step(), 0);
   MakeRequest();
 }
 
@@ -29,6 +31,7 @@ SimulatedAgent::SimulatedAgent(RemoteSession session, const RecordedEpisode* rec
       steps_left_(first_episode_steps),
       episode_steps_(episode_steps),
       recorded_(recorded) {
+  SPIKESERVE_DCHECK_EQ(session_.step(), 0);
   MakeRequest();
 }
 

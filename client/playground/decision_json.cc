@@ -4,6 +4,7 @@
 #include <string>
 #include <utility>
 
+#include "core/contract/dcheck.h"
 #include "core/engine/energy.h"
 
 namespace spikeserve {
@@ -63,6 +64,7 @@ Json ToJson(const Counts& counts, const ModelConfig& config) {
 }  // namespace
 
 Json DecisionToJson(const ServedPolicy& served, const Session& session) {
+  SPIKESERVE_DCHECK(session.last_answer.has_value());
   const Policy& policy = served.policy();
   const ModelConfig& config = policy.config;
   const Answer& answer = *session.last_answer;

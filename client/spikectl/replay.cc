@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/types/span.h"
 #include "core/base/status_macros.h"
+#include "core/contract/dcheck.h"
 #include "spikeserve/remote_session.h"
 
 namespace spikeserve {
@@ -185,6 +186,7 @@ absl::Status CheckReplayable(const std::vector<Dataset>& recording) {
 
 absl::StatusOr<ReplayResult> Replay(const std::vector<Dataset>& recording,
                                     const std::string& policy, int64_t version, Client& client) {
+  SPIKESERVE_DCHECK(CheckReplayable(recording).ok());
   ASSIGN_OR_RETURN(auto session,
                    RemoteSession::Open(&client, Opening(ServedOf(recording[0]), policy, version)));
   ReplayResult result;

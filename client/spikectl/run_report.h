@@ -23,8 +23,8 @@ std::string RunTableLine(uint64_t seed, const EpisodeRecord& episode);
 std::string RunSummary(const std::vector<EpisodeRecord>& episodes);
 
 // Returns an object with `episodes`, `mean_return`, `spikes_per_decision`,
-// `energy_joules_per_decision` by the same model, `energy_model`, `energy_models` (by name), `p50_seconds` and
-// `p99_seconds`. REQUIRES: at least one episode.
+// `energy_joules_per_decision` by the same model, `energy_model`, `energy_models` (by name),
+// `p50_seconds` and `p99_seconds`. REQUIRES: at least one episode.
 nlohmann::ordered_json RunToJson(const std::vector<EpisodeRecord>& episodes);
 
 }  // namespace spikeserve

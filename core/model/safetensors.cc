@@ -17,6 +17,7 @@
 #include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 namespace {
@@ -277,6 +278,7 @@ absl::StatusOr<std::string> FormatSafetensors(const Safetensors& contents) {
     std::visit(
         [&](const auto& tensor) {
           const uint64_t size = tensor.values.size() * NumberBytes(any);
+          SPIKESERVE_DCHECK_EQ(size, SizeInBytes(tensor.shape, NumberBytes(any), size));
           header[name] = {{"dtype", DtypeName(any)},
                           {"shape", tensor.shape},
                           {"data_offsets", {offset, offset + size}}};

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "core/base/status_macros.h"
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 namespace {
@@ -224,6 +225,7 @@ absl::StatusOr<RedisReply> RedisClient::Follow(const std::string& command,
 
 absl::Status RedisClient::ScanKeys(absl::string_view pattern,
                                    absl::FunctionRef<void(absl::string_view key)> visit) {
+  SPIKESERVE_DCHECK(is_usable());
   std::set<Node*> primaries(slots_.begin(), slots_.end());
   if (!is_cluster()) primaries.insert(only_);
   primaries.erase(nullptr);
@@ -249,6 +251,7 @@ absl::Status RedisClient::ScanNode(RedisConnection& connection, absl::string_vie
 }
 
 absl::Status RedisClient::WaitForReplicas() {
+  SPIKESERVE_DCHECK(is_usable());
   const auto connections = std::exchange(written_, {});
   const std::string replicas = absl::StrCat(options_.replicas);
   // The replicas have less time than Redis has for its answer.

@@ -1,6 +1,6 @@
 """Counts the beats of robots without a fresh action, over links with delay, loss, cuts, and servers that fail.
 
-    python lab/bench/beats_bench.py --bin=build/lab/bin --pages
+    python lab/bench/beats_bench.py --bin=build/release/bin --pages
 
 Each robot has a link of its own between two network namespaces (link_emulator.cc), so this needs root. A row is a case
 and a robot, "50 ms, 1% lost: pilot". Rows that the JSON file has are not run again, unless `--rows` matches their name.

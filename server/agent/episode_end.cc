@@ -9,6 +9,7 @@
 #include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
+#include "core/contract/dcheck.h"
 #include "core/session/session_value.h"
 #include "server/messages/convert.h"
 
@@ -144,6 +145,7 @@ absl::Status EndEpisodeOf(SessionEntry& entry, const v1::EndEpisodeRequest& requ
 
 absl::Status EndBehindHistory(SessionEntry& entry, const v1::ActRequest& request, const Span& call,
                               v1::EndEpisodeResponse* response) {
+  SPIKESERVE_DCHECK(CheckEndBehindHistory(request, entry.agent.policy()).ok());
   const v1::EndEpisodeRequest& end = request.end_episode();
   const Session& session = entry.agent.session();
   const bool has_ended =

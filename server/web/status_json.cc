@@ -42,12 +42,10 @@ Json SeriesToJson(const prometheus::ClientMetric& metric, prometheus::MetricType
 
 Json EnergyModelToJson(EnergyModel model) {
   const EnergyModelInfo& info = InfoOf(model);
-  return {{"name", std::string(ToString(model))},
-          {"default", model == kDefaultEnergyModel},
-          {"counts", std::string(info.counts)},
-          {"leaves_out", std::string(info.leaves_out)},
-          {"applies_to", std::string(info.applies_to)},
-          {"source", std::string(info.source)}};
+  return {
+      {"name", std::string(ToString(model))},       {"default", model == kDefaultEnergyModel},
+      {"counts", std::string(info.counts)},         {"leaves_out", std::string(info.leaves_out)},
+      {"applies_to", std::string(info.applies_to)}, {"source", std::string(info.source)}};
 }
 
 // What each energy model counts and leaves out: first the one with memory, which decides what is

@@ -7,13 +7,12 @@
 namespace spikeserve {
 namespace {
 
-namespace v1 = grpc::reflection::v1;
 namespace v1alpha = grpc::reflection::v1alpha;
 
 struct Today {
-  using Service = v1::ServerReflection;
-  using Request = v1::ServerReflectionRequest;
-  using Response = v1::ServerReflectionResponse;
+  using Service = grpc::reflection::v1::ServerReflection;
+  using Request = grpc::reflection::v1::ServerReflectionRequest;
+  using Response = grpc::reflection::v1::ServerReflectionResponse;
 };
 
 struct Older {
@@ -69,13 +68,14 @@ TYPED_TEST(ReflectionTest, EveryServiceIsDescribed) {
 
 class ReflectionOfTodayTest : public ServerTest {
  protected:
-  v1::ServerReflectionResponse Ask(const v1::ServerReflectionRequest& request) {
+  grpc::reflection::v1::ServerReflectionResponse Ask(
+      const grpc::reflection::v1::ServerReflectionRequest& request) {
     return spikeserve::Ask<Today>(client_->channel(), request);
   }
 };
 
 TEST_F(ReflectionOfTodayTest, AFileComesWithWhatItImports) {
-  v1::ServerReflectionRequest request;
+  grpc::reflection::v1::ServerReflectionRequest request;
   request.set_file_by_filename("spikeserve/v1/policy_admin.proto");
   const auto response = Ask(request);
   // Itself, policy_service.proto, and descriptor.proto, whose options that one extends.
@@ -84,18 +84,18 @@ TEST_F(ReflectionOfTodayTest, AFileComesWithWhatItImports) {
 }
 
 TEST_F(ReflectionOfTodayTest, AnOpenCallDoesNotKeepTheServer) {
-  const auto stub = v1::ServerReflection::NewStub(client_->channel());
+  const auto stub = grpc::reflection::v1::ServerReflection::NewStub(client_->channel());
   auto context = NewContext();
   const auto stream = stub->ServerReflectionInfo(context.get());
-  v1::ServerReflectionRequest request;
+  grpc::reflection::v1::ServerReflectionRequest request;
   request.set_list_services("");
-  v1::ServerReflectionResponse response;
+  grpc::reflection::v1::ServerReflectionResponse response;
   ASSERT_TRUE(stream->Write(request) && stream->Read(&response));
   EXPECT_EQ(server_->Stop(), 0);
 }
 
 TEST_F(ReflectionOfTodayTest, WhatIsNotThereIsNotFound) {
-  v1::ServerReflectionRequest request;
+  grpc::reflection::v1::ServerReflectionRequest request;
   request.set_file_containing_symbol("nothing.of.the.kind");
   EXPECT_EQ(Ask(request).error_response().error_code(), grpc::StatusCode::NOT_FOUND);
   request.set_file_by_filename("nothing.proto");

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "core/base/status_macros.h"
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 namespace {
@@ -37,6 +38,7 @@ const Eigen::VectorXf& FrameInput::Push(absl::Span<const float> observation) {
 
 absl::StatusOr<StepTable> ReadSteps(const EpisodeSource& source, absl::Span<const int> episodes,
                                     int limit) {
+  SPIKESERVE_DCHECK(!episodes.empty());
   ASSIGN_OR_RETURN(std::vector<Episode> read, source.Read(EvenlySpaced(source, episodes, limit)));
   const Dataset& dataset = source.dataset();
   const int obs = dataset.observation_size, act = dataset.action_space.size();

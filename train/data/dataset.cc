@@ -87,6 +87,8 @@ void DataStatistics::Add(const Episode& episode) {
 
 Moments DataStatistics::PooledMoments(int groups) const {
   SPIKESERVE_DCHECK_GE(groups, 1);
+  SPIKESERVE_DCHECK_EQ(sum_.size() % groups, 0);
+  SPIKESERVE_DCHECK(steps_ > 0.0);
   const Eigen::Index in_group = sum_.size() / groups;
   // Entry i of group g is at [g, i] of a column-major matrix.
   const auto pool = [&](const Eigen::ArrayXd& sums) -> Eigen::ArrayXd {

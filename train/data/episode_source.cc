@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status_macros.h"
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 namespace {
@@ -115,6 +116,7 @@ class Scan {
 
 EpisodeSource::EpisodeSource(Dataset dataset)
     : dataset_(std::move(dataset)), memory_(0), statistics_(dataset_.observation_size) {
+  SPIKESERVE_DCHECK(!dataset_.episodes.empty());
   for (const Episode& episode : dataset_.episodes) {
     entries_.push_back(EntryOf(episode, 0, static_cast<int>(entries_.size())));
     statistics_.Add(episode);

@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status_macros.h"
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 namespace {
@@ -229,6 +230,7 @@ absl::StatusOr<std::string> Hdf5File::ReadString(const std::string& object,
 template <typename T>
 absl::Status Hdf5File::Write(const std::string& name, const Hdf5Shape& shape,
                              absl::Span<const T> values) {
+  SPIKESERVE_DCHECK_EQ(static_cast<int64_t>(values.size()), shape.size());
   const hsize_t sizes[] = {static_cast<hsize_t>(shape.rows),
                            static_cast<hsize_t>(shape.columns.value_or(0))};
   const Handle space(H5Screate_simple(shape.columns ? 2 : 1, sizes, nullptr), H5Sclose);

@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status_macros.h"
+#include "core/contract/dcheck.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/engine/spiking/integer_engine.h"
 #include "core/engine/spiking/streaming_engine.h"
@@ -115,6 +116,8 @@ absl::StatusOr<std::vector<Episode>> PlayCalibrationEpisodes(const Policy& polic
 }
 
 float LargestResidual(const Policy& policy, absl::Span<const Episode> episodes) {
+  SPIKESERVE_DCHECK(!policy.config.is_dense());
+  SPIKESERVE_DCHECK(policy.config.arithmetic == Arithmetic::kFloat32);
   float largest = 0.0f;
   Observe(policy, episodes,
           [&](Engine::Context& context) { RecordLargestResidual(context, &largest); });
@@ -123,6 +126,8 @@ float LargestResidual(const Policy& policy, absl::Span<const Episode> episodes) 
 
 std::vector<std::vector<bool>> FiringHiddenNeurons(const Policy& policy,
                                                    absl::Span<const Episode> episodes) {
+  SPIKESERVE_DCHECK(!policy.config.is_dense());
+  SPIKESERVE_DCHECK(policy.config.arithmetic == Arithmetic::kInteger);
   const auto layers = static_cast<size_t>(policy.config.layers);
   const auto neurons = static_cast<size_t>(policy.config.ffn_size);
   HiddenSpikes spikes(layers, std::vector<uint64_t>(neurons, 0));

@@ -10,6 +10,7 @@
 #include "absl/strings/str_format.h"
 #include "core/action/action_head.h"
 #include "core/base/status_macros.h"
+#include "core/contract/dcheck.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
 #include "core/math/counter_random.h"
@@ -94,6 +95,7 @@ absl::StatusOr<RoundingLoss> LostReturn(const Policy& parent, const PairedEvalua
 
 RoundingLoss LostAgreement(const Policy& parent, const Policy& rounded,
                            absl::Span<const Episode> episodes) {
+  SPIKESERVE_DCHECK(!episodes.empty());
   std::vector<double> losses = Agreements(parent, episodes);
   const std::vector<double> after = Agreements(rounded, episodes);
   for (size_t i = 0; i < losses.size(); ++i) losses[i] -= after[i];

@@ -43,6 +43,7 @@ NormMoments MomentsOf(const torch::Tensor& x, const torch::Tensor& mask) {
 }  // namespace
 
 FadingNorms::FadingNorms(const Policy& policy, torch::Device device) {
+  SPIKESERVE_DCHECK(!policy.config.is_dense());
   const auto options = torch::TensorOptions().dtype(torch::kFloat).device(device);
   VisitNorms(policy, [&](const std::string& name, const Norm&) {
     const int64_t d = policy.config.hidden_size;

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "absl/strings/match.h"
+#include "core/contract/dcheck.h"
 #include "core/math/layer_norm.h"
 
 namespace spikeserve {
@@ -43,6 +44,7 @@ std::map<std::string, torch::Tensor> CopyTensors(const Policy& policy) {
 Parameters::Parameters(const Policy& policy, const PatchShape& patches, uint64_t seed,
                        torch::Device device)
     : patches_(patches), tensors_(CopyTensors(policy)) {
+  SPIKESERVE_DCHECK(policy.config.arithmetic == Arithmetic::kFloat32);
   for (auto& [name, tensor] : tensors_) {
     tensor = tensor.to(device);
     tensor.set_requires_grad(!absl::StartsWith(name, "observation."));
@@ -71,6 +73,7 @@ torch::Tensor Parameters::Exported(const std::string& name) const {
 void Parameters::Store(Policy* policy) const {
   for (const TensorSlot& slot : Slots(policy)) {
     const torch::Tensor tensor = Exported(slot.name).detach().cpu().contiguous();
+    SPIKESERVE_DCHECK_EQ(tensor.numel(), static_cast<int64_t>(slot.floats()->values.size()));
     std::copy_n(tensor.data_ptr<float>(), tensor.numel(), slot.floats()->values.begin());
   }
 }

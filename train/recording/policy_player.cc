@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
+#include "core/contract/dcheck.h"
 
 namespace spikeserve {
 
@@ -36,6 +37,7 @@ Action PolicyPlayer::Act(absl::Span<const float> observation, double reward) {
 }
 
 void PolicyPlayer::Executed(const Action& action) {
+  SPIKESERVE_DCHECK(!encoded_.empty());
   engine_.policy().action_space.Encode(action, absl::MakeSpan(encoded_));
 }
 

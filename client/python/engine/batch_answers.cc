@@ -1,5 +1,7 @@
 #include "client/python/engine/batch_answers.h"
 
+#include "core/contract/dcheck.h"
+
 namespace spikeserve {
 namespace {
 
@@ -10,6 +12,7 @@ void Append(const std::vector<float>& from, std::vector<float>* to) {
 }  // namespace
 
 void BatchAnswers::Append(const Answer& answer) {
+  SPIKESERVE_DCHECK_EQ(logits_.size(), rows_.size() * answer.logits.size());
   rows_.push_back({.step = answer.step,
                    .discrete = answer.action.discrete,
                    .return_to_go = answer.return_to_go,

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import subprocess
+import threading
 from types import SimpleNamespace
 
 import grpc
@@ -33,13 +34,15 @@ class CppPilot:
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         self.process = subprocess.Popen([os.environ["CLIENT_PILOT_PROGRAM"]], **pipes)
         self.allocations = []  # of each beat, on its thread
+        self._lock = threading.Lock()  # of a line and its answer
         self._ended = 0
         opening = opening.SerializeToString().hex()
         self._ask(servers=servers, opening=opening, period=period, **options)
 
     def _ask(self, **line):
-        print(json.dumps(line), file=self.process.stdin, flush=True)
-        answer = json.loads(self.process.stdout.readline())
+        with self._lock:
+            print(json.dumps(line), file=self.process.stdin, flush=True)
+            answer = json.loads(self.process.stdout.readline())
         if isinstance(answer, dict) and "error" in answer:
             raise make_error("Pilot", code_of(answer["code"]), answer["error"])
         return answer

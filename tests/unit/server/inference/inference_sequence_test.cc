@@ -16,7 +16,7 @@ inference::ModelInferRequest MakeRequest() {
   return request;
 }
 
-std::string Refusal(const inference::ModelInferRequest& request) {
+std::string SequenceRefusal(const inference::ModelInferRequest& request) {
   const auto sequence = ReadSequence(request);
   EXPECT_EQ(sequence.status().code(), absl::StatusCode::kInvalidArgument);
   return std::string(sequence.status().message());
@@ -43,23 +43,24 @@ TEST(InferenceSequenceTest, IntegersAndStringsAreDifferentIds) {
 
 TEST(InferenceSequenceTest, NoIdIsRefusedWithWhatToSend) {
   auto request = MakeRequest();
-  EXPECT_THAT(Refusal(request), HasSubstr("send sequence_id"));
+  EXPECT_THAT(SequenceRefusal(request), HasSubstr("send sequence_id"));
   (*request.mutable_parameters())["sequence_id"].set_int64_param(0);
-  EXPECT_THAT(Refusal(request), HasSubstr("send sequence_id"));
+  EXPECT_THAT(SequenceRefusal(request), HasSubstr("send sequence_id"));
   (*request.mutable_parameters())["sequence_id"].set_string_param("");
-  EXPECT_THAT(Refusal(request), HasSubstr("send sequence_id"));
+  EXPECT_THAT(SequenceRefusal(request), HasSubstr("send sequence_id"));
 }
 
 TEST(InferenceSequenceTest, WrongParametersAreNamed) {
   auto request = MakeRequest();
   auto& parameters = *request.mutable_parameters();
   parameters["sequence_id"].set_bool_param(true);
-  EXPECT_THAT(Refusal(request), HasSubstr("expected an int64_param or a string_param"));
+  EXPECT_THAT(SequenceRefusal(request), HasSubstr("expected an int64_param or a string_param"));
   parameters["sequence_id"].set_string_param(std::string(257, 'x'));
-  EXPECT_THAT(Refusal(request), HasSubstr("at most 256 bytes"));
+  EXPECT_THAT(SequenceRefusal(request), HasSubstr("at most 256 bytes"));
   parameters["sequence_id"].set_string_param("seven");
   parameters["sequence_start"].set_int64_param(1);
-  EXPECT_THAT(Refusal(request), HasSubstr("parameters.sequence_start: expected a bool_param"));
+  EXPECT_THAT(SequenceRefusal(request),
+              HasSubstr("parameters.sequence_start: expected a bool_param"));
 }
 
 TEST(InferenceSequenceTest, AStartMayNameVersionTargetReturnAndSeed) {
