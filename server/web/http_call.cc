@@ -211,6 +211,10 @@ void HttpCalls::Start(HttpCallStart start, HttpCallDone done) {
         "left; try again later"));
   }
   const auto read = [this, waiting] {
+    const HttpRequest& request = waiting->start.request;
+    if (request.is_post && request.client.expired()) {
+      return waiting->done(absl::CancelledError("the client has left"));
+    }
     RunOnLoop(waiting, waiting->start.read(&waiting->start.request));
   };
   if (!waiting->start.request.is_post) return read();

@@ -168,6 +168,7 @@ void HttpConnection::StoreHeaders() {
   request_.grpc_timeout = std::string(ToView(headers["grpc-timeout"]));
   request_.json_length = std::string(ToView(headers["Inference-Header-Content-Length"]));
   request_.peer.address = slot_->address();
+  request_.client = client_;
 }
 
 HttpResponse HttpConnection::CheckBodyHeaders() {

@@ -106,6 +106,7 @@ class HttpConnection final : public EventLoop::Source {
   void Enter(State state, absl::Duration timeout, uint32_t events);
   EventLoop& events() { return owner_->events(); }
 
+  const std::shared_ptr<const void> client_ = std::make_shared<char>();  // see HttpRequest
   const std::unique_ptr<Socket> socket_;
   const std::unique_ptr<ConnectionSlot> slot_;
   const HttpServer::Options& options_;

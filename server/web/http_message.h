@@ -38,6 +38,7 @@ struct HttpRequest {
   size_t longest_body = 0;  // once it is decompressed
   std::shared_ptr<const Credential> caller = nullptr;  // of a POST whose body was accepted
   std::shared_ptr<HeldBytes> held = nullptr;           // the bytes of this body
+  std::weak_ptr<const void> client = {};               // expires when the client has left
 };
 
 // By how much gzip may lengthen what it cannot compress.

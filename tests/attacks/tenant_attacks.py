@@ -125,7 +125,7 @@ def histories_of_many_sessions(address, seconds):
             decision = 0
             while time.monotonic() < end:
                 first = v1("ActRequest", session_id=session, decision=decision, observation=OBSERVATION)
-                executed = agents(f"/{POLICY}/Act", first).action
+                executed = {"discrete": agents(f"/{POLICY}/Act", first).action.discrete}
                 beats = [
                     v1("Beat", step=step, observation=OBSERVATION, executed=executed)
                     for step in range(STEPS)

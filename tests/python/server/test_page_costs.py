@@ -12,7 +12,7 @@ import pathlib
 import pytest
 from gymnasium import make
 from random_policy import export_random
-from security import TOKENS, http_body, until
+from security import OBSERVATION, TOKENS, http_body, service_with, until
 from serving import running_server
 from test_call_costs import wait_for_threads
 
@@ -24,7 +24,7 @@ VIEWERS = 12
 
 @pytest.fixture(scope="module")
 def servers(tmp_path_factory):
-    """Starts servers with few and with many versions of a policy, and yields both Addresses."""
+    """Starts servers with few and with many versions of a policy, all of which play, and yields both Addresses."""
     folder = tmp_path_factory.mktemp("policies")
     export_random(folder / "one", "small", make("CartPole-v1"))
     file = folder / "one" / "small" / "1" / "policy.safetensors"
@@ -34,14 +34,25 @@ def servers(tmp_path_factory):
             copy.parent.mkdir(parents=True)
             os.link(file, copy)
     tokens = folder / "tokens.json"
-    any_rate = {"calls_per_second": {"listing": 0}}
+    any_rate = {"calls_per_second": {"listing": 0, "light": 0}}
     tenants = {name: limits | any_rate for name, limits in TOKENS["tenants"].items()}
     tokens.write_text(json.dumps(TOKENS | {"tenants": tenants}))
     with contextlib.ExitStack() as stack:
-        yield [
-            stack.enter_context(running_server(folder / str(versions), flags=[f"--tokens={tokens}"]))
-            for versions in (FEW, MANY)
-        ]
+        started = []
+        for versions in (FEW, MANY):
+            addresses = stack.enter_context(running_server(folder / str(versions), flags=[f"--tokens={tokens}"]))
+            with service_with(addresses, "agent") as agent:
+                for version in range(1, versions + 1):
+                    session = agent.OpenSession(policy="small", version=version).session_id
+                    agent.Act(session_id=session, observation=OBSERVATION)
+
+            def has_figures(addresses=addresses):
+                page = http_body(addresses.http, "/status.json?metrics=false&window=100000", "Bearer watchman")
+                return all(version["decisions"] == 1 for version in json.loads(page)["versions"])
+
+            until(has_figures)
+            started.append(addresses)
+        yield started
 
 
 def worker_seconds(pid):
