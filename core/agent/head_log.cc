@@ -6,11 +6,13 @@ namespace spikeserve {
 
 FleetContribution::FleetContribution(std::shared_ptr<const ServedPolicy> served,
                                      std::string session, std::string head, std::string contributor,
+                                     bool held_out,
                                      std::shared_ptr<const PendingContribution> pending)
     : served_(std::move(served)),
       session_(std::move(session)),
       head_(std::move(head)),
       contributor_(std::move(contributor)),
+      held_out_(held_out),
       pending_(std::move(pending)) {}
 
 void FleetContribution::Append() {

@@ -79,12 +79,13 @@ class FleetContribution : public std::enable_shared_from_this<FleetContribution>
   // `head` is the tenant whose head it is for (TenantHeads), `contributor` as for
   // FleetHead::Merge().
   FleetContribution(std::shared_ptr<const ServedPolicy> served, std::string session,
-                    std::string head, std::string contributor,
+                    std::string head, std::string contributor, bool held_out,
                     std::shared_ptr<const PendingContribution> pending);
 
   const std::string& session() const { return session_; }
   const std::string& head() const { return head_; }
   const std::string& contributor() const { return contributor_; }
+  bool held_out() const { return held_out_; }
   const PendingContribution& pending() const { return *pending_; }
 
   // Hands it to the log of its policy. Further calls do nothing.
@@ -107,6 +108,7 @@ class FleetContribution : public std::enable_shared_from_this<FleetContribution>
   const std::string session_;
   const std::string head_;
   const std::string contributor_;
+  const bool held_out_;
   const std::shared_ptr<const PendingContribution> pending_;
 
   mutable absl::Mutex mutex_;

@@ -5,7 +5,6 @@
 
 #include "core/contract/dcheck.h"
 #include "core/learning/frobenius_norm.h"
-#include "core/learning/held_out.h"
 #include "core/learning/learner.h"
 #include "core/math/counter_random.h"
 #include "core/math/vector_view.h"
@@ -24,9 +23,8 @@ SessionHead::SessionHead(std::shared_ptr<const ServedPolicy> served, Session* se
   }
   if (options.learning.has_value() && options.learning->scope == Scope::kFleet) {
     const bool by_tenant = served_->SharesHead(options.tenant) && !options.tenant.empty();
-    member_ = std::make_unique<FleetHead::Member>(served_->HeadOf(options.tenant),
-                                                  by_tenant ? options.tenant : session->id,
-                                                  IsHeldOut(session->id));
+    member_ = std::make_unique<FleetHead::Member>(
+        served_->HeadOf(options.tenant), by_tenant ? options.tenant : session->id, session->id);
     if (served_->log == nullptr) session->pending = nullptr;
     NewContribution(*session);
     return;
@@ -136,10 +134,12 @@ void SessionHead::MergeIntoFleet(double episode_return, const Clock& clock, Sess
 void SessionHead::WatchPrivateHead(double episode_return, Session* session,
                                    LearningSummary* summary) {
   Learner& learner = *session->learner;
+  const bool was_measured = learner.guard.on_probation;
   if (!learner.suspended) {
     summary->rolled_back = learner.Watch(*session->options.learning, episode_return);
   }
-  if (summary->rolled_back) private_head_ = HeadWith(served_->policy(), learner.head_delta);
+  if (summary->rolled_back || was_measured)
+    private_head_ = HeadWith(served_->policy(), learner.head_delta);
   summary->head_drift = Drift(*session);
   summary->watched_return = learner.guard.last.mean;
 }
@@ -148,9 +148,9 @@ void SessionHead::NewContribution(const Session& session) {
   if (session.pending == nullptr) return;
   SPIKESERVE_DCHECK(IsInFleet());
   const std::string& tenant = session.options.tenant;
-  contribution_ = std::make_shared<FleetContribution>(served_, session.id,
-                                                      served_->SharesHead(tenant) ? "" : tenant,
-                                                      member_->contributor(), session.pending);
+  contribution_ = std::make_shared<FleetContribution>(
+      served_, session.id, served_->SharesHead(tenant) ? "" : tenant, member_->contributor(),
+      member_->held_out(), session.pending);
 }
 
 void SessionHead::TakeMerged(Session* session) {

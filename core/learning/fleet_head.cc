@@ -5,13 +5,15 @@
 
 #include "core/contract/dcheck.h"
 #include "core/learning/frobenius_norm.h"
+#include "core/learning/held_out.h"
 #include "core/learning/learner.h"
 #include "core/math/vector_view.h"
 
 namespace spikeserve {
 
-FleetHead::FleetHead(std::shared_ptr<const Policy> policy, FleetOptions options)
-    : policy_(std::move(policy)), options_(options) {
+FleetHead::FleetHead(std::shared_ptr<const Policy> policy, FleetOptions options,
+                     const HeldOutKey& held_out_key)
+    : policy_(std::move(policy)), options_(options), held_out_key_(held_out_key) {
   absl::MutexLock lock(&mutex_);
   delta_.setZero(AsVector(policy_->weights.head.weight.values).size());
   guard_ = ReturnGuard::New(delta_);
@@ -25,8 +27,11 @@ std::shared_ptr<const FleetHead::Snapshot> FleetHead::Read() const {
   return snapshot_;
 }
 
-FleetHead::Member::Member(std::shared_ptr<FleetHead> head, std::string contributor, bool held_out)
-    : head_(std::move(head)), contributor_(std::move(contributor)), held_out_(held_out) {
+FleetHead::Member::Member(std::shared_ptr<FleetHead> head, std::string contributor,
+                          absl::string_view session_id)
+    : head_(std::move(head)),
+      contributor_(std::move(contributor)),
+      held_out_(IsHeldOut(head_->held_out_key_, session_id)) {
   absl::MutexLock lock(&head_->mutex_);
   head_->budget_.Join(contributor_);
   if (held_out_) ++head_->held_out_sessions_;
@@ -71,6 +76,7 @@ UpdateOutcome FleetHead::Take(const Eigen::VectorXf& contribution, const Source&
   if (!source.contributor.empty()) norms_.Add(source.contributor, FrobeniusNorm(clipped));
   if (held_out) return UpdateOutcome::kHeldOut;
   if (budget_.IsSuspended(source.contributor)) return UpdateOutcome::kOverBudget;
+  if (guard_.on_probation) return UpdateOutcome::kHeldOut;
   if (guard_.has_reference || !budget_.is_protected()) return Add(contribution, source.contributor);
   gathered_.push_back({.contributor = source.contributor, .delta = std::move(clipped)});
   return UpdateOutcome::kApplied;

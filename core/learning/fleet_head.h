@@ -13,7 +13,8 @@
 //   window, so that the reference is that of the policy's own head.
 // - Sessions that are held out contribute nothing (held_out.h). A second guard judges by their
 //   returns alone, which those who contribute cannot invent. The first guard judges by all returns
-//   and therefore decides sooner. After a rollback by one of them both start a new window.
+//   and therefore decides sooner. After a rollback by one of them both start a new window, and no
+//   session contributes in the next one of the first guard, which measures the restored head.
 //
 // Equal sequences of Merge() and Rollback() leave heads that are equal bit for bit, in whichever
 // processes they run, if all of them pass the number of members.
@@ -30,10 +31,12 @@
 
 #include "Eigen/Core"
 #include "absl/base/thread_annotations.h"
+#include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "core/learning/contribution_budget.h"
 #include "core/learning/head_update.h"
+#include "core/learning/held_out.h"
 #include "core/learning/peer_norms.h"
 #include "core/learning/return_guard.h"
 #include "core/model/policy.h"
@@ -66,8 +69,10 @@ class FleetHead {
     WindowLevel level;      // of the last window of all returns; see return_guard.h
   };
 
-  // Starts as the head of `policy`, which is shared and not copied.
-  explicit FleetHead(std::shared_ptr<const Policy> policy, FleetOptions options = {});
+  // Starts as the head of `policy`, which is shared and not copied. The key decides which sessions
+  // are held out; clients must not know it.
+  explicit FleetHead(std::shared_ptr<const Policy> policy, FleetOptions options = {},
+                     const HeldOutKey& held_out_key = RandomHeldOutKey());
 
   // Returns the current snapshot. Does not wait for a merge.
   std::shared_ptr<const Snapshot> Read() const;
@@ -128,7 +133,7 @@ class FleetHead {
   // A session that decides with the head; protects the others by its presence (ContributionBudget).
   class Member {
    public:
-    Member(std::shared_ptr<FleetHead> head, std::string contributor, bool held_out);
+    Member(std::shared_ptr<FleetHead> head, std::string contributor, absl::string_view session_id);
     ~Member();
     Member(const Member&) = delete;
     Member& operator=(const Member&) = delete;
@@ -166,6 +171,7 @@ class FleetHead {
 
   const std::shared_ptr<const Policy> policy_;
   const FleetOptions options_;
+  const HeldOutKey held_out_key_;
 
   mutable absl::Mutex mutex_;  // held for a whole merge
   Eigen::VectorXf delta_ ABSL_GUARDED_BY(mutex_);

@@ -103,6 +103,7 @@ struct Learner {
   // Scope::kSession: passes the return of an episode to the guard. Returns true if the guard
   // restored an earlier head.
   bool Watch(const LearningOptions& options, double episode_return) {
+    if (guard.on_probation) head_delta = guard.good;  // a head that is measured does not learn
     return guard.OnEpisode(episode_return, options.guard_margin, &head_delta);
   }
 

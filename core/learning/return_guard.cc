@@ -2,11 +2,21 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "core/contract/dcheck.h"
 #include "core/math/portable.h"
 
 namespace spikeserve {
+namespace {
+
+WindowLevel Lower(const WindowLevel& a, const WindowLevel& b) { return a.mean < b.mean ? a : b; }
+
+WindowLevel Mean(const WindowLevel& a, const WindowLevel& b) {
+  return {.mean = 0.5 * (a.mean + b.mean), .error = 0.5 * portable::Hypot(a.error, b.error)};
+}
+
+}  // namespace
 
 WindowLevel InterquartileMean(absl::Span<const double> values) {
   SPIKESERVE_DCHECK_GE(values.size(), size_t{4});
@@ -43,21 +53,34 @@ bool ReturnGuard::OnEpisode(double episode_return, double margin, Eigen::VectorX
   SPIKESERVE_DCHECK_EQ(delta->size(), beginning.size());
   returns.push_back(episode_return);
   if (returns.size() < kWindow) return false;
-  last = InterquartileMean(returns);
+  const WindowLevel before = std::exchange(last, InterquartileMean(returns));
+  const WindowLevel first_half = InterquartileMean(absl::MakeSpan(returns).first(kWindow / 2));
   returns.clear();
+  if (!std::exchange(has_reference, true)) {
+    reference = Lower(first_half, last);
+    beginning = *delta;
+    return false;
+  }
   const double allowance =
       margin * std::abs(reference.mean) + kErrors * portable::Hypot(last.error, reference.error);
-  const bool bad = has_reference && last.mean < reference.mean - allowance;
-  if (bad) {
-    RollBack(delta);
-  } else {
+  const bool bad = last.mean < reference.mean - allowance;
+  const bool is_fixed = beginning == *delta;
+  if (std::exchange(on_probation, false)) {
+    // If others have changed the head meanwhile, the window is no measure of it alone.
+    reference = is_fixed ? last : Mean(reference, last);
+  } else if (const WindowLevel level = Mean(before, last);
+             std::min(last.mean, level.mean) >= reference.mean) {
     good = beginning;
-    on_probation = false;
-    if (!has_reference || last.mean > reference.mean) reference = last;
-    has_reference = true;
+    reference = level;
+  }
+  const bool restores = bad && !is_fixed;
+  if (restores) {
+    *delta = good;
+    on_probation = true;
+    ++rollbacks;
   }
   beginning = *delta;
-  return bad;
+  return restores;
 }
 
 void ReturnGuard::OnRestored(const Eigen::VectorXf& delta) {
@@ -65,16 +88,7 @@ void ReturnGuard::OnRestored(const Eigen::VectorXf& delta) {
   returns.clear();
   beginning = delta;
   good = delta;
-}
-
-void ReturnGuard::RollBack(Eigen::VectorXf* delta) {
-  if (on_probation) {
-    good.setZero();
-    has_reference = false;
-  }
-  on_probation = !on_probation;
-  *delta = good;
-  ++rollbacks;
+  on_probation = has_reference;
 }
 
 }  // namespace spikeserve

@@ -1,18 +1,20 @@
-// Watches the returns of a learning head and restores the last good head when they fall.
+// Watches the returns of a learning head and restores an earlier head when they fall below what
+// that head has earned.
 //
 // The guard judges episodes in windows of kWindow. The level of a window is the interquartile mean
 // of its returns, that is, the mean of their middle half. Outliers do not change it as long as they
 // are less than a quarter of the returns. The error of a level is the standard error of a trimmed
-// mean (Tukey & McLaughlin, Sankhya A 25, 1963). The reference is the level of the best window so
-// far. The heads of the first window have changed little, so its level is that of the frozen
-// policy. A window is bad if
+// mean (Tukey & McLaughlin, Sankhya A 25, 1963). The good head is the one to go back to, and the
+// reference is its level. A window is bad if
 //
 //   level < reference - margin |reference| - 3 sqrt(error^2 + reference_error^2)
 //
-// The good head is the head at the start of the last window that was not bad, because that head and
-// the heads that it developed into earned the returns of that window. After a bad window the guard
-// restores the good head. If the next window is bad too, the environment itself has changed: the
-// guard restores the head of the policy and measures a new reference.
+// The head between two windows becomes the good one if the later one, and both together, have
+// earned at least the reference. Its own level is their mean: a head that learns fast earns less
+// before it and more after it. That of the first head is taken from its first episodes.
+// After a bad window the guard restores the good head, one step back, and measures it in the next
+// window, in which it does not learn (`on_probation`): a reference that was luck, or that another
+// environment has given, does not stay. Nothing else makes the guard give up what was learned.
 //
 // A plain value of constant size. Not thread-safe.
 #ifndef CORE_LEARNING_RETURN_GUARD_H_
@@ -38,7 +40,7 @@ struct WindowLevel {
 struct ReturnGuard {
   static constexpr size_t kWindow = 20;
   // Standard errors that a bad window falls short by. Three, because the reference is the best of
-  // many windows and so tends to be above the true level.
+  // several windows and so tends to be above the true level.
   static constexpr double kErrors = 3.0;
 
   std::vector<double> returns;  // of the running window
@@ -47,21 +49,19 @@ struct ReturnGuard {
   bool has_reference = false;
   WindowLevel reference;
   WindowLevel last;           // of the last window that ended; zero before the first
-  bool on_probation = false;  // the last window was bad
+  bool on_probation = false;  // the running window measures the good head, which was restored
   int64_t rollbacks = 0;
 
   // Returns a guard of a head with W - W_base = `delta`.
   static ReturnGuard New(const Eigen::VectorXf& delta);
 
   // Takes the return of an episode that has ended, and `delta`, the head after it. Returns true if
-  // the guard restored an earlier head by writing it into `delta`.
+  // the guard restored the good head by writing it into `delta`. While `on_probation`, the caller
+  // keeps the head as it is, if it can.
   bool OnEpisode(double episode_return, double margin, Eigen::VectorXf* delta);
 
-  // Continues from `delta`, to which another guard has restored the head: starts a new window.
+  // Continues from `delta`, to which another guard has restored the head: measures it.
   void OnRestored(const Eigen::VectorXf& delta);
-
- private:
-  void RollBack(Eigen::VectorXf* delta);
 };
 
 // Returns the interquartile mean of `values` and its standard error. REQUIRES: at least 4 values.

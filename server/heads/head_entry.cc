@@ -10,6 +10,8 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "absl/strings/strip.h"
 #include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
 
@@ -17,6 +19,10 @@ namespace spikeserve {
 namespace {
 
 constexpr char kEntryFormat[] = "spikeserve.head_entry.v1";
+
+// Stands before the contributor of a session that is held out. No session and no tenant has it in
+// its name. Entries of earlier releases have no mark, and count as contributing.
+constexpr char kHeldOutMark[] = "held out: ";
 
 }  // namespace
 
@@ -27,16 +33,18 @@ void VisitFields(T& entry, Visitor&& visit) {
   visit("session", entry.session);
   visit("episode", entry.episode);
   visit("head", entry.head);
-  visit("contributor", entry.contributor);
+  visit("contributor", entry.contributor);  // with kHeldOutMark
   visit("delta", entry.delta);
   visit("episode_return", entry.episode_return);
 }
 
 std::string SerializeHeadEntry(const HeadEntry& entry) {
+  HeadEntry marked = entry;
+  if (entry.held_out) marked.contributor.insert(0, kHeldOutMark);
   std::string bytes;
   codec::Writer writer(&bytes);
   writer.Begin(kEntryFormat);
-  writer.Write(entry);
+  writer.Write(marked);
   return bytes;
 }
 
@@ -62,6 +70,9 @@ absl::StatusOr<HeadEntry> ParseHeadEntry(const std::string& bytes) {
   codec::Reader reader;
   reader.Read(json, "head entry", entry);
   if (!reader.status().ok()) return reader.status();
+  absl::string_view contributor = entry.contributor;
+  entry.held_out = absl::ConsumePrefix(&contributor, kHeldOutMark);
+  entry.contributor = std::string(contributor);
   return entry;
 }
 

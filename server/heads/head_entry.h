@@ -25,7 +25,9 @@ struct HeadEntry {
   std::string head;  // tenant whose head it changes; unused by kPause and kResume, which change all
   // kMerge only:
   std::string contributor;  // as for FleetHead::Merge()
-  Eigen::VectorXf delta;    // [act * d]
+  // As for FleetHead::Merge(). The server of the session decides it, so that all servers agree.
+  bool held_out = false;
+  Eigen::VectorXf delta;  // [act * d]
   double episode_return = 0.0;
 };
 

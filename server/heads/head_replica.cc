@@ -14,7 +14,6 @@
 #include "core/journal/field_codec.h"
 #include "core/journal/session_fields.h"
 #include "core/learning/fleet_head.h"
-#include "core/learning/held_out.h"
 
 namespace spikeserve {
 namespace {
@@ -167,7 +166,7 @@ MergeOutcome HeadReplica::Apply(const HeadEntry& entry, const LoggedEntry& logge
     const auto merged =
         head->Merge(entry.delta, entry.episode_return,
                     {.contributor = entry.contributor,
-                     .held_out = IsHeldOut(entry.session),
+                     .held_out = entry.held_out,
                      .now = TimeOf(logged.position),
                      .members = static_cast<size_t>(std::max<int64_t>(logged.members, 0))});
     outcome.update = merged.outcome;

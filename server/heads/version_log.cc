@@ -63,6 +63,7 @@ void VersionLog::Append(std::shared_ptr<FleetContribution> contribution) {
                            .episode = pending.episode,
                            .head = contribution->head(),
                            .contributor = contribution->contributor(),
+                           .held_out = contribution->held_out(),
                            .delta = pending.delta,
                            .episode_return = pending.episode_return};
   requests_.Add({.append = {.session = entry.session,

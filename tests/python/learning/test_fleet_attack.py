@@ -2,12 +2,12 @@
 
 import contextlib
 import json
+import secrets
 
 import grpc
 import gymnasium
 import numpy as np
 import pytest
-from fleet_roles import new_session_id
 from security import ADMIN, OBSERVATION, TOKENS, code_of, entry, http_body, service_with, until
 from serving import running_server
 
@@ -40,7 +40,6 @@ def attack(agent, seed=1):
         learning=FLEET | {"learning_rate": 1e3},
         action_selection="SAMPLE",
         temperature=4.0,
-        session_id=new_session_id(),
     ).session_id
     random = np.random.default_rng(seed)
     for _ in range(INVENTED_EPISODES):
@@ -118,7 +117,7 @@ def test_who_may_not_learn_plays_no_session_that_learns(tokens, scope):
         service_with(addresses, "frozen") as frozen,
         service_with(addresses, "operator", ADMIN) as owner,
     ):
-        opening = {"policy": "cartpole", "learning": {"scope": scope}, "session_id": new_session_id()}
+        opening = {"policy": "cartpole", "learning": {"scope": scope}, "session_id": secrets.token_hex(16)}
         session = agent.OpenSession(**opening).session_id
         assert code_of(frozen.OpenSession, **opening) == denied
         act = {"session_id": session, "observation": OBSERVATION}
@@ -138,7 +137,7 @@ def test_who_may_not_learn_plays_no_session_that_learns(tokens, scope):
 
 
 class Fleet:
-    """Sessions that play CartPole with the shared head, all at once. The first one is held out."""
+    """Sessions that play CartPole with the shared head, all at once."""
 
     def __init__(self, service, seed):
         self._service = service
@@ -146,9 +145,8 @@ class Fleet:
             service.OpenSession(
                 policy="cartpole",
                 learning=FLEET | {"learning_rate": 1e-6},
-                session_id=new_session_id(held_out=i == 0),
             ).session_id
-            for i in range(HONEST_SESSIONS)
+            for _ in range(HONEST_SESSIONS)
         ]
         self._seed = 1000 * seed
 
@@ -219,33 +217,40 @@ def figure(addresses, name):
 
 
 def test_a_held_out_session_judges_and_contributes_nothing(tokens):
-    def end_episode(session):
+    """The server decides which: on another one the same ids have other roles."""
+    ids = [secrets.token_hex(16) for _ in range(40)]
+
+    def end_episode(agent, session):
         for step in range(3):
             agent.Act(session_id=session, step=step, observation=[0.1 * step] * 4, reward=step)
-        return agent.EndEpisode(session_id=session, reward=1.0, terminated=True).learning
+        learning = agent.EndEpisode(session_id=session, reward=1.0, terminated=True).learning
+        assert learning.updates + learning.rejected_updates == 1
+        return learning.updates
 
-    with (
-        served(tokens) as addresses,
-        service_with(addresses, "agent") as agent,
-        service_with(addresses, "operator", ADMIN) as owner,
-    ):
-        held_out = new_session_id(held_out=True)
-        others = [new_session_id() for _ in range(4)]
-        for session in (held_out, *others[:3]):
-            agent.OpenSession(policy="cartpole", learning=FLEET, session_id=session)
-        # Four contributors are too few for a head to be protected.
-        assert end_episode(held_out).updates == 1
-        assert figure(addresses, "held_out_sessions") == 0
-        drift = owner.GetHead(policy="cartpole").drift
-        agent.OpenSession(policy="cartpole", learning=FLEET, session_id=others[3])
-        for _ in range(3):
-            learning = end_episode(held_out)
-            assert (learning.updates, learning.rejected_updates) == (0, 1)
-        assert owner.GetHead(policy="cartpole").drift == drift > 0
-        until(lambda: figure(addresses, "held_out_sessions") == 1)
-        metrics = http_body(addresses.http, "/metrics", "Bearer machine").decode().splitlines()
-        assert any('reason="held_out"' in line and line.endswith("} 3") for line in metrics)
-        # Those who contribute fill the window. After it their contributions are in the head.
-        for i in range(16):
-            assert end_episode(others[i % 4]).updates == 1
-        assert owner.GetHead(policy="cartpole").drift != drift
+    def held_out():
+        with (
+            served(tokens) as addresses,
+            service_with(addresses, "agent") as agent,
+            service_with(addresses, "operator", ADMIN) as owner,
+        ):
+            for session in ids[:4]:
+                agent.OpenSession(policy="cartpole", learning=FLEET, session_id=session)
+            # Four contributors are too few for a head to be protected.
+            assert [end_episode(agent, session) for session in ids[:4]] == [1] * 4
+            assert figure(addresses, "held_out_sessions") == 0
+            for session in ids[4:]:
+                agent.OpenSession(policy="cartpole", learning=FLEET, session_id=session)
+            judges = [session for session in ids if end_episode(agent, session) == 0]
+            assert 1 <= len(judges) <= 20
+            until(lambda: figure(addresses, "held_out_sessions") == len(judges))
+            drift = owner.GetHead(policy="cartpole").drift
+            assert [end_episode(agent, judges[0]) for _ in range(3)] == [0] * 3
+            assert owner.GetHead(policy="cartpole").drift == drift > 0
+            metrics = http_body(addresses.http, "/metrics", "Bearer machine").decode().splitlines()
+            assert any('reason="held_out"' in line and line.endswith(f"}} {len(judges) + 3}") for line in metrics)
+            contributor = next(session for session in ids if session not in judges)
+            assert end_episode(agent, contributor) == 1
+            assert owner.GetHead(policy="cartpole").drift != drift
+            return judges
+
+    assert held_out() != held_out()

@@ -8,7 +8,6 @@ import shutil
 import grpc
 import numpy as np
 import pytest
-from fleet_roles import new_session_id
 from policy_file import read_policy
 from serving import RELEASED_POLICIES, SHIPPED_POLICIES, Service, metric, running_server
 
@@ -168,10 +167,9 @@ def test_the_fleets_head_does_not_depend_on_who_ends_first(serve):
         server.admin.RollbackHead(policy="cartpole")
         # With this small learning rate, neither the drift bound nor the clip applies.
         learning = FLEET | {"learning_rate": 0.003}
-        # No session is held out, because those do not contribute.
+        # The same ids are held out each time, and do not contribute.
         sessions = [
-            server.open(seed=seed, learning=learning, session_id=new_session_id(), **SAMPLING)
-            for seed in range(64)
+            server.open(seed=seed, learning=learning, session_id=f"{seed:032x}", **SAMPLING) for seed in range(64)
         ]
         for i, session_id in enumerate(sessions):
             for step in range(4 + i % 3):
@@ -183,7 +181,9 @@ def test_the_fleets_head_does_not_depend_on_who_ends_first(serve):
 
         end_all(end, sessions)
         head = server.admin.GetHead(policy="cartpole", include_weights=True)
-        assert head.updates == 64 and 0 < head.drift < 1.9
+        assert 32 < head.updates < 64 and 0 < head.drift < 1.9
+        for session_id in sessions:
+            server.policy.CloseSession(session_id=session_id)
         return np.array(head.delta)
 
     def together(end, sessions):

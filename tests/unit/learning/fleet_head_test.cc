@@ -231,21 +231,29 @@ TEST(FleetHeadTest, AFleetWhoseSessionsAreAllSuspendedGoesOn) {
 TEST(FleetHeadTest, AboutOneSessionInFiveIsHeldOut) {
   constexpr int kSessions = 10000;
   int held_out = 0;
+  int both = 0;  // with another key, too
   for (int i = 0; i < kSessions; ++i) {
-    held_out += IsHeldOut("session" + std::to_string(i)) ? 1 : 0;
+    const std::string id = "session" + std::to_string(i);
+    held_out += IsHeldOut({1, 2}, id) ? 1 : 0;
+    both += IsHeldOut({1, 2}, id) && IsHeldOut({1, 3}, id) ? 1 : 0;
   }
-  EXPECT_NEAR(held_out, kSessions / static_cast<int>(kHeldOutShare), 200);
+  constexpr int kShare = static_cast<int>(kHeldOutShare);
+  EXPECT_NEAR(held_out, kSessions / kShare, 200);
+  EXPECT_NEAR(both, kSessions / kShare / kShare, 100);
 }
 
 TEST(FleetHeadTest, OpenSessionsThatAreHeldOutAreCounted) {
   const auto head = std::make_shared<FleetHead>(TestPolicy());
   std::vector<std::unique_ptr<FleetHead::Member>> members;
-  for (size_t i = 0; i < ContributionBudget::kProtectedMembers; ++i) {
-    EXPECT_EQ(head->HeldOutSessions(), 0);
-    members.push_back(std::make_unique<FleetHead::Member>(head, std::to_string(i), i == 0));
+  int64_t held_out = 0;
+  for (size_t i = 0; i < 40; ++i) {
+    const std::string id = std::to_string(i);
+    members.push_back(std::make_unique<FleetHead::Member>(head, id, id));
+    held_out += members.back()->held_out() ? 1 : 0;
+    const bool is_protected = members.size() >= ContributionBudget::kProtectedMembers;
+    EXPECT_EQ(head->HeldOutSessions(), is_protected ? held_out : 0);
   }
-  EXPECT_EQ(head->HeldOutSessions(), 1);
-  members.erase(members.begin());
+  members.resize(ContributionBudget::kProtectedMembers - 1);
   EXPECT_EQ(head->HeldOutSessions(), 0);
 }
 

@@ -32,6 +32,7 @@ HeadEntry Contribution(int i) {
   entry.episode = i / 7;
   entry.head = std::string(i % 3 == 0 ? 1 : 0, 'a');
   entry.contributor = entry.session;
+  entry.held_out = i % 7 == 2;
   entry.delta.resize(kSize);
   for (Eigen::Index j = 0; j < kSize; ++j) {
     entry.delta[j] = 0.03f * std::sin(0.7f * static_cast<float>(i) + static_cast<float>(j));
