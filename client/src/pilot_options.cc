@@ -9,7 +9,7 @@
 namespace spikeserve {
 namespace {
 
-constexpr absl::Duration kShortestPeriod = absl::Microseconds(100);
+constexpr absl::Duration kShortestPeriod = absl::Milliseconds(1);
 constexpr absl::Duration kLongestPeriod = absl::Hours(1);
 // Half of a slow round trip's worth of answers is no use to a robot.
 constexpr absl::Duration kLeastAge = absl::Milliseconds(250);
@@ -38,7 +38,7 @@ void LogPilotToStderr(absl::string_view line) { std::cerr << absl::StrCat("pilot
 
 absl::Status PilotOptions::Validate() const {
   if (period < kShortestPeriod || period > kLongestPeriod) {
-    return Refuse("period", "100us to 1h", period);
+    return Refuse("period", "1ms to 1h", period);
   }
   if (budget.has_value() && (*budget < absl::ZeroDuration() || *budget > period)) {
     return Refuse("budget", absl::StrCat("0 to period (", absl::FormatDuration(period), ")"),

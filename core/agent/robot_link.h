@@ -31,6 +31,12 @@ struct BeatCounts {
   double longest_gap_seconds = 0.0;
   double oldest_age_seconds = 0.0;
 
+  // Returns the beats, or another count if that is greater.
+  uint64_t Largest() const {
+    return std::max({fresh + held + local + safe, late_answers, cancelled_calls, reconnects,
+                     invalid_observations});
+  }
+
   // Returns what was counted after `before`: 0 for a count that has become smaller.
   BeatCounts Since(const BeatCounts& before) const {
     const auto grown = [](uint64_t now, uint64_t then) { return now > then ? now - then : 0; };
@@ -49,6 +55,18 @@ struct BeatCounts {
 
 class RobotLink {
  public:
+  // `period` is the time between two beats of the robot; zero: unknown.
+  explicit RobotLink(absl::Duration period = absl::ZeroDuration())
+      : least_period_(period > absl::ZeroDuration() ? period / 2 : kLeastPeriod) {}
+
+  // The counts of a robot may be larger by these beats than the time since its first report allows,
+  // at twice its rate. What waited in a cut link arrives at once.
+  static constexpr absl::Duration kAhead = absl::Seconds(10);
+  // No robot that declares no period has shorter ones.
+  static constexpr absl::Duration kLeastPeriod = absl::Milliseconds(1);
+  // A first report may tell of a gap before the session, in which no server was reached.
+  static constexpr absl::Duration kFirstGap = absl::Minutes(10);
+
   // Requests of this time are compared with each other. Clocks that differ by 100 parts in a
   // million drift apart by 2 ms in two of them.
   static constexpr absl::Duration kWindow = absl::Seconds(10);
@@ -88,12 +106,26 @@ class RobotLink {
     return now - observed_at - std::min(*least_, before_);
   }
 
-  // Takes a report, and returns what it adds to the last one. The first report to a server that has
-  // taken the session over (`is_new_session` is false) adds nothing: another server has counted it.
-  BeatCounts OnReport(const BeatCounts& report, bool is_new_session) {
+  // Takes a report that was received at `received`, and returns what it adds to the last one. The
+  // first report to a server that has taken the session over (`is_new_session` is false) adds
+  // nothing: another server has counted it. Nullopt: more than can have happened in this time, as
+  // when a robot counts what it did in an earlier session; later reports are compared with this
+  // one.
+  std::optional<BeatCounts> OnReport(const BeatCounts& report, bool is_new_session,
+                                     absl::Duration received) {
     const BeatCounts before = report_.value_or(is_new_session ? BeatCounts() : report);
+    BeatCounts added = report.Since(before);
+    const absl::Duration gap = report_.has_value() ? received - reported_ + kAhead : kFirstGap;
+    for (double* seconds : {&added.longest_gap_seconds, &added.oldest_age_seconds}) {
+      if (*seconds > absl::ToDoubleSeconds(gap)) *seconds = 0.0;
+    }
+    if (!report_.has_value()) first_reported_ = received;
     report_ = report;
-    return report.Since(before);
+    reported_ = received;
+    const double most = absl::FDivDuration(received - first_reported_ + kAhead, least_period_);
+    if (static_cast<double>(counted_ + added.Largest()) > most) return std::nullopt;
+    counted_ += added.Largest();
+    return added;
   }
 
   // Returns the last report; absent: there was none.
@@ -129,6 +161,10 @@ class RobotLink {
   absl::Duration newest_;       // observation, of the robot's clock
   std::optional<Trial> trial_;  // absent: the last request was not late
   std::optional<BeatCounts> report_;
+  absl::Duration first_reported_;  // of the server's clock, as the next
+  absl::Duration reported_;
+  uint64_t counted_ = 0;  // the largest counts of all reports together
+  absl::Duration least_period_;
 };
 
 }  // namespace spikeserve

@@ -59,6 +59,8 @@ class SessionObserver {
   virtual void OnMissingRewards(int64_t /*rewards*/) {}
   // A robot reported what it did since its last report.
   virtual void OnReport(const BeatCounts& /*beats*/) {}
+  // A robot reported more than can have happened in the time. It counts nowhere else.
+  virtual void OnImplausible() {}
   // A request for a decision was refused or failed; the session is unchanged.
   virtual void OnError() {}
   // The policy computed an answer with NaN or infinity, which was not sent.

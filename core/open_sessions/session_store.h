@@ -54,7 +54,8 @@ struct SessionEntry {
         tenant(session.options.tenant),
         label_text(LabelText(session.options.labels)),
         period(PeriodOf(session.options.labels)),
-        agent(std::move(policy), std::move(session), clock) {}
+        agent(std::move(policy), std::move(session), clock),
+        robot(period) {}
 
   const std::shared_ptr<const ServedPolicy> served;
   const std::string tenant;      // owner of the session

@@ -1,7 +1,7 @@
 #include "server/agent/beat_requests.h"
 
 #include <algorithm>
-#include <cmath>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status_macros.h"
@@ -48,7 +48,37 @@ BeatHistory HistoryOf(const v1::ActRequest& request, const RequestBeats& beats) 
                             : std::nullopt};
 }
 
-double Finite(double value) { return std::isfinite(value) ? std::max(0.0, value) : 0.0; }
+// What no robot reports: a kilohertz for 30 years, and a gap of four months.
+constexpr uint64_t kMostBeats = 1'000'000'000'000;
+constexpr double kLongestGapSeconds = 1e7;
+
+absl::Status CheckReport(const v1::BeatReport& report) {
+  const std::pair<const char*, uint64_t> counts[] = {
+      {"fresh", report.fresh()},
+      {"held", report.held()},
+      {"local", report.local()},
+      {"safe", report.safe()},
+      {"late_answers", report.late_answers()},
+      {"cancelled_calls", report.cancelled_calls()},
+      {"reconnects", report.reconnects()},
+      {"invalid_observations", report.invalid_observations()}};
+  for (const auto& [name, count] : counts) {
+    if (count > kMostBeats) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("report.", name, ": expected at most ", kMostBeats, ", received ", count));
+    }
+  }
+  const std::pair<const char*, double> times[] = {
+      {"longest_gap_seconds", report.longest_gap_seconds()},
+      {"oldest_age_seconds", report.oldest_age_seconds()}};
+  for (const auto& [name, seconds] : times) {
+    if (!(seconds >= 0.0 && seconds <= kLongestGapSeconds)) {  // true for NaN
+      return absl::InvalidArgumentError(absl::StrCat("report.", name, ": expected 0 to ",
+                                                     kLongestGapSeconds, ", received ", seconds));
+    }
+  }
+  return absl::OkStatus();
+}
 
 // Notes the time and the report of a request. Returns the errors of the times.
 absl::Status TakeNews(const v1::ActRequest& request, absl::Duration received,
@@ -61,11 +91,19 @@ absl::Status TakeNews(const v1::ActRequest& request, absl::Duration received,
     return absl::InvalidArgumentError(
         absl::StrCat("observed_at: expected at least 0, received ", request.observed_at()));
   }
+  if (request.has_report()) {
+    RETURN_IF_ERROR(CheckReport(request.report()));
+  }
   if (request.has_observed_at()) {
     robot->OnRequest(received, absl::Nanoseconds(request.observed_at()));
   }
   if (request.has_report()) {
-    observer.OnReport(robot->OnReport(FromProto(request.report()), is_new_session));
+    const auto added = robot->OnReport(FromProto(request.report()), is_new_session, received);
+    if (added.has_value()) {
+      observer.OnReport(*added);
+    } else {
+      observer.OnImplausible();
+    }
   }
   return absl::OkStatus();
 }
@@ -165,8 +203,8 @@ BeatCounts FromProto(const v1::BeatReport& report) {
           .cancelled_calls = report.cancelled_calls(),
           .reconnects = report.reconnects(),
           .invalid_observations = report.invalid_observations(),
-          .longest_gap_seconds = Finite(report.longest_gap_seconds()),
-          .oldest_age_seconds = Finite(report.oldest_age_seconds())};
+          .longest_gap_seconds = report.longest_gap_seconds(),
+          .oldest_age_seconds = report.oldest_age_seconds()};
 }
 
 void ToProto(const BeatCounts& counts, v1::BeatReport* report) {

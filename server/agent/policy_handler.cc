@@ -63,9 +63,9 @@ absl::Status CheckLabels(const google::protobuf::Map<std::string, std::string>& 
 }
 
 absl::Status CheckPeriod(double seconds) {
-  if (seconds >= 0.0001 && seconds <= 3600.0) return absl::OkStatus();  // false for NaN
+  if (seconds >= 0.001 && seconds <= 3600.0) return absl::OkStatus();  // false for NaN
   return absl::InvalidArgumentError(
-      absl::StrCat("period_seconds: expected 0.0001 to 3600, received ", seconds));
+      absl::StrCat("period_seconds: expected 0.001 to 3600, received ", seconds));
 }
 
 absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& request,

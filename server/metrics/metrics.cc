@@ -114,11 +114,16 @@ Metrics::Metrics()  // #lizard forgives(length): a table
                            "Answers that held NaN or infinity and were not sent. Without a "
                            "version: those of calls that make no decision.")),
       episodes_(Register(BuildCounter(), "spikeserve_episodes_total", "Ended episodes.")),
+      implausible_(Register(BuildCounter(), "spikeserve_implausible_reports_total",
+                            "What agents report and cannot be true: more beats than fit into the "
+                            "time, and returns of episodes far beyond those of the policy. It "
+                            "counts nowhere else.")),
       episode_return_(Register(BuildHistogram(), "spikeserve_episode_return",
-                               "Return of each ended episode, in the environment's units.")),
+                               "Plausible return of each ended episode, in the environment's "
+                               "units.")),
       episode_return_mean_(
           Register(BuildGauge(), "spikeserve_episode_return_mean",
-                   "Mean return of the episodes that ended since the server started.")),
+                   "Mean plausible return of the episodes that ended since the server started.")),
       unusual_(Register(BuildCounter(), "spikeserve_unusual_observations_total",
                         "Elements of observations further than --unusual_deviations standard "
                         "deviations from the mean of the training data, by index in the "
@@ -158,7 +163,8 @@ Metrics::Metrics()  // #lizard forgives(length): a table
                       "executed: fresh (an answer in time), held (the last action again), local "
                       "(the engine on the robot) or safe.")),
       late_answers_(Register(BuildCounter(), "spikeserve_late_answers_total",
-                             "Answers that arrived after their beat was over, as robots report.")),
+                             "Answers that took longer than a period, as robots report. They may "
+                             "still have been fresh.")),
       cancelled_calls_(Register(BuildCounter(), "spikeserve_cancelled_calls_total",
                                 "Requests that robots gave up or that failed, as robots report.")),
       reconnects_(Register(BuildCounter(), "spikeserve_robot_reconnects_total",
@@ -252,7 +258,7 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   }
   const prometheus::Labels labels = of.labels;
   return std::make_shared<PolicyMetrics>(
-      key, loaded, EvidenceOf(name, version), policy.config,
+      key, loaded, EvidenceOf(name, version), policy.config, PlausibleReturns::Of(policy),
       UsualObservations::Of(policy, unusual_deviations),
       [this, key, of = std::move(of)] { return AddSessions(key, of); },
       [this, key, labels] { return AddRobots(key, labels); }, [this, key] { OnObserverEnd(key); });
@@ -294,6 +300,7 @@ PolicyMetrics::Handles Metrics::AddSessions(const std::string& version, const Po
   handles.sessions = add(sessions_);
   handles.errors = add(policy_errors_);
   handles.episodes = add(episodes_);
+  handles.implausible = add(implausible_);
   handles.episode_return = add(episode_return_, Returns());
   handles.episode_return_mean = add(episode_return_mean_);
   for (const std::string& element : of.elements) {

@@ -106,10 +106,11 @@ void PolicyMetrics::OnNonFinite() {
 void PolicyMetrics::OnEpisodeEnd(double episode_return) {
   const Handles& handles = series_.get();
   handles.episodes->Increment();
+  if (!plausible_.Contain(episode_return)) return OnImplausible();
   handles.episode_return->Observe(episode_return);
   absl::MutexLock lock(&mutex_);
-  ++episodes_;
-  return_mean_ += (episode_return - return_mean_) / static_cast<double>(episodes_);
+  ++returns_;
+  return_mean_ += (episode_return - return_mean_) / static_cast<double>(returns_);
   handles.episode_return_mean->Set(return_mean_);
 }
 
@@ -129,9 +130,11 @@ void PolicyMetrics::OnHeadUpdate(UpdateOutcome outcome) {
 void PolicyMetrics::OnLearned(const LearningSummary& summary) {
   const LearningHandles& handles = series_.get().learning[static_cast<size_t>(summary.scope)];
   handles.head_drift->Set(summary.head_drift);
-  handles.modulator_mean->Set(summary.returns.mean);
-  handles.modulator_std->Set(summary.returns.deviation());
-  handles.watched_return->Set(summary.watched_return);
+  // Agents choose the rewards.
+  handles.modulator_mean->Set(std::clamp(summary.returns.mean, plausible_.low, plausible_.high));
+  handles.modulator_std->Set(
+      std::min(summary.returns.deviation(), plausible_.high - plausible_.low));
+  handles.watched_return->Set(std::clamp(summary.watched_return, plausible_.low, plausible_.high));
   if (!summary.rolled_back) return;
   handles.rollbacks->Increment();
   LogWarning("action head rolled back", {{"policy", name_},

@@ -110,6 +110,7 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Gauge* sessions;
     prometheus::Counter* errors;
     prometheus::Counter* episodes;
+    prometheus::Counter* implausible;
     prometheus::Histogram* episode_return;
     prometheus::Gauge* episode_return_mean;
     // Element i of an observation of length n counts in series i * unusual.size() / n.
@@ -126,14 +127,16 @@ class PolicyMetrics final : public SessionObserver {
   // handles and `evidence` must outlive this object. Calls `make` when the first session opens,
   // `robots` for the first request of a robot on a real link, and `on_end` when it is destroyed.
   PolicyMetrics(std::string name, const LoadedHandles& loaded, VersionEvidence* evidence,
-                const ModelConfig& config, UsualObservations usual, std::function<Handles()> make,
-                std::function<RobotHandles()> robots, std::function<void()> on_end)
+                const ModelConfig& config, PlausibleReturns plausible, UsualObservations usual,
+                std::function<Handles()> make, std::function<RobotHandles()> robots,
+                std::function<void()> on_end)
       : name_(std::move(name)),
         loaded_(loaded),
         series_(std::move(make)),
         robots_(std::move(robots)),
         evidence_(*evidence),
         config_(config),
+        plausible_(plausible),
         usual_(std::move(usual)),
         on_end_(std::move(on_end)) {
     loaded_.info->Increment();
@@ -160,6 +163,7 @@ class PolicyMetrics final : public SessionObserver {
     robots_.get().missing_rewards->Increment(static_cast<double>(rewards));
   }
   void OnReport(const BeatCounts& beats) override;
+  void OnImplausible() override { series_.get().implausible->Increment(); }
   void OnNonFinite() override;
   void OnEpisodeEnd(double episode_return) override;
   void OnHeadUpdate(UpdateOutcome outcome) override;
@@ -175,10 +179,11 @@ class PolicyMetrics final : public SessionObserver {
   MadeOnce<RobotHandles> robots_;
   VersionEvidence& evidence_;
   const ModelConfig config_;
+  const PlausibleReturns plausible_;
   const UsualObservations usual_;
   const std::function<void()> on_end_;
   absl::Mutex mutex_;
-  int64_t episodes_ ABSL_GUARDED_BY(mutex_) = 0;
+  int64_t returns_ ABSL_GUARDED_BY(mutex_) = 0;  // that are plausible
   double return_mean_ ABSL_GUARDED_BY(mutex_) = 0.0;
 };
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <numeric>
 #include <random>
@@ -82,6 +83,7 @@ PlausibleReturns PlausibleReturns::Of(const Policy& policy) {
   const auto middle = static_cast<double>(policy.return_offset);
   const double target = std::abs(static_cast<double>(policy.target_return) - middle);
   const double reach = kPlausible * std::max(static_cast<double>(policy.return_scale), target);
+  if (reach == 0.0) return {};  // a policy that knows no range
   return {.low = middle - reach, .high = middle + reach};
 }
 

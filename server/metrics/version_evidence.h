@@ -11,6 +11,7 @@
 
 #include <array>
 #include <atomic>
+#include <cmath>
 #include <cstdint>
 #include <limits>
 #include <map>
@@ -55,7 +56,7 @@ struct PlausibleReturns {
   // return_offset and return_scale, or target_return if that lies further away.
   static PlausibleReturns Of(const Policy& policy);
   bool Contain(double episode_return) const {
-    return episode_return >= low && episode_return <= high;
+    return std::isfinite(episode_return) && episode_return >= low && episode_return <= high;
   }
 };
 

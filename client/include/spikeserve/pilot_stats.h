@@ -27,7 +27,7 @@ struct PilotStats {
   BySource by_source = {};       // beats, by ActionSource
   BySource entries = {};         // how often each rung was entered, by ActionSource
   uint64_t stale = 0;            // answers that came too late, and were not executed
-  uint64_t late_answers = 0;     // answers that came after their beat was over
+  uint64_t late_answers = 0;     // answers that took longer than a period; they may be fresh still
   uint64_t cancelled_calls = 0;  // requests that failed, or were given up with their stream
   uint64_t reconnects = 0;       // streams that were opened in the place of another one
   uint64_t reopened = 0;         // sessions that were opened in the place of a lost one

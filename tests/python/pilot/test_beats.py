@@ -336,7 +336,56 @@ def test_the_server_sees_its_robots():
         assert session["silent"] and session["beats"]["held"] == str(report["held"])
 
 
-@pytest.mark.parametrize("period", [0.0, -1.0, float("nan"), 3601.0])
+COUNTS = ("fresh", "held", "local", "safe", "late_answers", "cancelled_calls", "reconnects", "invalid_observations")
+TIMES = ("longest_gap_seconds", "oldest_age_seconds")
+ABSURD = [
+    *((name, 2**64 - 1, "at most 1000000000000") for name in COUNTS),
+    *((name, value, "0 to 1e\\+07") for name in TIMES for value in (1e308, float("inf"), float("nan"), -1.0)),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "expected"), ABSURD, ids=lambda value: str(value))
+def test_a_report_that_no_robot_makes_is_refused(service, name, value, expected):
+    robot = Robot(service, **KINDS["greedy"])
+    robot.is_refused(robot.request(report={name: value}), f"report.{name}: expected {expected}, received ")
+
+
+def test_what_a_robot_reports_fits_into_the_time():
+    """A robot that lies counts for no more than one that plays at twice its rate."""
+    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        service = Service(channel, POLICY)
+        liar = Robot(service, policy="pendulum", period_seconds=0.02)
+        liar.act(report={"fresh": 10**12, "longest_gap_seconds": 1e7, "oldest_age_seconds": 1e7})
+        for i in range(20):
+            liar.act(report={"safe": i * 10**9, "fresh": 10**12 - i})
+        honest = Robot(service, policy="pendulum", period_seconds=0.02, session_id="b" * 32)
+        for i in range(1, 5):
+            honest.act(report={"safe": 100 * i, "longest_gap_seconds": 0.5})
+
+        def beats(source):
+            return metric(addresses, "spikeserve_beats_total", policy="pendulum", source=source)
+
+        assert beats("safe") == 400
+        assert beats("fresh") == 0
+        assert metric(addresses, "spikeserve_implausible_reports_total", policy="pendulum") == 20
+        assert metric(addresses, "spikeserve_fresh_gap_seconds_sum") == 2.0
+        assert metric(addresses, "spikeserve_action_age_seconds_count") == 0
+
+
+def test_a_return_that_the_policy_cannot_have_is_no_part_of_its_mean():
+    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
+        service = Service(channel, POLICY)
+        session = service.OpenSession(policy="cartpole").session_id
+        for reward in (-3e38, 100.0, 3e38, 300.0, 1e6):
+            service.Act(session_id=session, observation=[0.0] * 4)
+            service.EndEpisode(session_id=session, reward=reward, terminated=True)
+        assert metric(addresses, "spikeserve_episodes_total", policy="cartpole") == 5
+        assert metric(addresses, "spikeserve_episode_return_mean", policy="cartpole") == 200
+        assert metric(addresses, "spikeserve_episode_return_sum", policy="cartpole") == 400
+        assert metric(addresses, "spikeserve_implausible_reports_total", policy="cartpole") == 3
+
+
+@pytest.mark.parametrize("period", [0.0, -1.0, float("nan"), 0.0001, 3601.0])
 def test_a_period_is_checked(service, period):
-    with pytest.raises(grpc.RpcError, match="period_seconds: expected 0.0001 to 3600, received"):
+    with pytest.raises(grpc.RpcError, match="period_seconds: expected 0.001 to 3600, received"):
         service.OpenSession(policy="cartpole", period_seconds=period)

@@ -173,7 +173,7 @@ def test_an_engine_that_cannot_play_is_an_error_at_the_begin():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"period": 0}, "period: expected 100us to 1h, received 0"),
+        ({"period": 0}, "period: expected 1ms to 1h, received 0"),
         ({"budget": 1}, r"budget: expected 0 to period \(10ms\), received 1s"),
         ({"max_age": 0}, "max_age: expected more than 0, received 0"),
         ({"hold_beats": -1}, "hold_beats: expected at least 0, received -1"),

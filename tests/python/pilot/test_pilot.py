@@ -474,7 +474,7 @@ def test_the_server_must_be_there_when_a_pilot_is_made():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"period": 0}, "period: expected 0.0001 to 3600 s, received 0"),
+        ({"period": 0}, "period: expected 0.001 to 3600 s, received 0"),
         ({"budget": 1}, r"budget: expected 0 to period \(0.01\), received 1"),
         ({"max_age": 0}, "max_age: expected more than 0, received 0"),
         ({"hold_beats": -1}, "hold_beats: expected at least 0, received -1"),

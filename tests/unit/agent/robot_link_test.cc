@@ -56,14 +56,43 @@ TEST(RobotLinkTest, AQueueThatEmptiesIsNoClockThatStoodStill) {
 }
 
 TEST(RobotLinkTest, AReportCountsWhatItAdds) {
+  const absl::Duration now = absl::Seconds(100);
   RobotLink link;
-  EXPECT_EQ(link.OnReport({.fresh = 5, .held = 1}, /*is_new_session=*/true).fresh, 5u);
-  EXPECT_EQ(link.OnReport({.fresh = 5, .held = 1}, true).fresh, 0u);
-  EXPECT_EQ(link.OnReport({.fresh = 9, .held = 3}, true).held, 2u);
-  EXPECT_EQ(link.OnReport({.fresh = 7, .held = 3}, true).fresh, 0u);
+  EXPECT_EQ(link.OnReport({.fresh = 5, .held = 1}, /*is_new_session=*/true, now)->fresh, 5u);
+  EXPECT_EQ(link.OnReport({.fresh = 5, .held = 1}, true, now)->fresh, 0u);
+  EXPECT_EQ(link.OnReport({.fresh = 9, .held = 3}, true, now)->held, 2u);
+  EXPECT_EQ(link.OnReport({.fresh = 7, .held = 3}, true, now)->fresh, 0u);
   RobotLink taken_over;
-  EXPECT_EQ(taken_over.OnReport({.fresh = 9}, /*is_new_session=*/false).fresh, 0u);
-  EXPECT_EQ(taken_over.OnReport({.fresh = 12}, false).fresh, 3u);
+  EXPECT_EQ(taken_over.OnReport({.fresh = 9}, /*is_new_session=*/false, now)->fresh, 0u);
+  EXPECT_EQ(taken_over.OnReport({.fresh = 12}, false, now)->fresh, 3u);
+}
+
+// At 50 Hz, 10 s are 1,000 beats at twice the rate.
+TEST(RobotLinkTest, AReportOfMoreThanTheTimeAllowsCountsNothing) {
+  const absl::Duration start = absl::Seconds(100);
+  RobotLink link(absl::Milliseconds(20));
+  EXPECT_FALSE(link.OnReport({.fresh = 1001}, true, start).has_value());
+  EXPECT_EQ(
+      link.OnReport({.fresh = 1051, .longest_gap_seconds = 12.0}, true, start + absl::Seconds(1))
+          ->fresh,
+      50u);
+  // Many reports do not add up to more.
+  uint64_t fresh = 1051;
+  uint64_t counted = 0;
+  for (int i = 0; i < 100; ++i) {
+    const auto added = link.OnReport({.fresh = fresh += 100}, true, start + absl::Seconds(2));
+    if (added.has_value()) counted += added->fresh;
+  }
+  EXPECT_EQ(counted, 1100u);
+  // A link that was cut for a minute brings its beats at once, and the gap.
+  const auto late =
+      link.OnReport({.local = 3000, .longest_gap_seconds = 60.0}, true, start + absl::Seconds(62));
+  EXPECT_EQ(late->local, 3000u);
+  EXPECT_EQ(late->longest_gap_seconds, 60.0);
+  EXPECT_EQ(
+      link.OnReport({.local = 3000, .longest_gap_seconds = 60.0}, true, start + absl::Seconds(63))
+          ->longest_gap_seconds,
+      0.0);
 }
 
 }  // namespace

@@ -53,7 +53,7 @@ class PilotOptions:
     close_timeout: float = 5.0  # seconds for the ends of episodes that the server does not have yet
 
     def __post_init__(self) -> None:
-        check(0.0001 <= self.period <= 3600, "period", "0.0001 to 3600 s", self.period)
+        check(0.001 <= self.period <= 3600, "period", "0.001 to 3600 s", self.period)
         budget = self.period if self.budget is None else self.budget
         check(0 <= budget <= self.period, "budget", f"0 to period ({self.period})", self.budget)
         check(self.max_age is None or self.max_age > 0, "max_age", "more than 0", self.max_age)

@@ -24,7 +24,7 @@ class PilotStats:
     safe: int = 0
     entries: dict[str, int] | None = None  # how often each rung was entered
     stale: int = 0  # answers that came too late, and were not executed
-    late_answers: int = 0  # answers that came after their beat was over
+    late_answers: int = 0  # answers that took longer than a period; they may be fresh still
     cancelled_calls: int = 0  # requests that failed, or were given up with their stream
     reconnects: int = 0  # streams that were opened in the place of another one
     reopened: int = 0  # sessions that were opened in the place of a lost one
