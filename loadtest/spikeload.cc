@@ -5,7 +5,6 @@
 #include <utility>
 
 #include "absl/status/status.h"
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
@@ -23,19 +22,6 @@ struct LoadFlags {
   bool json = false;
 };
 
-// Parses a duration. A number without a unit is in seconds.
-absl::Status ParseSeconds(const std::string& text, absl::Duration* duration) {
-  double seconds = 0.0;
-  if (absl::SimpleAtod(text, &seconds)) {
-    *duration = absl::Seconds(seconds);
-    return absl::OkStatus();
-  }
-  if (absl::ParseDuration(text, duration)) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      "expected seconds, or a number with a unit such as 500ms, 60s or 2m, received \"", text,
-      "\""));
-}
-
 template <typename T>
 absl::Status Store(const absl::StatusOr<T>& parsed, T* value) {
   if (parsed.ok()) *value = *parsed;
@@ -50,10 +36,7 @@ void AddLoadFlags(FlagGroup load, LoadOptions* options) {
       .Add("sessions", "N", &options->sessions, "Open sessions")
       .Add("streams", "N", &options->streams,
            "Callers, each with a connection, that share the sessions")
-      .AddParsed(
-          "duration", "DURATION", absl::FormatDuration(options->duration),
-          [=](const std::string& text) { return ParseSeconds(text, &options->duration); },
-          "Duration of the test; without a unit: seconds")
+      .Add("duration", "DURATION", &options->duration, "Duration of the test")
       .Add("rate", "N", &options->rate, "Requests a second on a fixed schedule; 0: closed loop")
       .Add("batch_size", "N", &options->batch_size,
            "Largest number of requests in a batch; 0: all of a caller")

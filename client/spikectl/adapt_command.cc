@@ -1,3 +1,5 @@
+#include <unistd.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -124,11 +126,14 @@ absl::Status RunAdaptation(const AdaptFlags& flags, const ServerFlags& server) {
   RETURN_IF_ERROR(CheckSpacesMatch(policy, **environment));
   options.policy = std::move(policy);
   const bool as_text = !server.json;
+  const bool on_terminal = isatty(STDERR_FILENO) == 1;
   bool in_line = false;
   const auto result = Adapt(*client, options, [&](int e, double episode_return) {
-    // Not through std::cerr, which escapes a carriage return.
-    if (as_text) std::fprintf(stderr, "\repisode %d: %.1f   ", e, episode_return);
-    in_line = as_text;
+    if (!as_text) return;
+    // In a file, lines. Not through std::cerr, which escapes a carriage return.
+    std::fprintf(stderr, on_terminal ? "\repisode %d: %.1f   " : "episode %d: %.1f\n", e,
+                 episode_return);
+    in_line = on_terminal;
   });
   if (in_line) std::cerr << "\n";
   if (!result.ok()) return result.status();

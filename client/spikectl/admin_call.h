@@ -1,19 +1,18 @@
 // Functions that the actions of `spikectl admin` share. Every action makes one call of PolicyAdmin
-// with the values of its flags, and prints one line or one JSON object.
+// with the values of its flags, and returns the answer of one server.
 #ifndef CLIENT_SPIKECTL_ADMIN_CALL_H_
 #define CLIENT_SPIKECTL_ADMIN_CALL_H_
 
 #include <grpcpp/client_context.h>
 
 #include <cstdint>
-#include <iostream>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "client/spikectl/every_server.h"
 #include "client/spikectl/server_flags.h"
-#include "nlohmann/json.hpp"
 #include "spikeserve/admin_client.h"
 #include "spikeserve/v1/policy_admin.grpc.pb.h"
 
@@ -26,19 +25,20 @@ struct AdminFlags {
   const ServerFlags* server = nullptr;
   std::string policy;
   int64_t version = 0;
-  std::string tenant;                       // whose head; empty: the caller's tenant
-  std::string label;                        // a label of a version, such as stable
-  std::vector<std::string> shares;          // VERSION:PERCENT: shares of the new sessions
-  std::optional<int64_t> shadow;            // the version that shadows the others; 0: none
-  bool make_default = false;                // also makes a loaded version the default
-  std::vector<std::string> steps;           // percentages of a roll-out
-  absl::Duration hold = absl::Minutes(10);  // time that each step is held
-  int64_t min_episodes = 20;                // of the new version in each step
-  std::vector<std::string> abort_if;        // MEASURE:PERCENT%: what ends a roll-out
-  bool abort = false;                       // ends the running roll-out
-  int32_t limit = 20;                       // entries of the history
-  bool cancel = false;                      // ends draining: the version accepts new sessions again
-  bool weights = false;                     // also prints the weights of the head
+  std::string tenant;               // whose head; empty: the caller's tenant
+  std::string label;                // a label of a version, such as stable
+  std::vector<std::string> shares;  // VERSION:PERCENT: shares of the new sessions
+  std::optional<int64_t> shadow;    // the version that shadows the others; 0: none
+  bool make_default = false;        // also makes a loaded version the default
+  std::vector<std::string> steps = {"1", "10", "50", "100"};  // percentages of a roll-out
+  absl::Duration hold = absl::Minutes(10);                    // time that each step is held
+  int64_t min_episodes = 20;                                  // of the new version in each step
+  // MEASURE:PERCENT%: what ends a roll-out. Sent in full, so that the history has them.
+  std::vector<std::string> abort_if = {"return:0%", "errors:1%", "p99:25%"};
+  bool abort = false;    // ends the running roll-out
+  int32_t limit = 20;    // entries of the history
+  bool cancel = false;   // ends draining: the version accepts new sessions again
+  bool weights = false;  // also prints the weights of the head
 };
 
 template <typename Request, typename Response>
@@ -66,12 +66,6 @@ Request HeadRequest(const AdminFlags& flags) {
   auto request = VersionRequest<Request>(flags);
   request.set_tenant(flags.tenant);
   return request;
-}
-
-// Prints `text`, or `json` if --json is set.
-inline void Print(const AdminFlags& flags, const std::string& text,
-                  const nlohmann::ordered_json& json) {
-  std::cout << (flags.server->json ? json.dump(2) : text) << "\n";
 }
 
 }  // namespace spikeserve

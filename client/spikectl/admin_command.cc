@@ -1,5 +1,7 @@
 #include <cstdint>
+#include <iostream>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -29,64 +31,59 @@ ordered_json NamedJson(const AdminFlags& flags) {
   return {{"policy", flags.policy}, {"version", flags.version}};
 }
 
-// Prints what a call did, and the whole traffic of the policy before and after it.
-void PrintTraffic(const AdminFlags& flags, const std::string& text, ordered_json json,
-                  const v1::TrafficChange& traffic) {
+// Returns what a call did, and the whole traffic of the policy before and after it.
+Answer TrafficAnswer(const std::string& text, ordered_json json, const v1::TrafficChange& traffic) {
   AddTraffic(traffic, &json);
-  Print(flags, absl::StrCat(text, ToText(traffic)), json);
+  return {absl::StrCat(text, ToText(traffic)), std::move(json), traffic.shared()};
 }
 
-absl::Status Load(const AdminFlags& flags) {
+absl::StatusOr<Answer> Load(const AdminFlags& flags) {
   auto request = VersionRequest<v1::LoadPolicyRequest>(flags);
   request.set_make_default(flags.make_default);
   ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::LoadPolicy, request));
   ordered_json json = NamedJson(flags);
   json["is_default"] = response.policy().is_default();
   AddTraffic(response.traffic(), &json);
-  Print(flags,
-        absl::StrCat("loaded ", Named(flags), response.policy().is_default() ? ", the default" : "",
-                     ToText(response.traffic())),
-        json);
-  return absl::OkStatus();
+  return Answer{
+      absl::StrCat("loaded ", Named(flags), response.policy().is_default() ? ", the default" : "",
+                   ToText(response.traffic())),
+      json};
 }
 
-absl::Status Unload(const AdminFlags& flags) {
+absl::StatusOr<Answer> Unload(const AdminFlags& flags) {
   ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::UnloadPolicy,
                                                   VersionRequest<v1::UnloadPolicyRequest>(flags)));
-  PrintTraffic(flags, absl::StrCat("unloaded ", Named(flags)), NamedJson(flags),
-               response.traffic());
-  return absl::OkStatus();
+  return TrafficAnswer(absl::StrCat("unloaded ", Named(flags)), NamedJson(flags),
+                       response.traffic());
 }
 
-absl::Status Default(const AdminFlags& flags) {
+absl::StatusOr<Answer> Default(const AdminFlags& flags) {
   ASSIGN_OR_RETURN(const auto response,
                    CallAdmin(flags, &AdminStub::SetDefaultVersion,
                              VersionRequest<v1::SetDefaultVersionRequest>(flags)));
   const std::string& policy = flags.policy;
-  PrintTraffic(flags, absl::StrCat("the default of ", policy, " is version ", response.version()),
-               {{"policy", policy}, {"version", response.version()}}, response.traffic());
-  return absl::OkStatus();
+  return TrafficAnswer(absl::StrCat("the default of ", policy, " is version ", response.version()),
+                       {{"policy", policy}, {"version", response.version()}}, response.traffic());
 }
 
-absl::Status Label(const AdminFlags& flags) {
+absl::StatusOr<Answer> Label(const AdminFlags& flags) {
   auto request = VersionRequest<v1::SetLabelRequest>(flags);
   request.set_label(flags.label);
   ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::SetLabel, request));
   ordered_json json = NamedJson(flags);
   json["label"] = request.label();
-  PrintTraffic(flags, absl::StrCat(request.label(), " is ", Named(flags)), std::move(json),
-               response.traffic());
-  return absl::OkStatus();
+  return TrafficAnswer(absl::StrCat(request.label(), " is ", Named(flags)), std::move(json),
+                       response.traffic());
 }
 
-absl::Status Unlabel(const AdminFlags& flags) {
+absl::StatusOr<Answer> Unlabel(const AdminFlags& flags) {
   v1::RemoveLabelRequest request;
   request.set_policy(flags.policy);
   request.set_label(flags.label);
   ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::RemoveLabel, request));
-  PrintTraffic(flags, absl::StrCat("removed ", request.label(), " of ", request.policy()),
-               {{"policy", request.policy()}, {"label", request.label()}}, response.traffic());
-  return absl::OkStatus();
+  return TrafficAnswer(absl::StrCat("removed ", request.label(), " of ", request.policy()),
+                       {{"policy", request.policy()}, {"label", request.label()}},
+                       response.traffic());
 }
 
 // VERSION:PERCENT.
@@ -116,25 +113,24 @@ absl::StatusOr<std::vector<v1::TrafficShare>> ParseShares(const std::vector<std:
   return shares;
 }
 
-// Prints the change of the shares or the shadow that `response` reports.
+// Describes the change of the shares or the shadow that `response` reports.
 template <typename Response>
-absl::Status PrintTrafficResponse(const AdminFlags& flags,
-                                  const absl::StatusOr<Response>& response) {
+absl::StatusOr<Answer> DescribeTraffic(const AdminFlags& flags,
+                                       const absl::StatusOr<Response>& response) {
   if (!response.ok()) return response.status();
   const v1::Traffic& after = response->traffic().after();
   ordered_json shares = ordered_json::array();
   for (const v1::TrafficShare& share : after.shares()) {
     shares.push_back({{"version", share.version()}, {"percent", share.percent()}});
   }
-  PrintTraffic(
-      flags, absl::StrCat("traffic of ", flags.policy),
+  return TrafficAnswer(
+      absl::StrCat("traffic of ", flags.policy),
       {{"policy", flags.policy}, {"shares", shares}, {"shadow_version", after.shadow_version()}},
       response->traffic());
-  return absl::OkStatus();
 }
 
 // Changes only what a flag names.
-absl::Status Traffic(const AdminFlags& flags) {
+absl::StatusOr<Answer> Traffic(const AdminFlags& flags) {
   if (flags.shares.empty() && !flags.shadow.has_value()) {
     return absl::InvalidArgumentError(
         "--shares: expected shares, none, or --shadow instead, received neither; --shares=none "
@@ -152,15 +148,15 @@ absl::Status Traffic(const AdminFlags& flags) {
     return request;
   };
   if (flags.shares.empty()) {
-    return PrintTrafficResponse(
-        flags, CallAdmin(flags, &AdminStub::SetShadow, fill(v1::SetShadowRequest())));
+    return DescribeTraffic(flags,
+                           CallAdmin(flags, &AdminStub::SetShadow, fill(v1::SetShadowRequest())));
   }
   if (!flags.shadow.has_value()) {
-    return PrintTrafficResponse(
+    return DescribeTraffic(
         flags, CallAdmin(flags, &AdminStub::SetTrafficShares, fill(v1::SetTrafficSharesRequest())));
   }
-  return PrintTrafficResponse(
-      flags, CallAdmin(flags, &AdminStub::SetTraffic, fill(v1::SetTrafficRequest())));
+  return DescribeTraffic(flags,
+                         CallAdmin(flags, &AdminStub::SetTraffic, fill(v1::SetTrafficRequest())));
 }
 
 template <typename List>
@@ -172,7 +168,7 @@ ordered_json VersionsToJson(const List& versions) {
   return json;
 }
 
-absl::Status Reload(const AdminFlags& flags) {
+absl::StatusOr<Answer> Reload(const AdminFlags& flags) {
   ASSIGN_OR_RETURN(const auto response,
                    CallAdmin(flags, &AdminStub::ReloadPolicies, v1::ReloadPoliciesRequest()));
   std::string text =
@@ -183,12 +179,11 @@ absl::Status Reload(const AdminFlags& flags) {
   for (const std::string& setting : response.waiting()) {
     absl::StrAppend(&text, "\nwaiting: ", setting);
   }
-  Print(flags, text,
-        {{"loaded", VersionsToJson(response.loaded())},
-         {"unloaded", VersionsToJson(response.unloaded())},
-         {"refused", response.refused()},
-         {"waiting", response.waiting()}});
-  return absl::OkStatus();
+  return Answer{text,
+                {{"loaded", VersionsToJson(response.loaded())},
+                 {"unloaded", VersionsToJson(response.unloaded())},
+                 {"refused", response.refused()},
+                 {"waiting", response.waiting()}}};
 }
 
 ordered_json ToJson(const v1::SessionInfo& session) {
@@ -212,12 +207,14 @@ ordered_json ToJson(const v1::SessionInfo& session) {
 constexpr int kPageSize = 1000;  // sessions
 constexpr int kMostPages = 1000;
 
-absl::Status Sessions(const AdminFlags& flags) {
+absl::StatusOr<Answer> Sessions(const AdminFlags& flags) {
   auto request = VersionRequest<v1::ListSessionsRequest>(flags);
   std::string text = absl::StrFormat("%-32s %-17s %-9s %7s %6s %9s %7s %-6s", "SESSION", "POLICY",
                                      "TENANT", "EPISODE", "STEP", "DECISIONS", "IDLE_S", "STORED");
   ordered_json sessions = ordered_json::array();
   std::string replica;
+  int64_t open = 0;  // of those in the store
+  std::optional<int64_t> stored;
   int pages = 0;
   request.set_page_size(kPageSize);
   do {
@@ -231,6 +228,8 @@ absl::Status Sessions(const AdminFlags& flags) {
           v1::Durability_Name(session.durability()));
     }
     replica = page.replica();
+    open = page.open_stored_sessions();
+    if (page.has_stored_sessions()) stored = page.stored_sessions();
     const bool goes_on = !page.next_page_token().empty();
     if (goes_on && (page.sessions().empty() || ++pages == kMostPages)) {
       return absl::DataLossError(absl::StrCat(
@@ -239,19 +238,26 @@ absl::Status Sessions(const AdminFlags& flags) {
     }
     request.set_page_token(page.next_page_token());
   } while (!request.page_token().empty());
-  Print(flags, text, {{"sessions", sessions}, {"replica", replica}});
-  return absl::OkStatus();
+  ordered_json json = {{"sessions", sessions}, {"replica", replica}};
+  if (stored.has_value()) json["stored_sessions"] = *stored;
+  if (stored.has_value() && *stored > open) {
+    absl::StrAppend(&text, "\n", *stored - open,
+                    " more in the session store; each is open again with its next request");
+  } else if (!stored.has_value() && !replica.empty()) {
+    absl::StrAppend(&text,
+                    "\nSessions that no request has reached since their server ended are in "
+                    "the session store alone: spikectl store check counts them.");
+  }
+  return Answer{text, std::move(json)};
 }
 
-absl::Status Drain(const AdminFlags& flags) {
+absl::StatusOr<Answer> Drain(const AdminFlags& flags) {
   v1::DrainRequest request;
   request.set_cancel(flags.cancel);
   ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::Drain, request));
-  Print(flags,
-        absl::StrCat(request.cancel() ? "serving" : "draining",
-                     ", open sessions: ", response.open_sessions()),
-        {{"draining", !request.cancel()}, {"open_sessions", response.open_sessions()}});
-  return absl::OkStatus();
+  return Answer{absl::StrCat(request.cancel() ? "serving" : "draining",
+                             ", open sessions: ", response.open_sessions()),
+                {{"draining", !request.cancel()}, {"open_sessions", response.open_sessions()}}};
 }
 
 void AddPolicy(FlagGroup& group, AdminFlags* flags) {
@@ -316,14 +322,12 @@ void AddPromote(FlagGroup& group, AdminFlags* flags) {
 
 void AddRollout(FlagGroup& group, AdminFlags* flags) {
   AddVersion(group, flags);
-  group
-      .AddList("steps", "PERCENT,...", &flags->steps,
-               "Shares of the new version; default: 1,10,50,100")
+  group.AddList("steps", "PERCENT,...", &flags->steps, "Shares of the new version")
       .Add("hold", "DURATION", &flags->hold, "Time that each step is held")
       .Add("min_episodes", "N", &flags->min_episodes,
            "Episodes of the new version in each step, at least")
       .AddList("abort_if", "MEASURE:MARGIN%,...", &flags->abort_if,
-               "Worse by more; default: return:0%,errors:1%,p99:25%")
+               "What ends the roll-out, if worse by more")
       .AddSwitch("abort", &flags->abort, "End the running roll-out");
 }
 
@@ -351,7 +355,7 @@ struct AdminAction {
   const char* summary;
   bool needs_policy;
   void (*add_flags)(FlagGroup& group, AdminFlags* flags);  // null for none
-  absl::Status (*run)(const AdminFlags& flags);
+  absl::StatusOr<Answer> (*run)(const AdminFlags& flags);
 };
 
 constexpr AdminAction kActions[] = {
@@ -368,30 +372,66 @@ constexpr AdminAction kActions[] = {
     {"sessions", "Lists open sessions", false, AddVersionFilter, Sessions},
     {"drain", "Refuses new sessions", false, AddCancel, Drain},
     {"head", "Shows the learned head of a fleet", true, AddHead, ShowHead},
-    {"promote", "Writes and loads a version with the learned head", true, AddPromote, PromoteHead},
-    {"rollback", "Returns to the policy's own head", true, AddHeadVersion, RollbackHead},
-    {"pause", "Pauses learning", false, AddFilter, PauseLearning},
-    {"resume", "Resumes learning", false, AddFilter, ResumeLearning},
+    {"promote_head", "Writes and loads a version with the learned head", true, AddPromote,
+     PromoteHead},
+    {"reset_head", "Forgets what a fleet has learned: the version's own head again", true,
+     AddHeadVersion, RollbackHead},
+    {"pause_learning", "Pauses learning", false, AddFilter, PauseLearning},
+    {"resume_learning", "Resumes learning", false, AddFilter, ResumeLearning},
+};
+
+// Names of earlier releases.
+struct OldName {
+  const char* name;
+  const char* action;
+  const char* hint;
+};
+
+constexpr OldName kOldNames[] = {
+    {"rollback", "reset_head", "; to return to an earlier version: admin default --version=N"},
+    {"promote", "promote_head", ""},
+    {"pause", "pause_learning", ""},
+    {"resume", "resume_learning", ""},
 };
 
 absl::Status RunAction(const AdminAction& action, const AdminFlags& flags) {
   if (action.needs_policy && flags.policy.empty()) {
     return absl::InvalidArgumentError("--policy: expected a name, received none");
   }
-  return action.run(flags);
+  return OnEveryServer(*flags.server, [&](const ServerFlags& server) {
+    AdminFlags of_server = flags;
+    of_server.server = &server;
+    return action.run(of_server);
+  });
+}
+
+// Adds the command `name`, which prints `note` on standard error and runs `action`.
+Command AddAction(Command admin, const AdminAction& action, const char* name,
+                  const std::string& note, const ServerFlags& server) {
+  const Command command = admin.AddCommand(name, action.summary);
+  const auto flags = std::make_shared<AdminFlags>();
+  flags->server = &server;
+  FlagGroup group = command.Flags("Action");
+  if (action.add_flags != nullptr) action.add_flags(group, flags.get());
+  command.SetAction([&action, note, flags] {
+    std::cerr << note;
+    return RunAction(action, *flags);
+  });
+  return command;
 }
 
 }  // namespace
 
 void AddAdminCommands(Command program, const ServerFlags& server) {
-  const Command admin = program.AddCommand("admin", "Administers the server");
+  const Command admin = program.AddCommand("admin", "Administers the server, or each of several");
   for (const AdminAction& action : kActions) {
-    const Command command = admin.AddCommand(action.name, action.summary);
-    const auto flags = std::make_shared<AdminFlags>();
-    flags->server = &server;
-    FlagGroup group = command.Flags("Action");
-    if (action.add_flags != nullptr) action.add_flags(group, flags.get());
-    command.SetAction([&action, flags] { return RunAction(action, *flags); });
+    AddAction(admin, action, action.name, "", server);
+    for (const OldName& old : kOldNames) {
+      if (absl::string_view(old.action) != action.name) continue;
+      const auto note = absl::StrCat("spikectl: admin ", old.name, " is called admin ", action.name,
+                                     " now", old.hint, "\n");
+      AddAction(admin, action, old.name, note, server).Hide();
+    }
   }
 }
 

@@ -52,9 +52,7 @@ absl::StatusOr<OpenedSession> OpenAgentSession(const AgentFlags& flags,
   RETURN_IF_ERROR(CheckSpacesMatch(*policy, environment));
 
   request.set_policy(policy->name());
-  // A label or a key leaves the choice of the version to the server.
-  const bool server_chooses = !session.version_label.empty() || !session.routing_key.empty();
-  request.set_version(server_chooses ? flags.policy.version : policy->version());
+  request.set_version(flags.policy.version);  // 0: the server chooses, so that shares apply
   request.set_seed(flags.seed);
   if (flags.target_return.has_value()) request.set_target_return(*flags.target_return);
   ASSIGN_OR_RETURN(auto opened, RemoteSession::Open(&client, std::move(request), reopens));

@@ -13,17 +13,16 @@ namespace {
 
 using nlohmann::ordered_json;
 
-void PrintPaused(const AdminFlags& flags, bool paused) {
+Answer Paused(const AdminFlags& flags, bool paused) {
   const std::string& policy = flags.policy;
-  Print(flags,
-        absl::StrCat(policy.empty() ? "every policy" : policy, ": learning ",
-                     paused ? "paused" : "resumed"),
-        {{"policy", policy}, {"paused", paused}});
+  return Answer{absl::StrCat(policy.empty() ? "every policy" : policy, ": learning ",
+                             paused ? "paused" : "resumed"),
+                {{"policy", policy}, {"paused", paused}}};
 }
 
 }  // namespace
 
-absl::Status ShowHead(const AdminFlags& flags) {
+absl::StatusOr<Answer> ShowHead(const AdminFlags& flags) {
   auto request = HeadRequest<v1::GetHeadRequest>(flags);
   request.set_include_weights(flags.weights);
   ASSIGN_OR_RETURN(const auto head, CallAdmin(flags, &AdminStub::GetHead, request));
@@ -42,54 +41,47 @@ absl::Status ShowHead(const AdminFlags& flags) {
     json["base"] = head.base();
     json["delta"] = head.delta();
   }
-  Print(flags,
-        absl::StrFormat("%s/%d: drift %.4g, %d updates, %d refused, %d rollbacks, %d fleet "
-                        "sessions%s",
-                        head.policy(), head.version(), head.drift(), head.updates(),
-                        head.rejected_updates(), head.rollbacks(), head.sessions(),
-                        head.paused() ? "; learning is paused" : ""),
-        json);
-  return absl::OkStatus();
+  return Answer{absl::StrFormat("%s/%d: drift %.4g, %d updates, %d refused, %d rollbacks, %d fleet "
+                                "sessions%s",
+                                head.policy(), head.version(), head.drift(), head.updates(),
+                                head.rejected_updates(), head.rollbacks(), head.sessions(),
+                                head.paused() ? "; learning is paused" : ""),
+                json};
 }
 
-absl::Status PromoteHead(const AdminFlags& flags) {
+absl::StatusOr<Answer> PromoteHead(const AdminFlags& flags) {
   auto request = HeadRequest<v1::PromoteHeadRequest>(flags);
   request.set_make_default(flags.make_default);
   ASSIGN_OR_RETURN(const auto promoted, CallAdmin(flags, &AdminStub::PromoteHead, request));
   ordered_json json = {
       {"policy", request.policy()}, {"version", promoted.version()}, {"path", promoted.path()}};
   AddTraffic(promoted.traffic(), &json);
-  Print(flags,
-        absl::StrCat("wrote and loaded ", request.policy(), "/", promoted.version(), ": ",
-                     promoted.path(), ToText(promoted.traffic())),
-        json);
-  return absl::OkStatus();
+  return Answer{absl::StrCat("wrote and loaded ", request.policy(), "/", promoted.version(), ": ",
+                             promoted.path(), ToText(promoted.traffic())),
+                json, promoted.traffic().shared()};
 }
 
-absl::Status RollbackHead(const AdminFlags& flags) {
+absl::StatusOr<Answer> RollbackHead(const AdminFlags& flags) {
   const auto request = HeadRequest<v1::RollbackHeadRequest>(flags);
   ASSIGN_OR_RETURN(const auto rolled_back, CallAdmin(flags, &AdminStub::RollbackHead, request));
-  Print(flags,
-        absl::StrFormat("%s: the policy's own head again; its drift was %.4g", request.policy(),
-                        rolled_back.drift()),
-        {{"policy", request.policy()}, {"drift", rolled_back.drift()}});
-  return absl::OkStatus();
+  return Answer{absl::StrFormat("%s: the policy's own head again; its drift was %.4g",
+                                request.policy(), rolled_back.drift()),
+                {{"policy", request.policy()}, {"drift", rolled_back.drift()}},
+                rolled_back.shared()};
 }
 
-absl::Status PauseLearning(const AdminFlags& flags) {
+absl::StatusOr<Answer> PauseLearning(const AdminFlags& flags) {
   v1::PauseLearningRequest request;
   request.set_policy(flags.policy);
-  const auto paused = CallAdmin(flags, &AdminStub::PauseLearning, request);
-  if (paused.ok()) PrintPaused(flags, true);
-  return paused.status();
+  RETURN_IF_ERROR(CallAdmin(flags, &AdminStub::PauseLearning, request).status());
+  return Paused(flags, true);
 }
 
-absl::Status ResumeLearning(const AdminFlags& flags) {
+absl::StatusOr<Answer> ResumeLearning(const AdminFlags& flags) {
   v1::ResumeLearningRequest request;
   request.set_policy(flags.policy);
-  const auto resumed = CallAdmin(flags, &AdminStub::ResumeLearning, request);
-  if (resumed.ok()) PrintPaused(flags, false);
-  return resumed.status();
+  RETURN_IF_ERROR(CallAdmin(flags, &AdminStub::ResumeLearning, request).status());
+  return Paused(flags, false);
 }
 
 }  // namespace spikeserve

@@ -8,11 +8,11 @@
 
 namespace spikeserve {
 
-absl::Status ShowHead(const AdminFlags& flags);
-absl::Status PromoteHead(const AdminFlags& flags);
-absl::Status RollbackHead(const AdminFlags& flags);
-absl::Status PauseLearning(const AdminFlags& flags);
-absl::Status ResumeLearning(const AdminFlags& flags);
+absl::StatusOr<Answer> ShowHead(const AdminFlags& flags);
+absl::StatusOr<Answer> PromoteHead(const AdminFlags& flags);
+absl::StatusOr<Answer> RollbackHead(const AdminFlags& flags);
+absl::StatusOr<Answer> PauseLearning(const AdminFlags& flags);
+absl::StatusOr<Answer> ResumeLearning(const AdminFlags& flags);
 
 }  // namespace spikeserve
 

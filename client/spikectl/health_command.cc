@@ -1,4 +1,3 @@
-#include <iostream>
 #include <string>
 
 #include "absl/strings/str_cat.h"
@@ -13,7 +12,7 @@ namespace {
 
 using grpc::health::v1::HealthCheckResponse;
 
-absl::Status CheckHealth(const ServerFlags& flags) {
+absl::StatusOr<Answer> CheckHealth(const ServerFlags& flags) {
   ASSIGN_OR_RETURN(const auto client, Connect(flags));
   HealthCheckResponse response;
   RETURN_IF_ERROR(client->CallOther(
@@ -25,15 +24,14 @@ absl::Status CheckHealth(const ServerFlags& flags) {
   if (response.status() != HealthCheckResponse::SERVING) {
     return absl::UnavailableError(absl::StrCat("health: expected SERVING, received ", state));
   }
-  std::cout << (flags.json ? nlohmann::ordered_json{{"health", state}}.dump(2) : state) << "\n";
-  return absl::OkStatus();
+  return Answer{state, {{"health", state}}};
 }
 
 }  // namespace
 
 void AddHealthCommand(Command program, const ServerFlags& server) {
-  program.AddCommand("health", "Fails unless the server answers and is ready for sessions")
-      .SetAction([&server] { return CheckHealth(server); });
+  program.AddCommand("health", "Fails unless every server answers and is ready for sessions")
+      .SetAction([&server] { return OnEveryServer(server, CheckHealth); });
 }
 
 }  // namespace spikeserve

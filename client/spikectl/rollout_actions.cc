@@ -74,32 +74,56 @@ std::string StateText(const v1::Rollout& rollout) {
 }
 
 std::string ToText(const v1::VersionEvidence& evidence) {
-  const std::string implausible =
-      evidence.implausible_episodes() == 0
-          ? ""
-          : absl::StrCat(" (and ", evidence.implausible_episodes(), " implausible ones)");
+  if (evidence.sessions() == 0) return "no sessions yet";
+  std::string text = absl::StrFormat("%d sessions (%d with errors)", evidence.sessions(),
+                                     evidence.failed_sessions());
+  if (evidence.episodes() == 0) {
+    absl::StrAppend(&text, ", no episode has ended");
+  } else {
+    absl::StrAppendFormat(&text, ", %d episodes of mean return %.4g", evidence.episodes(),
+                          evidence.mean_return());
+  }
+  if (evidence.implausible_episodes() > 0) {
+    absl::StrAppend(&text, " (and ", evidence.implausible_episodes(), " implausible ones)");
+  }
+  if (evidence.decisions() > 0) {
+    absl::StrAppendFormat(&text, ", p99 %.3g ms", 1e3 * evidence.p99_seconds());
+  }
+  return text;
+}
+
+std::string ToText(const v1::RolloutCondition& condition) {
   return absl::StrFormat(
-      "%d sessions (%d with errors), %d episodes of mean return %.4g%s, p99 %.3g ms",
-      evidence.sessions(), evidence.failed_sessions(), evidence.episodes(), evidence.mean_return(),
-      implausible, 1e3 * evidence.p99_seconds());
+      "%s:%g%%", WordOf(v1::RolloutCondition::Measure_Name(condition.measure()), "MEASURE_"),
+      100.0 * condition.margin());
 }
 
 std::string ToText(const v1::Rollout& rollout) {
   return absl::StrCat(rollout.policy(), "/", rollout.version(), ": ", StateText(rollout), " at ",
                       rollout.percent(), " % (steps ", absl::StrJoin(rollout.steps(), ","), "); ",
-                      rollout.reason(), "\n  version ", rollout.version(), ": ",
+                      rollout.reason(), "\n  ends if worse by: ",
+                      absl::StrJoin(rollout.abort_if(), ",",
+                                    [](std::string* out, const v1::RolloutCondition& condition) {
+                                      out->append(ToText(condition));
+                                    }),
+                      "\n  version ", rollout.version(), ": ",
                       ToText(rollout.new_version_evidence()), "\n  version ",
                       rollout.stable_version(), ": ", ToText(rollout.stable_version_evidence()));
+}
+
+// Returns null instead of a figure that nothing was measured for.
+ordered_json Unless(bool is_unknown, double value) {
+  return is_unknown ? ordered_json() : ordered_json(value);
 }
 
 ordered_json ToJson(const v1::VersionEvidence& evidence) {
   return {{"sessions", evidence.sessions()},
           {"failed_sessions", evidence.failed_sessions()},
           {"episodes", evidence.episodes()},
-          {"mean_return", evidence.mean_return()},
-          {"return_deviation", evidence.return_deviation()},
+          {"mean_return", Unless(evidence.episodes() == 0, evidence.mean_return())},
+          {"return_deviation", Unless(evidence.episodes() == 0, evidence.return_deviation())},
           {"decisions", evidence.decisions()},
-          {"p99_seconds", evidence.p99_seconds()},
+          {"p99_seconds", Unless(evidence.decisions() == 0, evidence.p99_seconds())},
           {"implausible_episodes", evidence.implausible_episodes()}};
 }
 
@@ -130,13 +154,12 @@ ordered_json ToJson(const v1::Rollout& rollout) {
 }
 
 template <typename Response>
-absl::Status PrintChanged(const AdminFlags& flags, const absl::StatusOr<Response>& response) {
+absl::StatusOr<Answer> Describe(const absl::StatusOr<Response>& response) {
   if (!response.ok()) return response.status();
   ordered_json json = ToJson(response->rollout());
   AddTraffic(response->traffic(), &json);
-  Print(flags, absl::StrCat(ToText(response->rollout()), spikeserve::ToText(response->traffic())),
-        json);
-  return absl::OkStatus();
+  return Answer{absl::StrCat(ToText(response->rollout()), spikeserve::ToText(response->traffic())),
+                json, response->traffic().shared()};
 }
 
 // Returns who made a change: the token and the certificate, as far as there are any, and the
@@ -181,17 +204,17 @@ ordered_json ToJson(const v1::HistoryEntry& entry) {
 
 }  // namespace
 
-absl::Status ChangeRollout(const AdminFlags& flags) {
+absl::StatusOr<Answer> ChangeRollout(const AdminFlags& flags) {
   if (flags.abort) {
     v1::AbortRolloutRequest request;
     request.set_policy(flags.policy);
-    return PrintChanged(flags, CallAdmin(flags, &AdminStub::AbortRollout, request));
+    return Describe(CallAdmin(flags, &AdminStub::AbortRollout, request));
   }
   ASSIGN_OR_RETURN(const auto request, StartRequest(flags));
-  return PrintChanged(flags, CallAdmin(flags, &AdminStub::StartRollout, request));
+  return Describe(CallAdmin(flags, &AdminStub::StartRollout, request));
 }
 
-absl::Status ShowRollouts(const AdminFlags& flags) {
+absl::StatusOr<Answer> ShowRollouts(const AdminFlags& flags) {
   ASSIGN_OR_RETURN(const auto response,
                    CallAdmin(flags, &AdminStub::ListRollouts, v1::ListRolloutsRequest()));
   std::vector<std::string> lines;
@@ -200,12 +223,11 @@ absl::Status ShowRollouts(const AdminFlags& flags) {
     lines.push_back(ToText(rollout));
     rollouts.push_back(ToJson(rollout));
   }
-  Print(flags, lines.empty() ? "no roll-outs" : absl::StrJoin(lines, "\n"),
-        {{"rollouts", rollouts}});
-  return absl::OkStatus();
+  return Answer{lines.empty() ? "no roll-outs" : absl::StrJoin(lines, "\n"),
+                {{"rollouts", rollouts}}};
 }
 
-absl::Status ShowHistory(const AdminFlags& flags) {
+absl::StatusOr<Answer> ShowHistory(const AdminFlags& flags) {
   v1::ListHistoryRequest request;
   request.set_policy(flags.policy);
   request.set_limit(flags.limit);
@@ -216,8 +238,7 @@ absl::Status ShowHistory(const AdminFlags& flags) {
     lines.push_back(ToText(entry));
     entries.push_back(ToJson(entry));
   }
-  Print(flags, lines.empty() ? "no actions" : absl::StrJoin(lines, "\n"), {{"entries", entries}});
-  return absl::OkStatus();
+  return Answer{lines.empty() ? "no actions" : absl::StrJoin(lines, "\n"), {{"entries", entries}}};
 }
 
 }  // namespace spikeserve

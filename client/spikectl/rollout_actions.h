@@ -8,13 +8,13 @@
 namespace spikeserve {
 
 // Starts a roll-out, or ends the running one if --abort is set.
-absl::Status ChangeRollout(const AdminFlags& flags);
+absl::StatusOr<Answer> ChangeRollout(const AdminFlags& flags);
 
 // Shows the last roll-out of every policy.
-absl::Status ShowRollouts(const AdminFlags& flags);
+absl::StatusOr<Answer> ShowRollouts(const AdminFlags& flags);
 
 // Shows who changed what.
-absl::Status ShowHistory(const AdminFlags& flags);
+absl::StatusOr<Answer> ShowHistory(const AdminFlags& flags);
 
 }  // namespace spikeserve
 

@@ -10,8 +10,7 @@ void AddServerFlags(Command program, ServerFlags* flags) {
   program.Flags("Server")
       .Add("server", "HOST:PORT,...", &flags->server,
            "Address, or several; default: $SPIKESERVE_SERVER")
-      .Add("connect_timeout", "DURATION", &flags->connect_timeout,
-           "Time to reach a server; without a unit: seconds")
+      .Add("connect_timeout", "DURATION", &flags->connect_timeout, "Time to reach a server")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   AddSecurityFlags(program, &flags->security);
 }

@@ -28,6 +28,7 @@ CommandInfo Describe(const CLI::App& app, std::vector<std::string> path) {
     if (!option->get_group().empty()) command.flags.push_back(DescribeFlag(*option));
   }
   for (const CLI::App* subcommand : app.get_subcommands({})) {
+    if (subcommand->get_group().empty()) continue;
     command.commands.push_back(Describe(*subcommand, command.path));
   }
   return command;

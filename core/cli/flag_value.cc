@@ -1,5 +1,7 @@
 #include "core/cli/flag_value.h"
 
+#include <cmath>
+
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 
@@ -44,6 +46,11 @@ absl::Status ParseFlagValue(const std::string& text, bool* value) {
 }
 
 absl::Status ParseFlagValue(const std::string& text, absl::Duration* value) {
+  double seconds = 0.0;
+  if (absl::SimpleAtod(text, &seconds) && std::isfinite(seconds)) {  // "inf" is a duration
+    *value = absl::Seconds(seconds);
+    return absl::OkStatus();
+  }
   return Check(absl::ParseDuration(text, value), "a duration such as 250ms, 10s or 1.5m", text);
 }
 

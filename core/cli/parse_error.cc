@@ -65,7 +65,8 @@ std::string Unexpected(const CLI::App& command, const std::string& argument) {
                         PathOf(command), " (see ", PathOf(command), " --help), received ",
                         argument);
   }
-  const std::vector<const CLI::App*> commands = command.get_subcommands({});
+  const std::vector<const CLI::App*> commands = command.get_subcommands(
+      [](const CLI::App* subcommand) { return !subcommand->get_group().empty(); });
   if (commands.empty()) {
     const std::string place =
         command.get_parent() == nullptr ? "" : absl::StrCat(command.get_name(), ": ");

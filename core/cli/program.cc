@@ -137,6 +137,8 @@ void Command::SetAction(std::function<absl::Status()> action) const {
   app_->callback([state = state_, action = std::move(action)] { state->action = action; });
 }
 
+void Command::Hide() const { app_->group(""); }
+
 void Command::RefuseBeside(const std::string& flag, const std::string& heading) const {
   state_->refusals.push_back({app_, "--" + flag, heading});
 }

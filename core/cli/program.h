@@ -45,6 +45,9 @@ class Command {
   // Sets the function that Program::Run calls if the command line selects this command.
   void SetAction(std::function<absl::Status()> action) const;
 
+  // Leaves the command out of help, manual and completion, for old names.
+  void Hide() const;
+
   // Makes it an error to combine --flag with a flag of the group `heading` on the command line, for
   // groups that have no effect together with --flag.
   void RefuseBeside(const std::string& flag, const std::string& heading) const;

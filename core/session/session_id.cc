@@ -17,6 +17,10 @@ absl::StatusOr<std::string> NewSessionId() {
 }
 
 absl::Status NoSuchSession(absl::string_view id) {
+  if (id.empty()) {
+    return absl::NotFoundError(
+        "session_id: expected an open session, received an empty id; is the field set?");
+  }
   return absl::NotFoundError(
       absl::StrCat("session_id: expected an open session, received ", Quoted(id)));
 }

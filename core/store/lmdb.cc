@@ -193,6 +193,13 @@ absl::Status LmdbTransaction::Delete(MDB_dbi table, absl::string_view key) {
   return error == MDB_NOTFOUND ? absl::OkStatus() : LmdbStatus(error);
 }
 
+absl::StatusOr<int64_t> LmdbTransaction::Count(MDB_dbi table) {
+  MDB_stat stat;
+  const int error = Contain([&] { return mdb_stat(transaction_.get(), table, &stat); });
+  RETURN_IF_ERROR(LmdbStatus(error));
+  return static_cast<int64_t>(stat.ms_entries);
+}
+
 absl::Status LmdbTransaction::Scan(
     MDB_dbi table, absl::string_view prefix,
     const std::function<void(absl::string_view key, absl::string_view value)>& visit) {

@@ -11,6 +11,7 @@
 
 #include <lmdb.h>
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -59,6 +60,8 @@ class LmdbTransaction {
   absl::Status Put(MDB_dbi table, absl::string_view key, absl::string_view value);
   // Does nothing if there is no such key.
   absl::Status Delete(MDB_dbi table, absl::string_view key);
+  // Returns how many keys there are.
+  absl::StatusOr<int64_t> Count(MDB_dbi table);
   // Calls `visit` for the keys that begin with `prefix`, in ascending order. It must not write.
   absl::Status Scan(
       MDB_dbi table, absl::string_view prefix,

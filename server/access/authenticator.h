@@ -50,6 +50,9 @@ class Credential {
     return entry_.sees_all || tenant == tenant_->name();
   }
 
+  // Returns true if this caller may read what belongs to any tenant, or there are none.
+  bool CanReadAll() const { return entry_.sees_all || tenant_->name().empty(); }
+
   // Returns UNAUTHENTICATED if the token has expired or was removed from the file.
   absl::Status CheckValid() const;
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -118,18 +119,31 @@ absl::Status AdminHandler::RemoveLabel(CallContext& /*context*/,
 absl::Status AdminHandler::SetTraffic(CallContext& /*context*/,
                                       const v1::SetTrafficRequest& request,
                                       v1::SetTrafficResponse* response) const {
+  const auto shares = SharesFromProto(request.shares());
+  RETURN_IF_ERROR(CheckServedByAll(request.policy(), shares));
   return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
-    return registry_->SetTraffic(request.policy(), SharesFromProto(request.shares()),
-                                 request.shadow_version());
+    return registry_->SetTraffic(request.policy(), shares, request.shadow_version());
   });
 }
 
 absl::Status AdminHandler::SetTrafficShares(CallContext& /*context*/,
                                             const v1::SetTrafficSharesRequest& request,
                                             v1::SetTrafficSharesResponse* response) const {
-  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
-    return registry_->SetShares(request.policy(), SharesFromProto(request.shares()));
-  });
+  const auto shares = SharesFromProto(request.shares());
+  RETURN_IF_ERROR(CheckServedByAll(request.policy(), shares));
+  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
+                       [&] { return registry_->SetShares(request.policy(), shares); });
+}
+
+absl::Status AdminHandler::CheckServedByAll(const std::string& policy,
+                                            const std::vector<TrafficShare>& shares) const {
+  if (files_ == nullptr) return absl::OkStatus();
+  for (const TrafficShare& share : shares) {
+    if (share.percent > 0) {
+      RETURN_IF_ERROR(files_->CheckServedByAll({policy, share.version}));
+    }
+  }
+  return absl::OkStatus();
 }
 
 absl::Status AdminHandler::SetShadow(CallContext& /*context*/, const v1::SetShadowRequest& request,
@@ -173,9 +187,11 @@ absl::Status AdminHandler::ListSessions(CallContext& context,
                                                    ", received ", request.page_size()));
   }
   int64_t open = 0;
+  int64_t open_stored = 0;
   const auto wanted = [&](const SessionEntry& entry) {
     if (!context.caller->CanRead(entry.tenant)) return false;
     ++open;
+    if (entry.journal != nullptr) ++open_stored;
     return (request.policy().empty() || request.policy() == entry.served->name) &&
            (request.version() == 0 || request.version() == entry.served->version);
   };
@@ -189,6 +205,11 @@ absl::Status AdminHandler::ListSessions(CallContext& context,
   }
   if (sessions.size() > size) response->set_next_page_token(sessions[size - 1].id);
   response->set_open_sessions(open);
+  response->set_open_stored_sessions(open_stored);
+  const auto stored = journals_ == nullptr ? std::nullopt : journals_->StoredSessions();
+  if (stored.has_value() && context.caller->CanReadAll()) {
+    response->set_stored_sessions(*stored);
+  }
   response->set_replica(replicas_->self());
   return absl::OkStatus();
 }

@@ -6,7 +6,9 @@
 #define SERVER_ADMIN_ADMIN_HANDLER_H_
 
 #include <functional>
+#include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "core/open_sessions/session_store.h"
@@ -14,20 +16,27 @@
 #include "server/agent/call_context.h"
 #include "server/base/replicas.h"
 #include "server/policies/policy_registry.h"
+#include "server/policies/shared_files.h"
+#include "server/store/journal_store.h"
 #include "spikeserve/v1/policy_admin.pb.h"
 
 namespace spikeserve {
 
 class AdminHandler {
  public:
-  // All must outlive the handler. Drain calls `on_draining` with the new draining state, on the
+  // All must outlive the handler. `files` compares those of several servers; null: there is one.
+  // `journals` is null if no session is stored.
+  // Drain calls `on_draining` with the new draining state, on the
   // thread of its caller.
   AdminHandler(PolicyRegistry* registry, SessionStore* store, const AuditLog* history,
-               const Replicas* replicas, std::function<void(bool)> on_draining)
+               const Replicas* replicas, const SharedFiles* files, const JournalStore* journals,
+               std::function<void(bool)> on_draining)
       : registry_(registry),
         store_(store),
         history_(history),
         replicas_(replicas),
+        files_(files),
+        journals_(journals),
         on_draining_(std::move(on_draining)) {}
 
   // Each method fills in `response` and returns OK. On an error it changes nothing and returns the
@@ -60,10 +69,16 @@ class AdminHandler {
                      v1::DrainResponse* response) const;
 
  private:
+  // Returns FAILED_PRECONDITION if a server that is alive lacks a version with a share.
+  absl::Status CheckServedByAll(const std::string& policy,
+                                const std::vector<TrafficShare>& shares) const;
+
   PolicyRegistry* const registry_;
   SessionStore* const store_;
   const AuditLog* const history_;
   const Replicas* const replicas_;
+  const SharedFiles* const files_;
+  const JournalStore* const journals_;
   const std::function<void(bool)> on_draining_;
 };
 

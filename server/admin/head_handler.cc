@@ -176,6 +176,7 @@ absl::Status HeadHandler::RollbackHead(CallContext& context, const v1::RollbackH
     response->set_drift(HeadOf(*served, tenant)->Rollback()->drift);
     return absl::OkStatus();
   }
+  response->set_shared(true);
   const auto drift = served->log->Rollback(served->SharesHead(tenant) ? "" : tenant);
   if (drift.ok()) response->set_drift(*drift);
   return drift.status();

@@ -12,6 +12,7 @@
 #include "core/base/status_macros.h"
 #include "server/admin/traffic.h"
 #include "server/rollouts/evidence_total.h"
+#include "server/rollouts/rollout_judge.h"
 
 namespace spikeserve {
 namespace {
@@ -91,6 +92,15 @@ std::string WaitsFor(const RolloutManager::Progress& progress) {
                                  ", at most ", rollout.most_episodes_per_session(),
                                  " of one session"));
   }
+  if (rollout.enters_all()) {
+    const Shortfall missing =
+        ShortfallOf(rollout.abort_if, progress.new_version, progress.stable_version);
+    if (!missing.none()) {
+      waits.push_back(absl::StrCat("a comparison: ", missing.new_version,
+                                   " more sessions of version ", rollout.version, " and ",
+                                   missing.stable_version, " of version ", rollout.stable_version));
+    }
+  }
   if (!rollout.disputed.empty()) {
     waits.push_back(absl::StrCat("the end of a dispute (", rollout.disputed, ")"));
   }
@@ -136,6 +146,13 @@ absl::Status RolloutHandler::StartRollout(CallContext& /*context*/,
                                           const v1::StartRolloutRequest& request,
                                           v1::StartRolloutResponse* response) const {
   ASSIGN_OR_RETURN(const auto plan, PlanFromProto(request));
+  if (files_ != nullptr) {
+    RETURN_IF_ERROR(files_->CheckServedByAll({request.policy(), request.version()}));
+    if (const auto stable = registry_->catalog()->Find(request.policy(), /*version=*/0);
+        stable.ok()) {
+      RETURN_IF_ERROR(files_->CheckServedByAll({request.policy(), (*stable)->version}));
+    }
+  }
   auto status = ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
                               [&] { return rollouts_->Start(request.policy(), plan); });
   Describe(request.policy(), response->mutable_rollout());

@@ -9,6 +9,7 @@
 #include "absl/status/status.h"
 #include "server/agent/call_context.h"
 #include "server/policies/policy_registry.h"
+#include "server/policies/shared_files.h"
 #include "server/rollouts/rollout_manager.h"
 #include "spikeserve/v1/policy_admin.pb.h"
 
@@ -16,9 +17,9 @@ namespace spikeserve {
 
 class RolloutHandler {
  public:
-  // `registry` and `rollouts` must outlive this object.
-  RolloutHandler(const PolicyRegistry* registry, RolloutManager* rollouts)
-      : registry_(registry), rollouts_(rollouts) {}
+  // All must outlive this object. `files` compares those of several servers; null: there is one.
+  RolloutHandler(const PolicyRegistry* registry, RolloutManager* rollouts, const SharedFiles* files)
+      : registry_(registry), rollouts_(rollouts), files_(files) {}
 
   // Each method fills in `response` and returns OK. On an error it changes nothing and returns the
   // status that policy_admin.proto names.
@@ -35,6 +36,7 @@ class RolloutHandler {
 
   const PolicyRegistry* const registry_;
   RolloutManager* const rollouts_;
+  const SharedFiles* const files_;
 };
 
 }  // namespace spikeserve

@@ -258,6 +258,7 @@ class PolicyRegistry {
   // are in force.
   Settings settings_ ABSL_GUARDED_BY(change_mutex_);
   int64_t revision_ ABSL_GUARDED_BY(change_mutex_) = 0;  // of the shared settings in `settings_`
+  std::vector<std::string> waiting_ ABSL_GUARDED_BY(change_mutex_);  // of those, as last logged
   // By policy: all versions share one switch, so that a pause also covers versions loaded later.
   std::map<std::string, std::shared_ptr<LearningSwitch>> learning_ ABSL_GUARDED_BY(change_mutex_);
 

@@ -5,8 +5,10 @@
 #ifndef SERVER_POLICIES_ROLLOUT_H_
 #define SERVER_POLICIES_ROLLOUT_H_
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
+#include <iterator>
 #include <map>
 #include <string>
 #include <vector>
@@ -91,6 +93,10 @@ struct Rollout {
 
   bool running() const { return state == RolloutState::kRunning; }
   int percent() const { return steps[static_cast<size_t>(step)]; }
+  // Whether the end of this step gives all new sessions to the new version.
+  bool enters_all() const {
+    return steps[static_cast<size_t>(std::min(step + 1, std::ssize(steps) - 1))] == 100;
+  }
   // How many episodes of one session count towards `min_episodes` in each step: a fifth.
   int64_t most_episodes_per_session() const { return (min_episodes + 4) / 5; }
 

@@ -41,15 +41,20 @@ class SharedFiles {
   // Returns UNAVAILABLE if other servers have another file of this version.
   absl::Status Check(const ServedPolicy& served) const ABSL_LOCKS_EXCLUDED(mutex_);
 
+  // Returns FAILED_PRECONDITION, which names the servers, unless all that are alive serve this file
+  // of `version`; OK if this server does not serve it. Waits up to a second for servers that are
+  // just loading it. UNAVAILABLE if the store cannot be reached.
+  absl::Status CheckServedByAll(const PolicyVersion& version) const ABSL_LOCKS_EXCLUDED(mutex_);
+
  private:
   const PolicyRegistry& registry_;
   SharedSettings& shared_;
   // Of Follow(), as of the last comparison:
   std::shared_ptr<const PolicyCatalog> catalog_;
-  std::vector<std::string> alive_;
   int64_t revision_ = -1;
 
   mutable absl::Mutex mutex_;
+  std::vector<std::string> alive_ ABSL_GUARDED_BY(mutex_);
   std::set<std::string> different_ ABSL_GUARDED_BY(mutex_);  // "<policy>@<version>"
 };
 

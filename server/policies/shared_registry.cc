@@ -3,6 +3,7 @@
 #include <string>
 #include <utility>
 
+#include "absl/algorithm/container.h"
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
@@ -96,7 +97,13 @@ absl::Status PolicyRegistry::Adopt(const SharedSettings::Document& document) {
   }
   LoadChanged(folders.versions, &catalog, &report);
   UnloadRemoved(&catalog, &report);
-  ApplySettings(&catalog);
+  auto waiting = ApplySettings(&catalog);
+  for (const std::string& line : waiting) {
+    if (!absl::c_linear_search(waiting_, line)) {
+      LogWarning("a shared setting waits for its version", {{"setting", line}});
+    }
+  }
+  waiting_ = std::move(waiting);
   SwitchLearning();
   Publish(std::move(catalog));
   return absl::OkStatus();

@@ -50,6 +50,9 @@ class SharedSettings {
   // `alive`.
   virtual absl::StatusOr<ComparedFiles> CompareFiles(const std::vector<VersionFile>& files,
                                                      const std::vector<std::string>& alive) = 0;
+  // Returns those of `servers` that have not said by CompareFiles() that they have this file.
+  virtual absl::StatusOr<std::vector<std::string>> ServersWithout(
+      const VersionFile& file, const std::vector<std::string>& servers) = 0;
   // Returns a number that changes when a server says that it has another file than before.
   virtual absl::StatusOr<int64_t> FilesRevision() = 0;
 };

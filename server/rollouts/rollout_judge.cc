@@ -177,4 +177,18 @@ Verdict JudgeRollout(const std::vector<RolloutCondition>& conditions,
   return {.kind = Kind::kWorse, .reason = all};
 }
 
+Shortfall ShortfallOf(const std::vector<RolloutCondition>& conditions,
+                      const VersionEvidence::Counts& new_version,
+                      const VersionEvidence::Counts& stable_version) {
+  const Evidence evidence = Gather(new_version, stable_version, nullptr);
+  Shortfall most;
+  for (const RolloutCondition& condition : conditions) {
+    const Comparison comparison = Judge(condition, evidence).comparison;
+    most.new_version = std::max(most.new_version, kFewestObservations - comparison.new_count);
+    most.stable_version =
+        std::max(most.stable_version, kFewestObservations - comparison.stable_count);
+  }
+  return most;
+}
+
 }  // namespace spikeserve

@@ -46,6 +46,19 @@ Verdict JudgeRollout(const std::vector<RolloutCondition>& conditions,
                      const VersionEvidence::Counts& new_version,
                      const VersionEvidence::Counts& stable_version);
 
+// How many more sessions (for p99: decisions) of each version a comparison by all conditions needs.
+struct Shortfall {
+  int64_t new_version = 0;
+  int64_t stable_version = 0;
+
+  bool none() const { return new_version == 0 && stable_version == 0; }
+};
+
+// Returns what is missing until JudgeRollout() can find the new version worse by any condition.
+Shortfall ShortfallOf(const std::vector<RolloutCondition>& conditions,
+                      const VersionEvidence::Counts& new_version,
+                      const VersionEvidence::Counts& stable_version);
+
 }  // namespace spikeserve
 
 #endif  // SERVER_ROLLOUTS_ROLLOUT_JUDGE_H_

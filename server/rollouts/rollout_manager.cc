@@ -160,6 +160,11 @@ absl::Status RolloutManager::Start(const std::string& policy, Rollout plan) {
   if (plan.steps.empty()) plan.steps = {1, 10, 50, 100};
   if (plan.abort_if.empty()) plan.abort_if = DefaultConditions();
   RETURN_IF_ERROR(plan.Validate());
+  if (plan.steps.front() == 100) {
+    return absl::InvalidArgumentError(
+        "steps: expected a first step below 100, because the sessions of both versions are "
+        "compared, received 100; admin default moves all at once");
+  }
   const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
     RETURN_IF_ERROR(CheckStart(served, *settings, plan));
     plan.stable_version = served.DefaultVersion();
@@ -230,7 +235,6 @@ void RolloutManager::Tick() {
 
 void RolloutManager::TickOne(const std::string& policy, const CatalogPolicy& catalog_policy) {
   Progress progress = ProgressOf(policy, *catalog_policy.settings.rollout);
-  const Rollout& rollout = progress.rollout;
   Running& running = running_[policy];
   const absl::Duration now = clock_->Now();
   const double passed = absl::ToDoubleSeconds(now - std::exchange(running.ticked, now));
@@ -241,14 +245,23 @@ void RolloutManager::TickOne(const std::string& policy, const CatalogPolicy& cat
       mutex_.AssertHeld();
       return End(policy, RolloutState::kAborted, worse);
     });
-  } else if (running.disputed.empty() && running.held_seconds >= rollout.hold_seconds &&
-             CappedEpisodes(progress.new_version) - rollout.episodes_at_step >=
-                 rollout.min_episodes) {
+  } else if (MayAdvance(policy, progress)) {
     Advance(policy, progress);
   } else if (now - running.saved >= kSaveInterval) {
     running.saved = now;
     SaveOrLog(policy);
   }
+}
+
+bool RolloutManager::MayAdvance(const std::string& policy, const Progress& progress) const {
+  const Rollout& rollout = progress.rollout;
+  const Running& running = running_.at(policy);
+  if (!running.disputed.empty() || running.held_seconds < rollout.hold_seconds) return false;
+  const int64_t episodes = CappedEpisodes(progress.new_version) - rollout.episodes_at_step;
+  if (episodes < rollout.min_episodes) return false;
+  // Where all get the new version, nothing is left to compare it with.
+  return !rollout.enters_all() ||
+         ShortfallOf(rollout.abort_if, progress.new_version, progress.stable_version).none();
 }
 
 std::string RolloutManager::FindAbort(const std::string& policy, const CatalogPolicy& served,
@@ -275,9 +288,36 @@ std::string RolloutManager::FindAbort(const std::string& policy, const CatalogPo
     // The answers to operators do not name tenants, whom they may not see.
     LogWarning(is_disputed ? "roll-out disputed" : "roll-out not disputed any more",
                {{"policy", policy}, {"tenant", verdict.tenant}, {"reason", verdict.reason}});
-    SaveOrLog(policy);
+    if (rollout.step > 0 && is_disputed) {
+      GoBack(policy, progress);
+    } else {
+      SaveOrLog(policy);
+    }
   }
   return "";
+}
+
+void RolloutManager::GoBack(const std::string& policy, const Progress& progress) {
+  const Rollout& rollout = progress.rollout;
+  const std::string reason =
+      absl::StrCat("disputed: from ", rollout.percent(), " % to ", rollout.steps.front(),
+                   " % of the new sessions; ", running_[policy].disputed);
+  SaveAndReport("ReturnRollout", policy, reason, [&] {
+    mutex_.AssertHeld();
+    return EnterStep(policy, progress, /*step=*/0);
+  });
+}
+
+absl::Status RolloutManager::EnterStep(const std::string& policy, const Progress& progress,
+                                       int64_t step) {
+  running_[policy].held_seconds = 0.0;
+  metrics_->EvidenceOf(policy, progress.rollout.version)->NextStep();
+  return Save(policy, [&](Rollout* changed, PolicySettings* settings) {
+    changed->step = step;
+    changed->step_started = UnixSeconds();
+    changed->episodes_at_step = CappedEpisodes(progress.new_version);
+    settings->shares = SharesOf(*changed);
+  });
 }
 
 void RolloutManager::Advance(const std::string& policy, const Progress& progress) {
@@ -288,14 +328,7 @@ void RolloutManager::Advance(const std::string& policy, const Progress& progress
         absl::StrCat("from ", rollout.percent(), " % to ", next, " % of the new sessions");
     return SaveAndReport("AdvanceRollout", policy, reason, [&] {
       mutex_.AssertHeld();
-      running_[policy].held_seconds = 0.0;
-      metrics_->EvidenceOf(policy, rollout.version)->NextStep();
-      return Save(policy, [&](Rollout* changed, PolicySettings* settings) {
-        ++changed->step;
-        changed->step_started = UnixSeconds();
-        changed->episodes_at_step = CappedEpisodes(progress.new_version);
-        settings->shares = SharesOf(*changed);
-      });
+      return EnterStep(policy, progress, rollout.step + 1);
     });
   }
   SaveAndReport("CompleteRollout", policy, "every step was held", [&] {

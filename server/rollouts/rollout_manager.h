@@ -32,7 +32,7 @@ class RolloutManager {
  public:
   // A change that the manager made by itself.
   struct Change {
-    std::string action;  // AdvanceRollout, CompleteRollout or AbortRollout
+    std::string action;  // AdvanceRollout, ReturnRollout, CompleteRollout or AbortRollout
     std::string policy;
     std::string reason;
     std::shared_ptr<const PolicyCatalog> before;
@@ -95,8 +95,17 @@ class RolloutManager {
   std::string FindAbort(const std::string& policy, const CatalogPolicy& served,
                         const Progress& progress, double passed_seconds)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Returns whether the step was held long enough, with enough evidence to leave it.
+  bool MayAdvance(const std::string& policy, const Progress& progress) const
+      ABSL_SHARED_LOCKS_REQUIRED(mutex_);
   // Leaves a step that was held long enough.
   void Advance(const std::string& policy, const Progress& progress)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Goes back to the first step: while it is in doubt whether the version is worse, the stable
+  // version serves.
+  void GoBack(const std::string& policy, const Progress& progress)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  absl::Status EnterStep(const std::string& policy, const Progress& progress, int64_t step)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Ends a running roll-out and gives all sessions to the default version.
   absl::Status End(const std::string& policy, RolloutState state, const std::string& reason)

@@ -4,6 +4,7 @@
 #include <sys/file.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
@@ -67,8 +68,11 @@ class FileBackend final : public JournalBackend {
   absl::Status RemoveOld(absl::Duration retention);
   absl::StatusOr<std::vector<absl::Status>> Write(absl::Span<const JournalRecord> records) override;
   std::vector<absl::StatusOr<ClaimedJournal>> Claim(absl::Span<const JournalClaim> claims) override;
+  std::optional<int64_t> StoredSessions() const override { return stored_sessions_.load(); }
 
  private:
+  // Commits, and counts the sessions that are stored then.
+  absl::Status Commit(LmdbTransaction& transaction);
   // Takes room on the disk for `bytes` more, with the reserve. Returns UNAVAILABLE if there is
   // none.
   absl::Status TakeSpace(size_t bytes);
@@ -108,7 +112,15 @@ class FileBackend final : public JournalBackend {
   size_t space_bytes_ = 0;  // that the file has on the disk, as far as is known
   MDB_dbi sessions_ = 0;
   MDB_dbi records_ = 0;
+  std::atomic<int64_t> stored_sessions_ = 0;
 };
+
+absl::Status FileBackend::Commit(LmdbTransaction& transaction) {
+  ASSIGN_OR_RETURN(const int64_t sessions, transaction.Count(sessions_));
+  RETURN_IF_ERROR(transaction.Commit());
+  stored_sessions_.store(sessions);
+  return absl::OkStatus();
+}
 
 absl::Status FileBackend::Open() {
   environment_ = nullptr;
@@ -130,7 +142,7 @@ absl::Status FileBackend::Open() {
   ASSIGN_OR_RETURN(const auto records, transaction.OpenTable(kRecordsTable));
   sessions_ = sessions;
   records_ = records;
-  return transaction.Commit();
+  return Commit(transaction);
 }
 
 absl::Status FileBackend::RemoveOld(absl::Duration retention) {
@@ -164,7 +176,7 @@ absl::Status FileBackend::RemoveOld(absl::Duration retention) {
     status.Update(absl::Seconds(newest - written) > retention ? Remove(transaction, id)
                                                               : Put(transaction, id, session));
   }
-  if (status.ok()) status = transaction.Commit();
+  if (status.ok()) status = Commit(transaction);
   if (status.ok()) opened_at_ = now;
   // Without room for that, they keep their dates.
   return absl::IsUnavailable(status) ? absl::OkStatus() : status;
@@ -230,7 +242,7 @@ std::vector<absl::Status> FileBackend::WriteEnds(absl::Span<const JournalRecord>
     auto transaction = LmdbTransaction::Begin(environment_.get());
     if (!transaction.ok()) break;
     auto status = WriteRecord(*transaction, record);
-    if (status.ok()) status = transaction->Commit();
+    if (status.ok()) status = Commit(*transaction);
     if (!status.ok()) break;
     ended.insert(record.journal->key().id);
   }
@@ -257,7 +269,7 @@ absl::StatusOr<std::vector<absl::Status>> FileBackend::WriteAll(
                             code == absl::StatusCode::kAlreadyExists;
     if (!is_outcome) return outcomes.back();
   }
-  RETURN_IF_ERROR(transaction.Commit());
+  RETURN_IF_ERROR(Commit(transaction));
   return outcomes;
 }
 

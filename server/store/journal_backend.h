@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -47,6 +48,10 @@ class JournalBackend {
 
   // Returns whether several servers use the store, so that it may give a session to another one.
   virtual bool IsShared() const { return false; }
+
+  // Returns the sessions in the store; absent: only a search would tell. Safe to call from many
+  // threads.
+  virtual std::optional<int64_t> StoredSessions() const { return std::nullopt; }
 
   // Makes sure that the store can be reached. Returns true if it may have lost something since the
   // last call, because there was another connection: then Check() is to be called for all journals

@@ -75,6 +75,8 @@ class JournalStore final : public JournalWriter {
   absl::Status CheckBacklog() const override;
   absl::Status CheckKeepsRecords() const override;
   bool IsShared() const override { return is_shared_; }
+  // As JournalBackend::StoredSessions().
+  std::optional<int64_t> StoredSessions() const { return backend_->StoredSessions(); }
 
   // Claims a session after all records that were written before this call. Calls `claimed` on the
   // thread of the store, with the result of JournalBackend::Claim().

@@ -27,9 +27,10 @@ redis.call('ZADD', KEYS[1], now, ARGV[1])
 redis.call('ZREMRANGEBYSCORE', KEYS[1], '-inf', now - ARGV[2])
 return redis.call('ZRANGE', KEYS[1], 0, -1))";
 
-// Notes the files of a server. What another one that is alive has noted stays. Returns the number
-// of changes so far, and the versions of which another server has another file. KEYS: hash. ARGV:
-// server, servers that are alive, lines of version and SHA-256.
+// Notes the files of a server, and forgets those of servers that are not alive. Which file a
+// version is, is what the first server that is alive has noted. Returns the number of changes so
+// far, and the versions of which another server has another file. KEYS: hash. ARGV: server, servers
+// that are alive, lines of version and SHA-256.
 constexpr char kCompare[] = R"(
 local alive = {}
 for server in string.gmatch(ARGV[2], '%S+') do alive[server] = true end
@@ -45,8 +46,28 @@ for version, file in string.gmatch(ARGV[3], '(%S+) (%S+)\n') do
     changed = changed or other ~= file
   end
 end
+redis.call('HSET', KEYS[1], 'server:' .. ARGV[1], ARGV[3])
+for _, field in ipairs(redis.call('HKEYS', KEYS[1])) do
+  local server = string.match(field, '^server:(.*)$')
+  if server and server ~= ARGV[1] and not alive[server] then
+    redis.call('HDEL', KEYS[1], field)
+    changed = true  -- one that was taken for dead notes its files again
+  end
+end
 if changed then redis.call('HINCRBY', KEYS[1], 'changes', 1) end
 return {redis.call('HGET', KEYS[1], 'changes') or '0', different})";
+
+// Returns the servers that have not noted the file. KEYS: hash. ARGV: servers, line of version and
+// SHA-256.
+constexpr char kWithout[] = R"(
+local without = {}
+for server in string.gmatch(ARGV[1], '%S+') do
+  local files = redis.call('HGET', KEYS[1], 'server:' .. server) or ''
+  if not string.find('\n' .. files, '\n' .. ARGV[2] .. '\n', 1, true) then
+    without[#without + 1] = server
+  end
+end
+return without)";
 
 // Writes the report of a server. Returns the server, the age in milliseconds and the report of each
 // that is not too old. KEYS: hash. ARGV: server, report, milliseconds.
@@ -148,6 +169,18 @@ absl::StatusOr<SharedSettings::ComparedFiles> RedisShared::CompareFiles(
     compared.different.emplace_back(TextOf(*different.element[i]));
   }
   return compared;
+}
+
+absl::StatusOr<std::vector<std::string>> RedisShared::ServersWithout(
+    const VersionFile& file, const std::vector<std::string>& servers) {
+  ASSIGN_OR_RETURN(
+      const auto reply,
+      Run(/*writes=*/false, {"EVAL", kWithout, "1", kVersions, absl::StrJoin(servers, " "),
+                             absl::StrCat(file.version, " ", file.sha256)}));
+  if (reply->type != REDIS_REPLY_ARRAY) return Unexpected("names of servers");
+  std::vector<std::string> without;
+  for (size_t i = 0; i < reply->elements; ++i) without.emplace_back(TextOf(*reply->element[i]));
+  return without;
 }
 
 absl::StatusOr<int64_t> RedisShared::FilesRevision() {

@@ -45,6 +45,8 @@ class RedisShared final : public SharedSettings {
   absl::StatusOr<std::string> GetFile(const std::string& name) override;
   absl::StatusOr<ComparedFiles> CompareFiles(const std::vector<VersionFile>& files,
                                              const std::vector<std::string>& alive) override;
+  absl::StatusOr<std::vector<std::string>> ServersWithout(
+      const VersionFile& file, const std::vector<std::string>& servers) override;
   absl::StatusOr<int64_t> FilesRevision() override;
 
   // Says that this server is alive, and returns all that are.

@@ -69,7 +69,7 @@ TEST_F(SpikectlAdminTest, SessionsAndDrain) {
 
 TEST_F(SpikectlAdminTest, AFleetsHeadFromItsFirstEpisodeToAVersionOfItsOwn) {
   const std::string policy = "--policy=cartpole-v1";
-  ExpectOneLineError(Admin("promote", {policy}), "FAILED_PRECONDITION");
+  ExpectOneLineError(Admin("promote_head", {policy}), "FAILED_PRECONDITION");
   const auto learned = Spikectl("adapt", {"--env=CartPole-v1", "--scope=fleet", "--fleet=2",
                                           "--episodes=2", "--perturb=force=-1", "--json"});
   ParseOutput(learned);
@@ -82,7 +82,7 @@ TEST_F(SpikectlAdminTest, AFleetsHeadFromItsFirstEpisodeToAVersionOfItsOwn) {
   EXPECT_EQ(head["delta"].size(), head["base"].size());
   EXPECT_EQ(AdminJson("head", {policy}).count("base"), 0u);
 
-  const auto promoted = AdminJson("promote", {policy});
+  const auto promoted = AdminJson("promote_head", {policy});
   EXPECT_EQ(promoted["version"], 2);
   EXPECT_TRUE(std::filesystem::exists(promoted["path"].get<std::string>()));
   const auto listed = ParseOutput(Spikectl("policies", {"--json"}))["policies"];
@@ -90,26 +90,26 @@ TEST_F(SpikectlAdminTest, AFleetsHeadFromItsFirstEpisodeToAVersionOfItsOwn) {
     return served["name"] == "cartpole-v1" && served["version"] == 2;
   }));
 
-  EXPECT_EQ(AdminJson("rollback", {policy, "--version=1"})["drift"], head["drift"]);
+  EXPECT_EQ(AdminJson("reset_head", {policy, "--version=1"})["drift"], head["drift"]);
   EXPECT_EQ(AdminJson("head", {policy, "--version=1"})["drift"], 0.0);
 }
 
 TEST_F(SpikectlAdminTest, LearningIsPausedAndResumed) {
   const std::string policy = "--policy=cartpole-v1";
-  EXPECT_EQ(AdminJson("pause", {policy})["paused"], true);
+  EXPECT_EQ(AdminJson("pause_learning", {policy})["paused"], true);
   EXPECT_THAT(Admin("head", {policy}).output, HasSubstr("learning is paused"));
   EXPECT_EQ(AdminJson("head", {"--policy=pendulum-v1"})["paused"], false);
-  AdminJson("pause", {});
+  AdminJson("pause_learning", {});
   EXPECT_EQ(AdminJson("head", {"--policy=pendulum-v1"})["paused"], true);
-  EXPECT_THAT(Admin("resume", {}).output, HasSubstr("every policy: learning resumed"));
+  EXPECT_THAT(Admin("resume_learning", {}).output, HasSubstr("every policy: learning resumed"));
   EXPECT_EQ(AdminJson("head", {policy})["paused"], false);
 }
 
 TEST_F(SpikectlAdminTest, MistakesAreNamed) {
   ExpectOneLineError(Admin("fly", {}), "expected one of load, unload");
   ExpectOneLineError(Admin("load", {}), "--policy: expected a name");
-  ExpectOneLineError(Admin("promote", {}), "--policy: expected a name");
-  ExpectOneLineError(Admin("pause", {"--policy=nobody"}), "NOT_FOUND");
+  ExpectOneLineError(Admin("promote_head", {}), "--policy: expected a name");
+  ExpectOneLineError(Admin("pause_learning", {"--policy=nobody"}), "NOT_FOUND");
   ExpectOneLineError(Admin("traffic", {"--policy=pendulum-v1"}), "--shares: expected shares, none");
   ExpectOneLineError(Admin("rollout", {"--policy=pendulum-v1", "--steps=few"}),
                      "--steps: expected percentages such as 1,10,50,100, received \"few\"");

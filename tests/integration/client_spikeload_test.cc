@@ -61,7 +61,8 @@ TEST_F(SpikeloadTest, SaysInOneLineWhatIsWrong) {
                      "expected unary, stream or batch, received \"pigeon\"");
   ExpectOneLineError(Spikeload({"--sessions=0"}), "--sessions: expected 1 to 1000000, received 0");
   ExpectOneLineError(Spikeload({"--streams=0"}), "--streams");
-  ExpectOneLineError(Spikeload({"--duration=soon"}), "expected seconds");
+  ExpectOneLineError(Spikeload({"--duration=soon"}),
+                     "expected a duration such as 250ms, 10s or 1.5m");
   ExpectOneLineError(Spikeload({"--duration=-1"}), "--duration");
   ExpectOneLineError(Spikeload({"--episode_steps=0"}), "--episode_steps");
   ExpectOneLineError(Spikeload({"--policy=nobody"}), "\"nobody\"");

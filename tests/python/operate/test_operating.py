@@ -388,3 +388,109 @@ def test_health(policies):
     gone = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
     assert gone.returncode != 0
     assert "UNAVAILABLE" in gone.stderr
+
+
+def test_commands_go_to_every_server(policies, tmp_path):
+    """Each with settings of its own. One lacks the file."""
+    other = tmp_path / "other"
+    shutil.copytree(policies, other)
+    with operated(policies) as first, operated(other) as second:
+        add_version(policies, 2)
+        both = f"{first.addresses.grpc},{second.addresses.grpc}"
+
+        def spikectl(*arguments):
+            command = [SPIKECTL, *arguments, f"--server={both}"]
+            return subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
+
+        load = ("admin", "load", "--policy=cartpole", "--version=2")
+        loaded = spikectl(*load)
+        assert loaded.returncode == 1
+        assert f"{first.addresses.grpc}: loaded cartpole/2\n" in loaded.stdout
+        assert f"{second.addresses.grpc}: failed: " in loaded.stdout
+        assert f"1 of 2 servers failed: {second.addresses.grpc}: " in loaded.stderr
+        add_version(other, 2)
+        assert spikectl(*load).returncode == 0
+        for action in (
+            ("default", "--version=1"),
+            ("label", "--version=2", "--label=canary"),
+            ("rollout", "--version=2", "--steps=10,50"),
+            ("rollout", "--abort"),
+            ("unlabel", "--label=canary"),
+            ("pause_learning",),
+        ):
+            assert spikectl("admin", action[0], "--policy=cartpole", *action[1:]).returncode == 0, action
+        assert [served_versions(each) for each in (first, second)] == [[1, 2], [1, 2]]
+        second.agent.OpenSession(policy="cartpole")
+        rows = json.loads(spikectl("admin", "sessions", "--json").stdout)["servers"]
+        assert [len(row["sessions"]) for row in rows] == [0, 1]
+        assert spikectl("health").stdout == "".join(f"{each}: SERVING\n" for each in both.split(","))
+        second.admin.Drain()
+        healthy = spikectl("health")
+        assert healthy.returncode == 1
+        assert f"{first.addresses.grpc}: SERVING\n{second.addresses.grpc}: failed: " in healthy.stdout
+
+
+def test_sessions_in_the_store_are_counted_before_they_are_open_again(policies, tmp_path):
+    store = f"--session_store=file:{tmp_path}/store"
+    with operated(policies, store) as server:
+        sessions = [server.agent.OpenSession(policy="cartpole", durability="SYNC").session_id for _ in range(5)]
+        for session in sessions:
+            server.agent.Act(session_id=session, observation=OBSERVATION)
+        server.agent.OpenSession(policy="cartpole", durability="NONE")
+        assert "more in the session store" not in server.spikectl("admin", "sessions")
+    with operated(policies, store) as server:
+        listed = server.spikectl_json("admin", "sessions")
+        assert (listed["sessions"], listed["stored_sessions"]) == ([], 5)
+        assert "\n5 more in the session store; " in server.spikectl("admin", "sessions")
+        server.agent.Act(session_id=sessions[0], observation=OBSERVATION, step=1)
+        assert "\n4 more in the session store; " in server.spikectl("admin", "sessions")
+        server.agent.CloseSession(session_id=sessions[0])
+        until(lambda: server.spikectl_json("admin", "sessions")["stored_sessions"] == 4)
+
+
+def test_a_run_without_a_version_reaches_the_canary(policies):
+    add_version(policies, 2)
+    with operated(policies) as server:
+        server.act_on("default", "--version=1")
+        server.act_on("traffic", "--shares=1:50,2:50")
+        run = ("run", "--env=CartPole-v1", "--policy=cartpole", "--quiet")
+
+        def played(*more):
+            return server.spikectl(*run, *more).split("with policy ")[1].split()[0]
+
+        assert {played(f"--seed={seed}") for seed in range(12)} == {"cartpole/1", "cartpole/2"}
+        assert [played(f"--version={version}") for version in (1, 2)] == ["cartpole/1", "cartpole/2"]
+
+
+def test_names_of_earlier_releases_are_understood_with_a_hint(policies):
+    with operated(policies) as server:
+
+        def spikectl(action):
+            command = [SPIKECTL, "admin", action, "--policy=cartpole", f"--server={server.addresses.grpc}"]
+            return subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
+
+        for old, new in (("rollback", "reset_head"), ("pause", "pause_learning"), ("resume", "resume_learning")):
+            was, now = spikectl(old), spikectl(new)
+            assert (was.returncode, was.stdout) == (now.returncode, now.stdout) == (0, was.stdout)
+            assert now.stderr == ""
+            assert was.stderr.startswith(f"spikectl: admin {old} is called admin {new} now")
+        assert "admin default --version=N" in spikectl("rollback").stderr
+        shown = subprocess.run([SPIKECTL, "admin", "--help"], capture_output=True, text=True).stdout
+        assert "reset_head" in shown and "rollback" not in shown
+
+
+def test_a_rollout_shows_its_conditions_and_no_figures_of_nothing(policies):
+    add_version(policies, 2)
+    with operated(policies) as server:
+        server.act_on("default", "--version=1")
+        started = server.act_on("rollout", "--version=2", "--hold=60")
+        assert started["hold_seconds"] == 60
+        assert [each["measure"] for each in started["abort_if"]] == ["return", "errors", "p99"]
+        assert started["new_version_evidence"]["mean_return"] is None
+        assert started["new_version_evidence"]["p99_seconds"] is None
+        text = server.spikectl("admin", "rollouts")
+        assert "ends if worse by: return:0%,errors:1%,p99:25%" in text
+        assert text.count("no sessions yet") == 2 and "p99 0" not in text
+        [entry, _] = server.act_on("history")["entries"]
+        assert len(entry["request"]["abort_if"]) == 3
+        assert entry["request"]["steps"] == [1, 10, 50, 100]

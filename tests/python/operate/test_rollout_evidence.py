@@ -5,7 +5,6 @@ import shutil
 
 import grpc
 import pytest
-from fleet_roles import new_session_id
 from security import ADMIN, OBSERVATION, TOKENS, code_of, service_with, until
 from serving import SHIPPED_POLICIES, running_server
 
@@ -55,7 +54,7 @@ def served(tmp_path, tokens):
 def open_on(service, version):
     """Opens sessions until the roll-out assigns `version` to one. Returns it, or None if the roll-out has ended."""
     for _ in range(200):  # at a share of 50 %
-        opened = service.OpenSession(policy="cartpole", session_id=new_session_id())
+        opened = service.OpenSession(policy="cartpole")
         if opened.version == version:
             return opened.session_id
         service.CloseSession(session_id=opened.session_id)
@@ -126,6 +125,15 @@ def test_one_session_does_not_leave_a_step(served):
     for _ in range(4):
         assert rollout.state().percent == 50
         episodes(fleet, open_on(fleet, NEW), [GOOD] * 4)
+    # Nobody has played the stable version, with which this one is to be compared.
+    assert rollout.state().percent == 50
+    assert "waits for a comparison: 20 more sessions of version 2 and 20 of version 1" in rollout.state().reason
+    for _ in range(20):
+        episodes(fleet, open_on(fleet, STABLE), [GOOD])
+    for _ in range(14):
+        assert rollout.state().percent == 50
+        episodes(fleet, open_on(fleet, NEW), [GOOD])
+    episodes(fleet, open_on(fleet, NEW), [GOOD])
     until(lambda: rollout.state().percent == 100)
 
 
@@ -208,3 +216,51 @@ def test_who_is_alone_for_long_decides(served):
     play(fleet, 80, worse)
     until(lambda: rollout.name() == "aborted")
     assert rollout.state().reason.endswith("no others have enough sessions to contradict it")
+
+
+@pytest.mark.parametrize("min_episodes", [0, 1, 5])
+def test_few_episodes_let_no_bad_version_serve_all(served, min_episodes):
+    """The test needs 20 sessions of each version, whatever the plan says."""
+    rollout, fleet, _ = served
+    rollout.start(steps=[5, 50, 100], hold_seconds=0.05, min_episodes=min_episodes)
+
+    def ended():
+        play(fleet, 5, worse)
+        state = rollout.state()
+        assert state.percent < 100
+        return rollout.name() != "running"
+
+    until(ended)
+    assert rollout.name() == "aborted"
+
+
+def test_a_rollout_begins_with_a_part(served):
+    rollout, _, _ = served
+    with pytest.raises(grpc.RpcError, match="steps: expected a first step below 100") as refused:
+        rollout.start(steps=[100])
+    assert refused.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+
+
+def test_while_it_is_disputed_the_stable_version_serves(served):
+    """A version serves all sessions when one tenant's are found to be worse."""
+    rollout, fleet, rival = served
+    rollout.start(steps=[50, 100], hold_seconds=0.05, min_episodes=600)
+
+    def served_by_all():
+        for service in (fleet, rival):
+            session = service.OpenSession(policy="cartpole").session_id
+            episodes(service, session, [GOOD] * 10)
+            service.CloseSession(session_id=session)
+        return rollout.state().percent == 100
+
+    until(served_by_all)
+
+    def disputed():
+        play(rival, 5, worse)
+        return rollout.state().disputed
+
+    until(disputed)
+    state = rollout.state()
+    assert (rollout.name(), state.percent, state.step) == ("running", 50, 0)
+    history = rollout.admin.ListHistory(policy="cartpole").entries
+    assert "ReturnRollout" in [entry.action for entry in history]

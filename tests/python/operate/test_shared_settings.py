@@ -1,8 +1,10 @@
 """Replicas share the settings of operators and promoted versions."""
 
 import json
+import os
 import re
 import shutil
+import subprocess
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 
@@ -10,7 +12,7 @@ import grpc
 import pytest
 from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, stopping
 from security import ADMIN, HEALTH, SERVING, code_of, entry, service_with, until
-from serving import SHIPPED_POLICIES, Service, status_of
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, status_of
 from stored_sessions import Restartable, comparable
 
 pytestmark = WITHOUT_REDIS
@@ -214,6 +216,65 @@ def test_other_bytes_of_a_version(start, tmp_path):
     )
     # The second replica has taken the session over in vain. The first one finds that out, and takes it back.
     until(lambda: code_of(first.Act, session_id=session, observation=[0.0] * 4) == grpc.StatusCode.OK)
+
+
+def spikectl(replicas, *arguments):
+    """Runs `spikectl admin` on all replicas. Returns its exit status, its rows by address, and its error."""
+    addresses = [replica.addresses.grpc for replica in replicas]
+    finished = subprocess.run(
+        [os.environ["SPIKECTL_PROGRAM"], "admin", *arguments, f"--server={','.join(addresses)}", "--json"],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_SECONDS,
+    )
+    rows = json.loads(finished.stdout)["servers"]
+    assert [row["server"] for row in rows] == addresses
+    return finished.returncode, rows, finished.stderr
+
+
+def add_version_3(replica):
+    shutil.copytree(SHIPPED_POLICIES / "cartpole/1", replica.folder / "cartpole" / "3")
+
+
+def test_a_rollout_is_refused_while_a_live_replica_lacks_the_version(start):
+    replicas = [start(name) for name in "abc"]
+    until(lambda: [status_of(each)["replicas"] for each in replicas] == [3, 3, 3])
+    for replica in replicas[:2]:
+        add_version_3(replica)
+    rollout = ("rollout", "--policy=cartpole", "--version=3", "--steps=10,50")
+    status, rows, error = spikectl(replicas, "load", "--policy=cartpole", "--version=3")
+    assert status == 1
+    assert [row.get("code") for row in rows] == [None, None, "NOT_FOUND"]
+    assert f"1 of 3 servers failed: {rows[2]['server']}" in error
+    status, rows, error = spikectl(replicas, *rollout)
+    assert status == 1
+    lacking = status_of(replicas[2])["replica"]
+    expected = f"version: expected one that every live server serves, received 3, which 1 of 3 lack, or have another file of: {lacking};"
+    assert [row["code"] for row in rows] == ["FAILED_PRECONDITION", "FAILED_PRECONDITION", "NOT_FOUND"]
+    assert rows[0]["error"].startswith(expected), rows
+    status, rows, _ = spikectl(replicas, "traffic", "--policy=cartpole", "--shares=2:90,3:10")
+    assert (status, rows[0]["error"].startswith(expected)) == (1, True)
+    assert all(opened_version(each) == 2 for each in replicas)
+    # Another file of the same number is not the version either.
+    shutil.copytree(SHIPPED_POLICIES / "cartpole/2", replicas[2].folder / "cartpole" / "3")
+    assert spikectl(replicas, "reload")[0] == 0
+    assert spikectl(replicas, *rollout)[0] == 1
+    shutil.rmtree(replicas[2].folder / "cartpole" / "3")
+    add_version_3(replicas[2])
+    assert spikectl(replicas, "load", "--policy=cartpole", "--version=3")[0] == 0
+    status, rows, error = spikectl(replicas, *rollout)
+    assert (status, error) == (0, "")
+    assert rows[0]["state"] == "running"
+    assert [row["shared_by"] for row in rows[1:]] == [rows[0]["server"]] * 2
+    # A dead one does not serve anything, so it need not have the version.
+    assert spikectl(replicas, "rollout", "--policy=cartpole", "--abort")[0] == 0
+    add_version_4 = replicas[:2]
+    for replica in add_version_4:
+        shutil.copytree(SHIPPED_POLICIES / "cartpole/1", replica.folder / "cartpole" / "4")
+    assert spikectl(replicas[:2], "load", "--policy=cartpole", "--version=4")[0] == 0
+    replicas[2].kill()
+    until(lambda: status_of(replicas[0])["replicas"] == 2)
+    assert spikectl(replicas[:2], "rollout", "--policy=cartpole", "--version=4")[0] == 0
 
 
 def test_limits_are_divided(start, tmp_path):

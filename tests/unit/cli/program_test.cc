@@ -165,8 +165,8 @@ TEST_F(ProgramTest, ErrorsSayWhatWasExpectedAndReceived) {
   ExpectError({"fly", "--height="}, "--height: expected an integer, received \"\"");
   ExpectError({"fly", "--seed=-1"}, "--seed: expected an integer of at least 0, received \"-1\"");
   ExpectError({"fly", "--speed=x"}, "--speed: expected a number, received \"x\"");
-  ExpectError({"fly", "--wait=10"},
-              "--wait: expected a duration such as 250ms, 10s or 1.5m, received \"10\"");
+  ExpectError({"fly", "--wait=ten"},
+              "--wait: expected a duration such as 250ms, 10s or 1.5m, received \"ten\"");
   ExpectError({"fly", "--fast=maybe"}, "--fast: expected true or false, received \"maybe\"");
   ExpectError({"fly", "--height"}, "--height: expected N, received none");
   ExpectError({"fly", "home"}, "fly: expected flags alone, received \"home\"");
