@@ -119,7 +119,7 @@ TEST_F(Int8FileTest, DamagedFilesAreRefusedByTensor) {
               }),
               HasSubstr("tensor \"layers.0.ffn.output.weight\": expected a matrix, received 1"));
   EXPECT_THAT(RefusalOf([](Safetensors& c) { c.metadata["config"] = "{\"arithmetic\":\"int8\"}"; }),
-              HasSubstr("config.mode: "));
+              HasSubstr("config: expected key \"mode\", received none"));
   EXPECT_THAT(ReadConvertiblePolicy("none.safetensors").status().message(),
               HasSubstr("none.safetensors: no such file"));
 }
