@@ -1,5 +1,6 @@
 #include <cstdio>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -9,6 +10,7 @@
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "train/baselines/comparison.h"
+#include "train/baselines/verdict.h"
 #include "train/commands.h"
 #include "train/evaluation/evaluation.h"
 
@@ -63,14 +65,20 @@ absl::Status ComparePolicy(const CompareFlags& flags) {
     RETURN_IF_ERROR(PlayBaselines(policy->environment, flags.evaluation.first_seed, played.returns,
                                   &comparison));
   }
+  const Verdict verdict =
+      Judge(comparison, ActionNames(source.dataset()), /*loss_fall=*/std::nullopt);
+  const auto json_of = [&](bool with_weights) {
+    nlohmann::ordered_json json = ToJson(comparison, with_weights);
+    json["verdict"] = ToJson(verdict);
+    return json;
+  };
   if (!flags.out.empty()) {
-    const std::string text = ToJson(comparison, /*with_weights=*/true).dump() + "\n";
+    const std::string text = json_of(/*with_weights=*/true).dump() + "\n";
     RETURN_IF_ERROR(WriteFileAtomically(flags.out, {text}));
   }
-  std::fputs(
-      (flags.json ? ToJson(comparison, /*with_weights=*/false).dump(2) + "\n" : ToText(comparison))
-          .c_str(),
-      stdout);
+  const std::string text = flags.json ? json_of(/*with_weights=*/false).dump(2) + "\n"
+                                      : ToText(comparison) + ToText(verdict);
+  std::fputs(text.c_str(), stdout);
   return absl::OkStatus();
 }
 

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/environment/environment.h"
@@ -15,6 +16,7 @@
 #include "core/quantize/int8_file.h"
 #include "core/quantize/prune_hidden.h"
 #include "core/quantize/quantize_integer.h"
+#include "train/baselines/verdict.h"
 #include "train/commands.h"
 #include "train/data/episode_source.h"
 #include "train/evaluation/calibration.h"
@@ -36,6 +38,7 @@ struct QuantizeFlags {
   EvaluationOptions options = {.episodes = 1000, .first_seed = 2'000'000};
   double max_loss = 0.01;
   bool allow_loss = false;
+  Grade require = Grade::kBad;
   bool json = false;
 };
 
@@ -164,6 +167,28 @@ std::string QuantizationRecord(const std::string& command_line,
   return record.dump();
 }
 
+// Judges by what was lost: a policy that was refused is not judged.
+Verdict VerdictOf(const std::optional<RoundingLoss>& loss, double most) {
+  Verdict verdict;
+  if (!loss.has_value()) {
+    verdict.reason =
+        "what the integers lost was not measured, because the environment is not one "
+        "of spiketrain";
+    verdict.advice.push_back("--data with recorded episodes, which measures the agreement");
+    return verdict;
+  }
+  const bool kept = CheckLoss(*loss, most).ok();
+  verdict.grade = kept ? Grade::kGood : Grade::kBad;
+  verdict.figures = {{"rounding_loss", ToJson(*loss)}};
+  verdict.reason = absl::StrFormat(
+      "the integers lost %.2f %% of the range of the %s (95 %%: %.2f to %.2f %%)",
+      100.0 * loss->loss.mean, loss->measure, 100.0 * loss->loss.low, 100.0 * loss->loss.high);
+  if (!kept) {
+    verdict.advice.push_back("`spiketrain train --arithmetic=integer --init=POLICY`");
+  }
+  return verdict;
+}
+
 absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& command_line) {
   RETURN_IF_ERROR(CheckFlags(flags));
   ASSIGN_OR_RETURN(const ConvertiblePolicy source, ReadConvertiblePolicy(flags.policy));
@@ -178,10 +203,12 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
   RETURN_IF_ERROR(MakeDirectoryOf(flags.out));
   integer.training = QuantizationRecord(command_line, sources, pair, loss, parent, integer.config);
   RETURN_IF_ERROR(WritePolicyFile(integer, flags.out));
-  if (!pair.has_value()) return absl::OkStatus();
-  std::fputs((flags.json ? ToJson(*pair).dump(2) + "\n" : ToText(*pair, "before", "after")).c_str(),
-             stdout);
-  return absl::OkStatus();
+  const Verdict verdict = VerdictOf(loss, flags.max_loss);
+  nlohmann::ordered_json json = pair.has_value() ? ToJson(*pair) : nlohmann::ordered_json::object();
+  json["verdict"] = ToJson(verdict);
+  const std::string text = pair.has_value() ? ToText(*pair, "before", "after") : "";
+  std::fputs((flags.json ? json.dump(2) + "\n" : text + ToText(verdict)).c_str(), stdout);
+  return CheckGrade(verdict, flags.require);
 }
 
 }  // namespace
@@ -201,6 +228,8 @@ void AddQuantizeCommand(Program& program) {
       .Add("max_loss", "SHARE", &flags->max_loss,
            "Share of the return, or of agreement, that it may lose")
       .AddSwitch("allow_loss", &flags->allow_loss, "Write a policy that lost more")
+      .Add("require", EnumKind<Grade>(), &flags->require,
+           "Fail with a lower verdict; the policy is written all the same")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   command.Flags("Integer arithmetic (--to=integer)")
       .Add("mode", EnumKind<Mode>(), &flags->integer.mode,

@@ -112,7 +112,7 @@ absl::Status Finish(const TrainFlags& flags, std::vector<SeedRun> runs) {
   } else {
     std::fputs((ToText(runs, summary) + ToText(best.summary, best.policy)).c_str(), stdout);
   }
-  return absl::OkStatus();
+  return CheckGrade(best.summary.verdict, flags.require);
 }
 
 }  // namespace

@@ -42,7 +42,7 @@ absl::Status Train(const TrainFlags& flags, const std::string& command_line) {
                          : ToText(trained.summary, trained.policy))
                  .c_str(),
              stdout);
-  return absl::OkStatus();
+  return CheckGrade(trained.summary.verdict, flags.require);
 }
 
 void AddFlags(Command command, TrainFlags* flags) {
@@ -65,6 +65,8 @@ void AddFlags(Command command, TrainFlags* flags) {
            "Return that the policy is asked for; default: by environment or data")
       .AddSwitch("no_baselines", &flags->no_baselines,
                  "Fit no lines and perceptrons to compare the policy with")
+      .Add("require", EnumKind<Grade>(), &flags->require,
+           "Fail with a lower verdict; the policy is written all the same")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
   FlagGroup shape = command.Flags("Shape");
   AddModeFlag(shape, &flags->shape);

@@ -18,6 +18,7 @@
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "train/baselines/comparison.h"
+#include "train/baselines/verdict.h"
 #include "train/evaluation/evaluation.h"
 #include "train/evaluation/training_record.h"
 #include "train/model/torch_model.h"
@@ -73,14 +74,17 @@ std::string ArithmeticFlag(const TrainFlags& flags) {
   return absl::StrCat("--arithmetic=", std::string(ToString(flags.trainer.options.arithmetic)));
 }
 
-// Trains to the end. Returns the last validation loss, or -1 without validation data.
-absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& checkpoint,
-                                  Trainer* trainer) {
+// The validation losses of a run, by iteration; none without validation data.
+using ValidationLosses = std::vector<std::pair<int, double>>;
+
+// Trains to the end.
+absl::StatusOr<ValidationLosses> TrainToEnd(const TrainFlags& flags, const std::string& checkpoint,
+                                            Trainer* trainer) {
   constexpr double kForget = 0.05;  // weight of the newest loss in the running mean that is shown
   ProgressBar progress(flags.trainer.options.iterations, trainer->iteration());
   LearningCurve curve(flags, trainer->iteration());
   double shown_loss = -1.0;
-  double validation = -1.0;
+  ValidationLosses losses;
   while (!trainer->done()) {
     RETURN_IF_ERROR(trainer->ReadEpisodes());
     const absl::StatusOr<Trainer::StepReport> step = trainer->Step();
@@ -96,23 +100,23 @@ absl::StatusOr<double> TrainToEnd(const TrainFlags& flags, const std::string& ch
     }
     const bool last = trainer->done();
     if (trainer->has_validation() && (last || iteration % flags.validate_every == 0)) {
-      validation = trainer->ValidationLoss();
-      RETURN_IF_ERROR(curve.Add(iteration, shown_loss, validation));
+      losses.emplace_back(iteration, trainer->ValidationLoss());
+      RETURN_IF_ERROR(curve.Add(iteration, shown_loss, losses.back().second));
     }
     if (last || iteration % flags.checkpoint_every == 0) {
       RETURN_IF_ERROR(trainer->SaveCheckpoint(checkpoint));
     }
     const std::string held_out =
-        validation < 0.0 ? "" : absl::StrFormat(", validation %.4f", validation);
+        losses.empty() ? "" : absl::StrFormat(", validation %.4f", losses.back().second);
     progress.Update(iteration, absl::StrFormat("loss %.4f%s, excess rate %.4f", shown_loss,
                                                held_out, step->hinge));
   }
   // A run that was resumed after its last iteration has not validated yet.
-  if (validation < 0.0 && trainer->has_validation()) {
+  if (losses.empty() && trainer->has_validation()) {
     RETURN_IF_ERROR(trainer->ReadEpisodes());
-    validation = trainer->ValidationLoss();
+    losses.emplace_back(trainer->iteration(), trainer->ValidationLoss());
   }
-  return validation;
+  return losses;
 }
 
 // Evaluates the policy, or returns nothing if its environment is not one of this program.
@@ -300,7 +304,9 @@ absl::StatusOr<std::optional<BaselineComparison>> CompareIfPossible(
 absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string& command_line,
                                      const nlohmann::ordered_json& sources,
                                      const TrainOptions& options, const EpisodeSource& source,
-                                     const Policy& initial, double validation, Policy policy) {
+                                     const Policy& initial, const ValidationLosses& losses,
+                                     Policy policy) {
+  const double validation = losses.empty() ? -1.0 : losses.back().second;
   const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
   // Whatever fails below only reports.
   policy.training = TrainingRecord(command_line, sources, options, source.dataset(), validation,
@@ -319,12 +325,14 @@ absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string&
   if (!comparison.ok()) return comparison.status();
   ASSIGN_OR_RETURN(const double spikes_on_data,
                    evaluation.has_value() ? 0.0 : SpikesOnData(policy, source));
-  TrainSummary summary = {.path = path,
-                          .target_source = TargetSourceOf(flags, initial),
-                          .validation_loss = validation,
-                          .evaluation = evaluation,
-                          .spikes_on_data = spikes_on_data,
-                          .comparison = *std::move(comparison)};
+  TrainSummary summary = {
+      .path = path,
+      .target_source = TargetSourceOf(flags, initial),
+      .validation_loss = validation,
+      .evaluation = evaluation,
+      .spikes_on_data = spikes_on_data,
+      .verdict = Judge(*comparison, ActionNames(source.dataset()), LossFall(losses)),
+      .comparison = *std::move(comparison)};
   return TrainedPolicy{.policy = std::move(policy), .summary = std::move(summary)};
 }
 
@@ -432,8 +440,8 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
   if (flags.resume && std::filesystem::exists(checkpoint)) {
     RETURN_IF_ERROR(trainer.LoadCheckpoint(checkpoint));
   }
-  ASSIGN_OR_RETURN(const double validation, TrainToEnd(flags, checkpoint, &trainer));
-  return Finish(flags, command_line, sources, options, source, initial, validation,
+  ASSIGN_OR_RETURN(const ValidationLosses losses, TrainToEnd(flags, checkpoint, &trainer));
+  return Finish(flags, command_line, sources, options, source, initial, losses,
                 trainer.CurrentPolicy());
 }
 

@@ -37,8 +37,9 @@ struct TrainFlags {
   TrainerFlags trainer;
   std::vector<std::string> seeds;  // of several trainings; none: one training
   RecordFlags record;
-  int episodes = 100;         // of the evaluation at the end
-  bool no_baselines = false;  // do not compare the policy with baselines
+  int episodes = 100;           // of the evaluation at the end
+  bool no_baselines = false;    // do not compare the policy with baselines
+  Grade require = Grade::kBad;  // least verdict with which the command succeeds
   bool resume = false;
   bool overwrite = false;
   int checkpoint_every = 100;

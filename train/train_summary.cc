@@ -89,11 +89,12 @@ std::string ToText(const TrainSummary& summary, const Policy& policy) {
   }
   if (summary.comparison.has_value()) text += ToText(*summary.comparison);
   if (summary.evaluation.has_value()) {
-    return absl::StrCat(text, "closed-loop play: ", ToText(*summary.evaluation, policy.config));
+    return absl::StrCat(text, "closed-loop play: ", ToText(*summary.evaluation, policy.config),
+                        ToText(summary.verdict));
   }
   absl::StrAppendFormat(&text, "spikes per decision: %.1f, on the observations of the data\n",
                         summary.spikes_on_data);
-  return absl::StrCat(text, HowToPlay(policy));
+  return absl::StrCat(text, HowToPlay(policy), ToText(summary.verdict));
 }
 
 nlohmann::ordered_json ToJson(const TrainSummary& summary, const Policy& policy) {
@@ -108,6 +109,7 @@ nlohmann::ordered_json ToJson(const TrainSummary& summary, const Policy& policy)
   if (summary.comparison.has_value()) {
     json["baselines"] = ToJson(*summary.comparison, /*with_weights=*/false);
   }
+  json["verdict"] = ToJson(summary.verdict);
   json["closed_loop_play"] = summary.evaluation.has_value() ? "played" : "skipped";
   if (!summary.evaluation.has_value()) json["spikes_per_decision"] = summary.spikes_on_data;
   return json;

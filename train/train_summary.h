@@ -13,6 +13,7 @@
 #include "core/model/policy.h"
 #include "nlohmann/json.hpp"
 #include "train/baselines/comparison.h"
+#include "train/baselines/verdict.h"
 #include "train/data/episode_source.h"
 #include "train/evaluation/evaluation.h"
 
@@ -34,6 +35,7 @@ struct TrainSummary {
   double validation_loss;                // below 0: no episodes were held out
   std::optional<Evaluation> evaluation;  // absent: the environment cannot be played here
   double spikes_on_data;                 // per decision; see SpikesOnData
+  Verdict verdict;
   // Absent with --no_baselines, and for observations that are too large.
   std::optional<BaselineComparison> comparison;
 };

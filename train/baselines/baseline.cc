@@ -4,8 +4,9 @@
 #include <torch/optim/adam.h>
 #include <torch/types.h>
 
+#include <algorithm>
 #include <cmath>
-#include <numbers>
+#include <limits>
 
 #include "Eigen/Cholesky"
 #include "absl/strings/str_cat.h"
@@ -17,10 +18,13 @@ namespace {
 using Matrix = RowMajorMatrix<float>;
 
 constexpr double kRidge = 1e-6;  // of the standardised inputs, relative to the number of rows
-constexpr int64_t kHidden = 64;
-constexpr int kIterations = 1500;
 constexpr int kBatch = 256;
-constexpr double kLearningRate = 3e-3;
+constexpr int kMostIterations = 12'000, kMostQuickIterations = 1500;
+// The loss on held-out steps is checked after about an epoch. After so many checks without a new
+// lowest, the fit returns to the best weights with a lower rate, until that is below the least.
+constexpr int kLeastCheck = 50, kMostCheck = 300;
+constexpr int kPatience = 4;
+constexpr double kFirstRate = 3e-3, kRateFall = 0.3, kLeastRate = 2e-4;
 
 // Returns an unfitted baseline with the moments of its inputs.
 Baseline Unfitted(BaselineKind kind, const ActionSpace& space, const StepTable& table, int frames) {
@@ -61,11 +65,11 @@ torch::Tensor RandomWeight(int64_t out, int64_t in, uint64_t seed, uint64_t laye
 // The weights and biases of the perceptron, in turn.
 using MlpTensors = std::vector<torch::Tensor>;
 
-MlpTensors RandomMlp(int64_t inputs, int64_t outputs, uint64_t seed) {
+MlpTensors RandomMlp(int64_t inputs, int64_t outputs, const MlpFit& fit) {
   MlpTensors tensors;
   int64_t in = inputs;
-  for (const int64_t out : {kHidden, kHidden, outputs}) {
-    tensors.push_back(RandomWeight(out, in, seed, tensors.size()));
+  for (const int64_t out : {int64_t{fit.width}, int64_t{fit.width}, outputs}) {
+    tensors.push_back(RandomWeight(out, in, fit.seed, tensors.size()));
     tensors.push_back(torch::zeros({out}).set_requires_grad(true));
     in = out;
   }
@@ -80,36 +84,101 @@ torch::Tensor Forward(const MlpTensors& tensors, torch::Tensor x) {
   return x;
 }
 
+// A table as tensors, with standardised inputs.
+struct Rows {
+  torch::Tensor inputs, targets, weights;
+
+  Rows(const Baseline& baseline, const StepTable& table)
+      : inputs(ToTensor(Standardise(baseline, table.inputs))),
+        targets(ToTensor(table.targets)),
+        weights(ToTensor(table.weights).view({-1})) {}
+};
+
 torch::Tensor Loss(const ActionSpace& space, const torch::Tensor& outputs,
                    const torch::Tensor& targets, const torch::Tensor& weights) {
   const torch::Tensor losses = space.is_discrete()
                                    ? -(torch::log_softmax(outputs, -1) * targets).sum(-1)
                                    : (outputs - targets).square().mean(-1);
-  return (losses * weights).sum() / weights.sum();
+  return (losses * weights).sum() / (weights.sum() + 1e-12);
 }
 
-void Train(const ActionSpace& space, const torch::Tensor& inputs, const StepTable& table,
-           uint64_t seed, const MlpTensors& tensors) {
-  const torch::Tensor targets = ToTensor(table.targets),
-                      weights = ToTensor(table.weights).view({-1});
-  torch::optim::Adam adam(tensors, torch::optim::AdamOptions(kLearningRate));
+torch::Tensor DrawBatch(uint64_t seed, int iteration, int64_t rows) {
   std::vector<int64_t> batch(kBatch);
-  for (int iteration = 0; iteration < kIterations; ++iteration) {
-    for (int i = 0; i < kBatch; ++i) {
-      const uint64_t bits =
-          RandomBits({seed, static_cast<uint64_t>(1000 + iteration), static_cast<uint64_t>(i)});
-      batch[i] = static_cast<int64_t>(bits % static_cast<uint64_t>(inputs.size(0)));
-    }
-    const torch::Tensor rows = torch::tensor(batch);
-    const torch::Tensor loss =
-        Loss(space, Forward(tensors, inputs.index_select(0, rows)), targets.index_select(0, rows),
-             weights.index_select(0, rows) + 1e-12);
-    adam.zero_grad();
-    loss.backward();
-    const double cosine = 0.5 * (1.0 + std::cos(std::numbers::pi * iteration / kIterations));
-    adam.param_groups()[0].options().set_lr(kLearningRate * cosine);
-    adam.step();
+  for (int i = 0; i < kBatch; ++i) {
+    const uint64_t bits =
+        RandomBits({seed, static_cast<uint64_t>(1000 + iteration), static_cast<uint64_t>(i)});
+    batch[static_cast<size_t>(i)] = static_cast<int64_t>(bits % static_cast<uint64_t>(rows));
   }
+  return torch::tensor(batch);
+}
+
+// Keeps the tensors with the lowest loss on held-out steps, and lowers the rate when that stops
+// falling.
+class Descent {
+ public:
+  Descent(const ActionSpace& space, const Rows& held_out, MlpTensors* tensors)
+      : space_(space),
+        held_out_(held_out),
+        tensors_(*tensors),
+        adam_(*tensors, torch::optim::AdamOptions(kFirstRate)) {}
+
+  void Step(const torch::Tensor& loss) {
+    adam_.zero_grad();
+    loss.backward();
+    adam_.step();
+  }
+
+  // Returns whether it is worth going on.
+  bool Check() {
+    const torch::NoGradGuard no_gradients;
+    const double loss =
+        Loss(space_, Forward(tensors_, held_out_.inputs), held_out_.targets, held_out_.weights)
+            .item<double>();
+    if (loss < lowest_) {
+      lowest_ = loss;
+      kept_.clear();
+      for (const torch::Tensor& tensor : tensors_) kept_.push_back(tensor.clone());
+      waited_ = 0;
+      return true;
+    }
+    if (++waited_ < kPatience) return true;
+    waited_ = 0;
+    Restore();
+    rate_ *= kRateFall;
+    adam_.param_groups()[0].options().set_lr(rate_);
+    return rate_ >= kLeastRate;
+  }
+
+  void Restore() {
+    const torch::NoGradGuard no_gradients;
+    for (size_t i = 0; i < kept_.size(); ++i) tensors_[i].copy_(kept_[i]);
+  }
+
+ private:
+  const ActionSpace& space_;
+  const Rows& held_out_;
+  MlpTensors& tensors_;
+  torch::optim::Adam adam_;
+  double lowest_ = std::numeric_limits<double>::infinity();
+  double rate_ = kFirstRate;
+  int waited_ = 0;
+  MlpTensors kept_;
+};
+
+void Train(const ActionSpace& space, const Rows& training, const Rows& held_out, const MlpFit& fit,
+           MlpTensors* tensors) {
+  const int64_t rows = training.inputs.size(0);
+  const auto check = static_cast<int>(std::clamp<int64_t>(rows / kBatch, kLeastCheck, kMostCheck));
+  const int most = fit.quick ? kMostQuickIterations : kMostIterations;
+  Descent descent(space, held_out, tensors);
+  for (int iteration = 1; iteration <= most; ++iteration) {
+    const torch::Tensor batch = DrawBatch(fit.seed, iteration, rows);
+    descent.Step(Loss(space, Forward(*tensors, training.inputs.index_select(0, batch)),
+                      training.targets.index_select(0, batch),
+                      training.weights.index_select(0, batch)));
+    if (iteration % check == 0 && !descent.Check()) break;
+  }
+  descent.Restore();
 }
 
 nlohmann::ordered_json ToJsonRows(const Matrix& matrix) {
@@ -163,11 +232,12 @@ Baseline FitLine(const ActionSpace& space, const StepTable& table, int frames) {
   return baseline;
 }
 
-Baseline FitMlp(const ActionSpace& space, const StepTable& table, int frames, uint64_t seed) {
-  Baseline baseline = Unfitted(BaselineKind::kMlp, space, table, frames);
-  const Matrix x = Standardise(baseline, table.inputs);
-  const MlpTensors tensors = RandomMlp(x.cols(), space.size(), seed);
-  Train(space, ToTensor(x), table, seed, tensors);
+Baseline FitMlp(const ActionSpace& space, const StepTable& training, const StepTable& held_out,
+                int frames, const MlpFit& fit) {
+  Baseline baseline = Unfitted(BaselineKind::kMlp, space, training, frames);
+  const Rows rows(baseline, training);
+  MlpTensors tensors = RandomMlp(rows.inputs.size(1), space.size(), fit);
+  Train(space, rows, Rows(baseline, held_out), fit, &tensors);
   for (size_t i = 0; i < tensors.size(); i += 2) {
     const torch::Tensor weight = tensors[i].detach(), bias = tensors[i + 1].detach();
     baseline.layers.push_back(

@@ -1,5 +1,5 @@
 // What simple models learn from the same data: a linear map, and a multilayer perceptron with two
-// hidden layers of 64 neurons (tanh), from the last 1, 2 or 4 observations to the action.
+// hidden layers of equal width (tanh), from the last 1, 2 or 4 observations to the action.
 //
 // A policy that is worse than one of them has not learned what the data can teach.
 //
@@ -44,6 +44,9 @@ struct Baseline {
   // "line on 2 frames".
   std::string Name() const;
 
+  // Returns the neurons of a hidden layer; 0 for a line.
+  int width() const { return layers.size() < 2 ? 0 : static_cast<int>(layers[0].bias.size()); }
+
   // Returns the outputs for rows of FrameInput, [rows, act]: encoded actions of a Box within
   // [-1, 1], or scores of which the largest is the action.
   RowMajorMatrix<float> Outputs(const Eigen::Ref<const RowMajorMatrix<float>>& inputs) const;
@@ -59,9 +62,18 @@ inline constexpr int kMostBaselineInputs = 128;
 // Fits the linear map by least squares, with a small ridge.
 Baseline FitLine(const ActionSpace& space, const StepTable& table, int frames);
 
-// Fits the perceptron with Adam, in a few seconds; the mean squared error for a Box, the
-// cross-entropy for a Discrete space. The same seed gives the same result.
-Baseline FitMlp(const ActionSpace& space, const StepTable& table, int frames, uint64_t seed);
+struct MlpFit {
+  int width = 64;      // neurons of each of the two hidden layers
+  uint64_t seed = 0;   // of the first weights and the batches
+  bool quick = false;  // 1,500 batches, to tell whether an input helps at all
+};
+
+// Fits the perceptron to `training` with Adam: the mean squared error for a Box, the cross-entropy
+// for a Discrete space, weighted. The learning rate falls, and the fit ends, when the loss on
+// `held_out` stops falling; the result has the weights with the lowest. The same seed gives the
+// same result.
+Baseline FitMlp(const ActionSpace& space, const StepTable& training, const StepTable& held_out,
+                int frames, const MlpFit& fit = {});
 
 }  // namespace spikeserve
 

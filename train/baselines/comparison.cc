@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -13,17 +14,35 @@
 namespace spikeserve {
 namespace {
 
-constexpr int kTrainingSteps = 20'000;
-constexpr int kHeldOutSteps = 5'000;
+constexpr int kMostTrainingNumbers = 16'000'000;  // of all inputs: 64 MB
+constexpr int kHeldOutSteps = 10'000;
 // What a second observation has to gain: shares of the error of the first, and an error. Those of a
 // perceptron are larger, because its error depends on chance, too.
 constexpr double kLineGain = 0.05;
 constexpr double kMlpGain = 0.25, kLeastMlpGain = 0.01;
 constexpr int kFrames[] = {1, 2, 4};
+// Of perceptrons. The better width is fitted from further seeds.
+constexpr int kWidths[] = {32, 64};
+constexpr uint64_t kFurtherSeeds = 2;
 
 BaselineScore Score(Baseline baseline, const ActionSpace& space, const StepTable& table) {
   ImitationError error = ErrorOf(space, baseline.Outputs(table.inputs), table);
   return {.baseline = std::move(baseline), .error = std::move(error)};
+}
+
+// Returns the perceptron with the smallest error on held-out steps.
+BaselineScore BestMlp(const ActionSpace& space, const BaselineData& data, int frames,
+                      uint64_t seed) {
+  std::optional<BaselineScore> best;
+  const auto try_one = [&](const MlpFit& fit) {
+    BaselineScore score =
+        Score(FitMlp(space, data.training, data.held_out, frames, fit), space, data.held_out);
+    if (!best.has_value() || score.error.mean < best->error.mean) best = std::move(score);
+  };
+  for (const int width : kWidths) try_one({.width = width, .seed = seed});
+  const int width = best->baseline.width();
+  for (uint64_t i = 1; i <= kFurtherSeeds; ++i) try_one({.width = width, .seed = seed + i});
+  return *std::move(best);
 }
 
 Action ActionOf(const Baseline& baseline, const ActionSpace& space, const Eigen::VectorXf& input) {
@@ -61,9 +80,11 @@ std::string ErrorKind(const BaselineComparison& comparison) {
                                 : "mean squared difference of actions, mapped to [-1, 1]";
 }
 
-std::string Row(absl::string_view name, double error, const std::vector<double>& returns) {
-  std::string row = std::isnan(error) ? absl::StrFormat("  %-16s none", name)
-                                      : absl::StrFormat("  %-16s %.4f", name, error);
+std::string Row(absl::string_view name, const ImitationError& error,
+                const std::vector<double>& returns) {
+  std::string row = std::isnan(error.mean) ? absl::StrFormat("  %-16s none", name)
+                                           : absl::StrFormat("  %-16s %.4f  explains %.1f %%", name,
+                                                             error.mean, 100.0 * error.explained);
   if (!returns.empty()) absl::StrAppendFormat(&row, "  return %.2f", AsVector(returns).mean());
   return row + "\n";
 }
@@ -79,7 +100,9 @@ absl::StatusOr<BaselineData> ReadBaselineData(const EpisodeSource& source, doubl
   const Split split = SplitEpisodes(source.entries(), validation);
   BaselineData data;
   data.is_held_out = !split.validation.empty();
-  ASSIGN_OR_RETURN(data.training, ReadSteps(source, split.training, kTrainingSteps));
+  const int numbers = kMostFrames * std::max(1, source.dataset().observation_size);
+  ASSIGN_OR_RETURN(data.training,
+                   ReadSteps(source, split.training, kMostTrainingNumbers / numbers));
   ASSIGN_OR_RETURN(
       StepTable held_out,
       ReadSteps(source, data.is_held_out ? split.validation : split.training, kHeldOutSteps));
@@ -97,7 +120,7 @@ bool NeedsChanges(const ActionSpace& space, const StepTable& table) {
       ImitationError error;
       for (const int i : {0, 1}) {
         const std::vector<double> episodes =
-            Score(fit(halves[1 - i], frames), space, halves[i]).error.episodes;
+            Score(fit(halves[1 - i], halves[i], frames), space, halves[i]).error.episodes;
         error.episodes.insert(error.episodes.end(), episodes.begin(), episodes.end());
       }
       if (!error.episodes.empty()) error.mean = AsVector(error.episodes).mean();
@@ -107,9 +130,11 @@ bool NeedsChanges(const ActionSpace& space, const StepTable& table) {
     const ErrorDifference gain = Compare(one, two);
     return gain.mean >= std::max(share * one.mean, least) && gain.is_significant();
   };
-  const auto line = [&](const StepTable& half, int frames) { return FitLine(space, half, frames); };
-  const auto mlp = [&](const StepTable& half, int frames) {
-    return FitMlp(space, half, frames, 0);
+  const auto line = [&](const StepTable& half, const StepTable&, int frames) {
+    return FitLine(space, half, frames);
+  };
+  const auto mlp = [&](const StepTable& half, const StepTable& other, int frames) {
+    return FitMlp(space, half, other, frames, {.quick = true});
   };
   // Of an action that is no linear function of a velocity, a line may show nothing.
   return is_clear(line, kLineGain, 0.0) || is_clear(mlp, kMlpGain, kLeastMlpGain);
@@ -128,8 +153,7 @@ BaselineComparison CompareWithBaselines(std::shared_ptr<const Policy> policy,
         Score(FitLine(space, data.training, frames), space, data.held_out));
   }
   for (const int frames : kFrames) {
-    comparison.baselines.push_back(
-        Score(FitMlp(space, data.training, frames, seed), space, data.held_out));
+    comparison.baselines.push_back(BestMlp(space, data, frames, seed));
   }
   return comparison;
 }
@@ -171,9 +195,9 @@ std::string ToText(const BaselineComparison& comparison) {
   std::string text =
       absl::StrFormat("error on %d %s steps (%s):\n", comparison.steps,
                       comparison.is_held_out ? "held-out" : "training", ErrorKind(comparison));
-  text += Row("the policy", comparison.policy.mean, comparison.policy_returns);
+  text += Row("the policy", comparison.policy, comparison.policy_returns);
   for (const BaselineScore& score : comparison.baselines) {
-    text += Row(score.baseline.Name(), score.error.mean, score.returns);
+    text += Row(score.baseline.Name(), score.error, score.returns);
   }
   for (const std::string& warning : Warnings(comparison)) {
     absl::StrAppend(&text, "warning: ", warning, "\n");
@@ -183,8 +207,11 @@ std::string ToText(const BaselineComparison& comparison) {
 
 nlohmann::ordered_json ToJson(const BaselineComparison& comparison, bool with_weights) {
   const auto score = [](const ImitationError& error, const std::vector<double>& returns) {
-    nlohmann::ordered_json json = {{"error", error.mean}};
-    if (!error.elements.empty()) json["error_by_element"] = error.elements;
+    nlohmann::ordered_json json = {{"error", error.mean}, {"explained", error.explained}};
+    if (!error.elements.empty()) {
+      json["error_by_element"] = error.elements;
+      json["explained_by_element"] = error.explained_elements;
+    }
     if (!returns.empty()) json["mean_return"] = AsVector(returns).mean();
     return json;
   };
@@ -195,6 +222,7 @@ nlohmann::ordered_json ToJson(const BaselineComparison& comparison, bool with_we
                                  {"warnings", Warnings(comparison)}};
   for (const BaselineScore& baseline : comparison.baselines) {
     nlohmann::ordered_json entry = {{"name", baseline.baseline.Name()}};
+    if (const int width = baseline.baseline.width(); width > 0) entry["width"] = width;
     entry.update(score(baseline.error, baseline.returns));
     if (with_weights) entry.update(baseline.baseline.ToJson());
     json["baselines"].push_back(std::move(entry));

@@ -30,7 +30,8 @@ struct BaselineData {
   bool is_held_out = true;
 };
 
-// Reads at most about 20,000 steps to fit baselines and 5,000 held-out steps. `validation` is the
+// Reads all steps to fit baselines if their inputs are at most 16 million numbers, and episodes
+// that have about as many, evenly spaced, otherwise; and 10,000 held-out steps. `validation` is the
 // share of the episodes that the trainer holds out. INVALID_ARGUMENT if observations have more than
 // kMostBaselineInputs numbers. Fails if a file can no longer be read.
 absl::StatusOr<BaselineData> ReadBaselineData(const EpisodeSource& source, double validation);
@@ -56,7 +57,9 @@ struct BaselineComparison {
   std::vector<BaselineScore> baselines;
 };
 
-// Fits a line and a perceptron on 1, 2 and 4 observations, in seconds, and measures all errors.
+// Fits lines and perceptrons on 1, 2 and 4 observations, in seconds to a minute, and measures all
+// errors. A perceptron is the best on the held-out steps of two widths and three seeds, so its
+// error there is a little low; its returns are not.
 BaselineComparison CompareWithBaselines(std::shared_ptr<const Policy> policy,
                                         const BaselineData& data, uint64_t seed);
 

@@ -47,6 +47,18 @@ void Decide(const Engine& engine, const Episode& episode, Eigen::Index row,
   }
 }
 
+double ExplainedShare(double error, double of_constant) {
+  if (error <= 0.0) return 1.0;
+  return of_constant > 0.0 ? 1.0 - error / of_constant : 0.0;
+}
+
+// Returns the outputs of the best constant action: the mean of the targets, which for a Discrete
+// space are one-hot.
+RowMajorMatrix<float> ConstantOutputs(const StepTable& table) {
+  const Eigen::RowVectorXf mean = table.weights.transpose() * table.targets / table.weights.sum();
+  return mean.replicate(table.targets.rows(), 1);
+}
+
 }  // namespace
 
 ImitationError ErrorOf(const ActionSpace& space, const RowMajorMatrix<float>& outputs,
@@ -56,13 +68,18 @@ ImitationError ErrorOf(const ActionSpace& space, const RowMajorMatrix<float>& ou
   const Eigen::VectorXd steps = errors.rowwise().mean().cwiseProduct(weights);
   ImitationError error;
   if (weights.sum() <= 0.0) {
-    error.mean = std::numeric_limits<double>::quiet_NaN();
+    error.mean = error.explained = std::numeric_limits<double>::quiet_NaN();
     return error;
   }
   error.mean = steps.sum() / weights.sum();
-  if (!space.is_discrete()) {
-    const Eigen::VectorXd elements = errors.transpose() * weights / weights.sum();
-    error.elements.assign(elements.begin(), elements.end());
+  const Eigen::VectorXd elements = errors.transpose() * weights / weights.sum();
+  const Eigen::VectorXd constant =
+      StepErrors(space, ConstantOutputs(table), table.targets).transpose() * weights /
+      weights.sum();
+  error.explained = ExplainedShare(error.mean, constant.mean());
+  for (Eigen::Index i = 0; !space.is_discrete() && i < elements.size(); ++i) {
+    error.elements.push_back(elements[i]);
+    error.explained_elements.push_back(ExplainedShare(elements[i], constant[i]));
   }
   for (size_t i = 0; i + 1 < table.begins.size(); ++i) {
     const int begin = table.begins[i], count = table.begins[i + 1] - begin;

@@ -19,6 +19,11 @@ struct ImitationError {
   double mean = 0.0;             // NaN if no step has a weight
   std::vector<double> elements;  // [act] for a Box: the means of each element; empty if Discrete
   std::vector<double> episodes;  // the means of each episode of the table
+  // The share of the actions that the model explains, at most 1: 1 less its error divided by that
+  // of the best constant action. 1 without any error; 0, or NaN without a weight, if there is
+  // nothing to explain.
+  double explained = 0.0;
+  std::vector<double> explained_elements;  // as `elements`
 };
 
 // Returns the error of `outputs` [rows, act]: encoded actions of a Box, or scores of which the

@@ -6,6 +6,7 @@ In a small form; test_imitate.py has the long one.
 import json
 import os
 import pathlib
+import re
 import subprocess
 import sys
 
@@ -182,10 +183,17 @@ def test_a_dense_policy_is_imitated_to_the_end_and_the_report_tells_why(tmp_path
     result = spikeserve.imitate(*arguments, options=options, spiketrain=SPIKETRAIN)
     assert result.quantized is None and result.quantized_figures is None
     assert len(result.baselines) == 6
+    assert re.fullmatch(
+        r"-?\d+% of the way from random actions to the expert; it explains -?\d+% of the actions of held-out steps"
+        r"(; undertrained: the validation loss of the first trainings still fell)?",
+        result.verdict.reason,
+    )
+    assert not result.verdict.meets("weak") and result.verdict.meets("bad") and result.advice
     assert any("line on 2 frames returns more than the policy" in warning for warning in result.warnings)
     report = result.report.read_text()
     for text in (
-        "% of the way from random actions to the expert. Random actions return -",
+        "**Verdict: bad**: ",
+        "Random actions return -",
         "All returns of this table are those of the first 4 of the starts above.",
         "| line on 2 frames |",
         "**Warning:** ",

@@ -103,6 +103,13 @@ grep -q '^error on [0-9]* held-out steps (share of other actions' other.txt || f
 for name in 'the policy' 'line on 1 frame' 'line on 4 frames' 'mlp on 2 frames'; do
   grep -q "^  $name  *0\.[0-9]" other.txt || fail "the error of $name"
 done
+grep -qE '^verdict: (bad|weak|good): it explains -?[0-9]+ % of the actions of held-out steps, the best baseline' other.txt ||
+  fail "the verdict: $(cat other.txt)"
+if "$spiketrain" train --data=other.cbor --out=required "${tiny[@]}" --iterations=1 --require=good >required.txt 2>message; then
+  fail "a bad policy passed --require=good: $(cat required.txt)"
+fi
+grep -qE '^spiketrain: --require: expected a verdict of good or better, received (bad|weak): ' message || fail "$(cat message)"
+[[ -s required/policy.safetensors ]] || fail "no policy beside a verdict that was refused"
 grep -q '"kind":"mlp"' other/baselines.json || fail "the weights of the baselines"
 "$spiketrain" train --data=data.cbor --out=plain "${tiny[@]}" --iterations=1 --no_baselines >plain.txt 2>/dev/null
 ! grep -q '^error on' plain.txt || fail "baselines with --no_baselines"

@@ -63,11 +63,14 @@ TEST(BaselineTest, TwoObservationsShowAVelocity) {
     const BaselineData data = *ReadBaselineData(source, 0.1);
     EXPECT_EQ(data.held_out.rows(), 6 * 40);
     EXPECT_TRUE(NeedsChanges(space, data.training));
-    for (const auto& fit : {FitLine(space, data.training, 1), FitMlp(space, data.training, 1, 0)}) {
+    const auto mlp = [&](int frames) {
+      return FitMlp(space, data.training, data.held_out, frames);
+    };
+    for (const auto& fit : {FitLine(space, data.training, 1), mlp(1)}) {
       EXPECT_GT(ErrorOf(space, fit.Outputs(data.held_out.inputs), data.held_out).mean, 0.003);
     }
-    for (const auto& fit : {FitLine(space, data.training, 2), FitMlp(space, data.training, 2, 0),
-                            FitLine(space, data.training, 4), FitMlp(space, data.training, 4, 0)}) {
+    for (const auto& fit :
+         {FitLine(space, data.training, 2), mlp(2), FitLine(space, data.training, 4), mlp(4)}) {
       EXPECT_LT(ErrorOf(space, fit.Outputs(data.held_out.inputs), data.held_out).mean,
                 discrete ? 0.1 : 0.0005)
           << fit.Name();
@@ -118,12 +121,16 @@ TEST(ImitationErrorTest, MeansByElementAndEpisode) {
   outputs << 0.5f, 0.0f, 1.0f, 0.0f, 0.0f, 1.0f;
   const ActionSpace box = ActionSpace::Box({-1.0f, -1.0f}, {1.0f, 1.0f});
   const ImitationError error = ErrorOf(box, outputs, table);
+  EXPECT_DOUBLE_EQ(error.explained, 0.0);  // targets of 0 leave nothing to explain
   EXPECT_NEAR(error.mean, (0.125 + 0.5 + 2 * 0.5) / 4.0, 1e-9);
   EXPECT_THAT(error.elements, ElementsAre(1.25 / 4.0, 0.5));
   EXPECT_THAT(error.episodes, ElementsAre(0.125, 0.5));
   table.targets << 1.0f, 0.0f, 0.0f, 1.0f, 0.0f, 1.0f;
   const ImitationError wrong = ErrorOf(ActionSpace::Discrete(2), outputs, table);
   EXPECT_THAT(wrong.episodes, ElementsAre(0.0, 1.0 / 3.0));
+  // The best constant action is the second, which is wrong in the first step; the outputs are wrong
+  // in the second.
+  EXPECT_DOUBLE_EQ(wrong.explained, 0.0);
   const ErrorDifference difference = Compare(error, wrong);
   EXPECT_NEAR(difference.mean, (0.125 + 0.5 - 1.0 / 3.0) / 2.0, 1e-9);
   EXPECT_TRUE(difference.is_significant());

@@ -50,6 +50,8 @@ class Comparison:
 
     policy_error: float
     element_errors: list[float]  # of the policy, for each element of a Box; empty if Discrete
+    explained: float  # the share of the actions that the policy explains
+    explained_elements: dict[str, float]  # of each element of a Box, by name; empty if Discrete
     error_is: str
     warnings: list[str]
     baselines: list[Baseline]
@@ -67,6 +69,8 @@ class Comparison:
         return cls(
             stored["policy"]["error"],
             stored["policy"].get("error_by_element", []),
+            stored["policy"]["explained"],
+            stored["verdict"].get("explained_by_element", {}),
             stored["error_is"],
             stored["warnings"],
             [_baseline(entry) for entry in stored["baselines"]],

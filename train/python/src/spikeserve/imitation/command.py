@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from spikeserve.imitation.options import CHOSEN, ImitationOptions
+from spikeserve.imitation.options import CHOSEN, GRADES, ImitationOptions
 
 
 def add_command(subcommands: Any) -> None:
@@ -38,6 +38,12 @@ def add_command(subcommands: Any) -> None:
     )
     parser.add_argument(
         "--overwrite", action="store_true", help="delete the run in --out and begin anew"
+    )
+    parser.add_argument(
+        "--require",
+        choices=GRADES,
+        default=GRADES[0],
+        help="exit with status 3 if the verdict is lower; the policy is written all the same",
     )
     for setting in dataclasses.fields(ImitationOptions):
         _add_setting(parser, setting)
@@ -128,4 +134,8 @@ def _run(arguments: argparse.Namespace) -> int:
     for warning in result.warnings:
         print(f"warning: {warning}")
     print(result.report)
-    return 0
+    print(f"verdict: {result.verdict.grade}: {result.verdict.reason}")
+    if result.verdict.grade != GRADES[-1]:
+        for line in result.advice:
+            print(f"try: {line}")
+    return 0 if result.verdict.meets(arguments.require) else 3

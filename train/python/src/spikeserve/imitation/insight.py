@@ -18,8 +18,23 @@ from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Choice, Episode, FlatAction, Row, play
 from spikeserve.imitation.experts import Expert
 from spikeserve.imitation.figures import Figures
+from spikeserve.imitation.options import GRADES
 
 _BINS = 10  # of the steps of an episode
+
+_GOOD_SHARE, _WEAK_SHARE = 0.95, 0.5  # of the way from random actions to the expert
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How good a policy is, in words and numbers."""
+
+    grade: str  # one of GRADES
+    reason: str
+
+    def meets(self, least: str) -> bool:
+        """Returns whether the grade is `least` or better."""
+        return GRADES.index(self.grade) >= GRADES.index(least)
 
 
 def action_error(
@@ -118,6 +133,21 @@ class Insight:
     share: float  # of the way from random actions to the expert
     chance: Figures  # of random actions, on the starts for selection
     curves: list[tuple[int, float, float]]
+
+    def verdict(self) -> Verdict:
+        """Judges by the share of the way to the expert."""
+        grade = "good" if self.share >= _GOOD_SHARE else "bad"
+        if _WEAK_SHARE <= self.share < _GOOD_SHARE:
+            grade = "weak"
+        reason = f"{self.share:.0%} of the way from random actions to the expert"
+        if (comparison := self.comparison) is not None:
+            parts = comparison.explained_elements
+            elements = ", ".join(f"{name} {share:.0%}" for name, share in parts.items())
+            reason += f"; it explains {comparison.explained:.0%} of the actions of held-out steps"
+            reason += f" ({elements})" if len(parts) > 1 else ""
+        if self.curves and self._still_falls():
+            reason += "; undertrained: the validation loss of the first trainings still fell"
+        return Verdict(grade, reason)
 
     def advice(self, observation_changes: bool, context: int) -> list[str]:
         """Returns what to try next, the most promising first."""

@@ -12,6 +12,8 @@ from spikeserve.imitation.delays import Delays, parse_delay
 FIRST_SELECTION_SEED = 1_000_000
 FIRST_UNSEEN_SEED = 2_000_000
 
+GRADES = ("bad", "weak", "good")  # of a verdict
+
 _SILENCE = ((6.0, 25.0), (3.0, 15.0), (1.5, 9.0))
 
 # Flags of `spiketrain train` that cannot be in train_flags, which every stage receives.

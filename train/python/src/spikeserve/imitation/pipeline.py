@@ -31,14 +31,14 @@ from spikeserve.imitation.episodes import Actor, Budget, Episode, play
 from spikeserve.imitation.experts import Expert, is_dataset, load_expert
 from spikeserve.imitation.figures import Evaluator, Figures
 from spikeserve.imitation.images import image_flags
-from spikeserve.imitation.insight import Insight, drift, learning_curves, noise_floor
+from spikeserve.imitation.insight import Insight, Verdict, drift, learning_curves, noise_floor
 from spikeserve.imitation.journal import Journal
 from spikeserve.imitation.memory import TrainingPlan, plan_training
 from spikeserve.imitation.options import FIRST_SELECTION_SEED, FIRST_UNSEEN_SEED, ImitationOptions
 from spikeserve.imitation.pace import RecordingPlan, plan_recording
 from spikeserve.imitation.policy_record import write_with_record
 from spikeserve.imitation.progress import progress_bar
-from spikeserve.imitation.report import Account, write_report
+from spikeserve.imitation.report import Account, has_changes, write_report
 from spikeserve.imitation.training import Spiketrain, Training, find_spiketrain
 
 # Every round of data has environment seeds of its own.
@@ -63,6 +63,8 @@ class ImitationResult:
     warnings: list[str]  # of baselines that are better than the policy, and of lost returns
     expert_figures: Figures
     errors: dict[str, float]  # on held-out episodes, of "the policy" and of the baselines
+    verdict: Verdict
+    advice: list[str]  # what to try next
 
 
 @dataclass(frozen=True)
@@ -375,6 +377,8 @@ class _Run:
                 FIRST_UNSEEN_SEED, self._options.episodes, "expert-unseen"
             ),
             errors=comparison.errors if comparison else {},
+            verdict=insight.verdict(),
+            advice=insight.advice(has_changes(first), self._training.context),
         )
         stages = {stage.name: stage.figures for stage in self._stages}
         name = self._factory.policy_name
