@@ -120,7 +120,8 @@ class Faults:
 
     def _sleep(self, _):
         """Lets the clock of a robot jump that counts its sleep; all pilots in Python have the same one."""
-        self._random.choice(self._flights).suspend(self._random.uniform(1, 15))
+        robots = [flight for i, flight in enumerate(self._flights) if i == 0 or isinstance(flight, CppFlight)]
+        self._random.choice(robots).suspend(self._random.uniform(1, 15))
 
     def _stop_robots(self, _):
         processes = [flight.pilot.process for flight in self._flights if isinstance(flight, CppFlight)]
@@ -177,7 +178,8 @@ def play(arguments, redis, servers):
                 faults.run()
             finally:
                 is_over.set()
-        errors = [repr(done.exception()) for done in flying if done.exception() is not None]
+        ends = enumerate(done.exception() for done in flying)
+        errors = [f"pilot {i}: {end!r}, {flights[i].pilot.stats()}" for i, end in ends if end is not None]
         other = stack.enter_context(undisturbed())
         for i, flight in enumerate(flights):
             stats = flight.pilot.stats()
