@@ -119,6 +119,9 @@ void AddAdvancedFlags(Command program, ServerOptions* options) {
            "Idle time after which a session frees memory")
       .Add("unusual_deviations", "K", &options->unusual_deviations,
            "Distance from the training data that counts as unusual; 0: none")
+      .Add("wiring", "RULES", &options->wiring,
+           "What follows if a robot looks miswired: count, warn or safe, POLICY=safe for one; by "
+           "commas")
       .Add("durability", EnumKind<Durability>(), &options->durability,
            "Durability of stored sessions that name none")
       .Add("store_user", "NAME", &options->store.user,

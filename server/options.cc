@@ -7,6 +7,7 @@
 #include "core/base/status_macros.h"
 #include "server/base/address.h"
 #include "server/web/origins.h"
+#include "server/wiring_rules.h"
 
 namespace spikeserve {
 namespace {
@@ -80,6 +81,7 @@ absl::Status ServerOptions::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("--unusual_deviations: expected at least 0, received ", unusual_deviations));
   }
+  RETURN_IF_ERROR(ParseWiringRules(wiring).status());
   for (const auto& [flag, value] : {std::pair("--max_sessions", max_sessions),
                                     std::pair("--max_recorded_bytes", max_recorded_bytes)}) {
     if (value >= 1) continue;

@@ -46,7 +46,8 @@ struct ServerOptions {
   // Standard deviations from the mean of the training data beyond which an element of an
   // observation counts as unusual; 0: none does.
   double unusual_deviations = kUnusualDeviations;
-  std::string record_dir;  // where sessions are recorded that ask for it; empty: nowhere
+  std::string wiring = "count";  // what follows from a verdict about it, see ParseWiringRules
+  std::string record_dir;        // where sessions are recorded that ask for it; empty: nowhere
   int64_t max_recorded_bytes = int64_t{64} << 30;  // in `record_dir`; one tenant has half of them
   StoreOptions store;  // where sessions are kept so that they survive the server
   Durability durability = Durability::kAsync;  // of stored sessions that ask for none

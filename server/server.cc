@@ -22,6 +22,7 @@
 #include "server/store/open_store.h"
 #include "server/transport/connection_metrics.h"
 #include "server/web/status_json.h"
+#include "server/wiring_rules.h"
 
 namespace spikeserve {
 namespace {
@@ -112,6 +113,7 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> LoadPolicies(const ServerOptions
   if (!options.trusted_keys.empty()) {
     ASSIGN_OR_RETURN(signatures, PolicySignatures::Read(options.trusted_keys, options.signing_key));
   }
+  ASSIGN_OR_RETURN(const WiringRules wiring, ParseWiringRules(options.wiring));
   return PolicyRegistry::Load(
       {.directory = options.policies,
        .settings_path = options.policy_settings,
@@ -122,9 +124,11 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> LoadPolicies(const ServerOptions
        .head_logs = store.heads.get(),
        .signatures = std::move(signatures),
        .tracer = tracer},
-      [metrics, deviations = options.unusual_deviations](const std::string& name, int64_t version,
-                                                         const Policy& policy) {
-        return metrics->NewPolicyObserver(name, version, policy, deviations);
+      [metrics, wiring, deviations = options.unusual_deviations](
+          const std::string& name, int64_t version, const Policy& policy) {
+        const auto rule = wiring.find(name);
+        const auto response = rule == wiring.end() ? wiring.at("") : rule->second;
+        return metrics->NewPolicyObserver(name, version, policy, deviations, response);
       },
       report);
 }

@@ -15,8 +15,10 @@
 #include "core/base/file.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
+#include "core/dataset/policy_description.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
+#include "core/model/wiring_fit.h"
 #include "train/baselines/comparison.h"
 #include "train/baselines/verdict.h"
 #include "train/evaluation/evaluation.h"
@@ -300,6 +302,22 @@ absl::StatusOr<std::optional<BaselineComparison>> CompareIfPossible(
   return std::optional<BaselineComparison>(std::move(comparison));
 }
 
+// Adds what the data say about the robot. Robots that act late differ from the data's steps.
+void Describe(const TrainOptions& options, const EpisodeSource& source, Policy* policy) {
+  AddNames(source.dataset().recipe, policy);
+  std::vector<int> first;
+  size_t steps = 0;
+  for (const EpisodeEntry& entry : source.entries()) {
+    if (steps >= WiringFit::kMostSteps) break;
+    steps += static_cast<size_t>(entry.steps);
+    first.push_back(static_cast<int>(first.size()));
+  }
+  const auto episodes = source.Read(first);
+  if (options.delay.most == 0 && episodes.ok()) {
+    AddWiringModel(*episodes, policy).IgnoreError();  // too few steps, or too many elements
+  }
+}
+
 // Writes the policy to --out, evaluates it, and writes it again with the result in its record.
 absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string& command_line,
                                      const nlohmann::ordered_json& sources,
@@ -308,6 +326,7 @@ absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string&
                                      Policy policy) {
   const double validation = losses.empty() ? -1.0 : losses.back().second;
   const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
+  Describe(options, source, &policy);
   // Whatever fails below only reports.
   policy.training = TrainingRecord(command_line, sources, options, source.dataset(), validation,
                                    std::nullopt, policy.config, initial.training);

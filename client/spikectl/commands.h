@@ -29,6 +29,12 @@ void AddAdaptCommand(Command program, const ServerFlags& server);
 // Replays a recorded session and fails at the first decision that differs.
 void AddReplayCommand(Command program, const ServerFlags& server);
 
+// Adds the commands that change policy files, without a server, as subcommands of `policy`.
+void AddPolicyCommands(Command program);
+
+// Tests whether a robot is wired right, by recordings or by a session of the server.
+void AddDoctorCommand(Command program, const ServerFlags& server);
+
 // Adds the commands that read a session store, without a server, as subcommands of `store`.
 void AddStoreCommands(Command program, const ServerFlags& server);
 

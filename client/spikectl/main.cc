@@ -23,5 +23,7 @@ int main(int argc, char** argv) {
   spikeserve::AddAdminCommands(root, server);
   spikeserve::AddStoreCommands(root, server);
   spikeserve::AddEmitCommand(root, server);
+  spikeserve::AddPolicyCommands(root);
+  spikeserve::AddDoctorCommand(root, server);
   return program.Run(argc, argv);
 }

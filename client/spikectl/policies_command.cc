@@ -25,6 +25,21 @@ ordered_json ToJson(const v1::ActionSpace& space) {
   return {{"type", "Box"}, {"low", space.box().low()}, {"high", space.box().high()}};
 }
 
+using FeatureList = google::protobuf::RepeatedPtrField<v1::Feature>;
+
+ordered_json ToJson(const FeatureList& features) {
+  ordered_json list = ordered_json::array();
+  for (const v1::Feature& feature : features) {
+    ordered_json& json = list.emplace_back(ordered_json::object());
+    json["name"] = feature.name();
+    if (!feature.unit().empty()) json["unit"] = feature.unit();
+    if (feature.has_low()) json["low"] = feature.low();
+    if (feature.has_high()) json["high"] = feature.high();
+    if (!feature.frame().empty()) json["frame"] = feature.frame();
+  }
+  return list;
+}
+
 ordered_json ToJson(const v1::PolicyInfo& policy) {
   ordered_json json = {{"name", policy.name()},
                        {"version", policy.version()},
@@ -39,6 +54,15 @@ ordered_json ToJson(const v1::PolicyInfo& policy) {
   if (policy.has_traffic_percent()) json["traffic_percent"] = policy.traffic_percent();
   if (policy.version_labels_size() > 0) json["version_labels"] = policy.version_labels();
   if (policy.is_shadow()) json["is_shadow"] = true;
+  if (policy.observation_features_size() > 0) {
+    json["observation_features"] = ToJson(policy.observation_features());
+  }
+  if (policy.action_features_size() > 0) json["action_features"] = ToJson(policy.action_features());
+  if (policy.has_rate_hz()) {
+    json["rate_hz"] = policy.rate_hz();
+    json["rate_tolerance"] = policy.rate_tolerance();
+  }
+  json["checks_wiring"] = policy.checks_wiring();
   return json;
 }
 
@@ -142,10 +166,39 @@ void PrintText(const v1::ListPoliciesResponse& response, const v1::ListRolloutsR
   if (others > 0) std::cout << others << " more that new sessions do not get: --all lists them\n";
 }
 
-absl::Status ListPolicies(const ServerFlags& flags, bool all) {
+void PrintFeatures(const char* kind, const FeatureList& features) {
+  for (int i = 0; i < features.size(); ++i) {
+    const v1::Feature& feature = features[i];
+    std::string range;
+    if (feature.has_low()) absl::StrAppend(&range, " from ", feature.low());
+    if (feature.has_high()) absl::StrAppend(&range, " to ", feature.high());
+    if (!feature.frame().empty()) absl::StrAppend(&range, " in ", feature.frame());
+    std::cout << absl::StrFormat("  %s[%d] %s %s%s\n", kind, i, feature.name(), feature.unit(),
+                                 range);
+  }
+}
+
+void PrintFeatures(const v1::ListPoliciesResponse& response) {
+  for (const v1::PolicyInfo& policy : response.policies()) {
+    std::cout << policy.name() << "/" << policy.version();
+    if (policy.has_rate_hz()) {
+      std::cout << " at " << policy.rate_hz() << " Hz within " << 100.0 * policy.rate_tolerance()
+                << " %";
+    }
+    std::cout << (policy.observation_features().empty() ? ": no names\n" : "\n");
+    PrintFeatures("observation", policy.observation_features());
+    PrintFeatures("action", policy.action_features());
+  }
+}
+
+absl::Status ListPolicies(const ServerFlags& flags, bool all, bool features) {
   ASSIGN_OR_RETURN(const auto client, Connect(flags));
   ASSIGN_OR_RETURN(const auto response, client->ListPolicies());
   const v1::ListRolloutsResponse rollouts = ListRollouts(*client);
+  if (features && !flags.json) {
+    PrintFeatures(response);
+    return absl::OkStatus();
+  }
   if (!flags.json) {
     PrintText(response, rollouts, all);
     return absl::OkStatus();
@@ -166,9 +219,12 @@ void AddPoliciesCommand(Command program, const ServerFlags& server) {
   const Command command = program.AddCommand(
       "policies", "Lists the versions that new sessions get, and those with labels");
   const auto all = std::make_shared<bool>(false);
-  command.Flags("Listing").AddSwitch("all", all.get(),
-                                     "List every version that the server has; --json always does");
-  command.SetAction([all, &server] { return ListPolicies(server, *all); });
+  const auto features = std::make_shared<bool>(false);
+  command.Flags("Listing")
+      .AddSwitch("all", all.get(), "List every version that the server has; --json always does")
+      .AddSwitch("features", features.get(),
+                 "List the names and units of every version's elements");
+  command.SetAction([all, features, &server] { return ListPolicies(server, *all, *features); });
 }
 
 }  // namespace spikeserve

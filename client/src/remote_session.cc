@@ -21,6 +21,7 @@ absl::Status OutdatedError(uint64_t expected, uint64_t decisions) {
 absl::StatusOr<RemoteSession> RemoteSession::Open(Client* client, v1::OpenSessionRequest request,
                                                   bool reopens, std::shared_ptr<Route> route) {
   RemoteSession session(client, "", 0);
+  request.set_names_in_any_order(true);
   session.reopening_ = std::move(request);
   session.route_ = std::move(route);
   if (absl::Status status = session.OpenAgain(); !status.ok()) return status;
@@ -47,6 +48,7 @@ absl::Status RemoteSession::OpenAgain() {
   auto opened = client_->OpenSession(request, route);
   if (!opened.ok()) return opened.status();
   opening_ = *std::move(opened);
+  order_ = FeatureOrder(request, opening_);
   session_id_ = opening_.session_id();
   route_ = std::move(route);
   step_ = 0;
@@ -100,15 +102,23 @@ absl::StatusOr<v1::ActResponse> RemoteSession::Decide(const v1::ActRequest& requ
   auto response = CallUpToDate<v1::ActResponse>([&] { return client_->Act(request, route_); });
   if (reopening_.has_value() && IsSessionLost(response.status())) {
     if (absl::Status status = OpenAgain(); !status.ok()) return status;
-    const v1::ActRequest first = MakeRequest(request.observation(), 0.0);
+    const v1::ActRequest first = MakeOrdered(request.observation(), 0.0, std::nullopt);
     response = CallUpToDate<v1::ActResponse>([&] { return client_->Act(first, route_); });
   }
   if (!response.ok()) return response;
   if (absl::Status status = Accept(*response); !status.ok()) return status;
+  ToRobot(&*response);
   return response;
 }
 
 v1::ActRequest RemoteSession::MakeRequest(absl::Span<const float> observation, double reward,
+                                          const std::optional<v1::Action>& executed_action) {
+  std::optional<v1::Action> executed = executed_action;
+  if (executed.has_value()) order_.ToPolicy(&*executed);
+  return MakeOrdered(order_.Observation(observation), reward, executed);
+}
+
+v1::ActRequest RemoteSession::MakeOrdered(absl::Span<const float> observation, double reward,
                                           const std::optional<v1::Action>& executed_action) {
   v1::ActRequest request;
   request.set_session_id(session_id_);
@@ -143,9 +153,11 @@ absl::StatusOr<v1::EndEpisodeResponse> RemoteSession::EndEpisode(const EpisodeOu
   request.set_terminated(outcome.terminated);
   request.set_truncated(outcome.truncated);
   if (outcome.target_return.has_value()) request.set_target_return(*outcome.target_return);
-  request.mutable_observation()->Add(outcome.observation.begin(), outcome.observation.end());
+  const auto observation = order_.Observation(outcome.observation);
+  request.mutable_observation()->Add(observation.begin(), observation.end());
   if (outcome.executed_action.has_value()) {
     *request.mutable_executed_action() = *outcome.executed_action;
+    order_.ToPolicy(request.mutable_executed_action());
   }
   if (episode_.has_value()) {
     request.set_episode(*episode_);

@@ -213,7 +213,11 @@ std::optional<absl::StatusOr<ActReply>> RemoteStream::TakeResponse(
   reply.response = std::move(response);
   if (session != nullptr) {
     absl::Status accepted = session->Accept(*reply.response);
-    if (!accepted.ok()) reply.response = std::move(accepted);
+    if (accepted.ok()) {
+      session->ToRobot(&*reply.response);
+    } else {
+      reply.response = std::move(accepted);
+    }
   }
   return reply;
 }

@@ -3,12 +3,15 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <map>
+#include <memory>
 #include <utility>
 #include <vector>
 
 #include "absl/base/attributes.h"
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
+#include "core/action/neutral_action.h"
 #include "core/agent/repeated_step.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
@@ -49,6 +52,15 @@ double CountedReward(const Session& session, double reward) {
   return session.step == 0 ? 0.0 : reward;
 }
 
+// Returns what follows from a verdict about the wiring of a session with these labels.
+WiringResponse WiringResponseOf(const std::map<std::string, std::string>& labels,
+                                const SessionObserver& observer) {
+  const auto label = labels.find(kWiringLabel);
+  if (label == labels.end()) return observer.wiring_response();
+  return ParseEnum<WiringResponse>(kWiringLabel, label->second)
+      .value_or(observer.wiring_response());
+}
+
 // Memory of a thread, which its decisions reuse, so that a warm decision allocates none.
 struct DecisionScratch {
   std::vector<AgentSession*> sessions;
@@ -73,7 +85,10 @@ AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session s
       session_(std::move(session)),
       created_(clock->Now()),
       life_(session_.decisions, session_.episode),
-      head_(served_, &session_) {}
+      head_(served_, &session_),
+      wiring_response_(WiringResponseOf(session_.options.labels, *served_->observer)) {
+  if (policy().wiring != nullptr) wiring_ = std::make_unique<WiringCheck>(policy());
+}
 
 void AgentSession::AddListener(std::shared_ptr<SessionListener> listener) {
   SPIKESERVE_DCHECK(listener != nullptr);
@@ -199,6 +214,7 @@ void AgentSession::Together::Decide(absl::Span<ActCall* const> calls) {
       call.answer = session.NonFiniteError();
       continue;
     }
+    session.CheckWiring(call.observation);
     Answer answer = MakeAnswer(session, outputs[i], call.reward, &choice);
     answer.unusual_observations =
         served.observer->CountUnusual(call.observation, static_cast<double>(answer.return_to_go));
@@ -206,6 +222,7 @@ void AgentSession::Together::Decide(absl::Span<ActCall* const> calls) {
     answer.compute_seconds = absl::ToDoubleSeconds(share + (chosen - last));
     last = chosen;
     Record(call, std::move(answer), outputs[i].readout, choice.noise);
+    session.ActSafely();
     const Answer& answered = *session.session_.last_answer;
     session.life_.OnDecision(chosen - session.created_, answered.counts.total_spikes(),
                              answered.compute_seconds);
@@ -271,6 +288,35 @@ void AgentSession::TakeExecuted(const Action& executed) {
   context_.OnExecuted();
   head_.OnExecuted(executed, &session_);
   for (const auto& listener : listeners_) listener->OnExecuted(executed);
+}
+
+const std::optional<WiringVerdict>& AgentSession::wiring_verdict() const {
+  static const std::optional<WiringVerdict> none;
+  return wiring_ != nullptr ? wiring_->verdict() : none;
+}
+
+void AgentSession::CheckWiring(absl::Span<const float> observation) {
+  if (wiring_ == nullptr) return;
+  if (session_.step == 0) wiring_->BeginEpisode();
+  thread_local std::vector<float> action;
+  thread_local Action executed;
+  action.clear();
+  // The observation before is known unless steps were skipped.
+  if (!session_.history.empty() && before_skipped_ == nullptr) {
+    action.resize(static_cast<size_t>(policy().action_space.size()));
+    session_.history.action(session_.history.size() - 1, &executed);
+    policy().action_space.Encode(executed, absl::MakeSpan(action));
+  }
+  if (!wiring_->OnStep(observation, action)) return;
+  served_->observer->OnWiring(session_.id, *wiring_->verdict(), wiring_response_);
+}
+
+void AgentSession::ActSafely() {
+  acts_safely_ = wiring_response_ == WiringResponse::kSafe && wiring_verdict().has_value();
+  if (!acts_safely_) return;
+  const Action neutral = NeutralAction(policy().action_space);
+  TakeExecuted(neutral);
+  session_.last_answer->action = neutral;
 }
 
 absl::Status AgentSession::NonFiniteError() const {

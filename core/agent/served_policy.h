@@ -14,6 +14,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/types/span.h"
 #include "core/agent/robot_link.h"
+#include "core/agent/wiring_check.h"
 #include "core/engine/engine.h"
 #include "core/learning/fleet_head.h"
 #include "core/learning/head_update.h"
@@ -65,6 +66,11 @@ class SessionObserver {
   virtual void OnError() {}
   // The policy computed an answer with NaN or infinity, which was not sent.
   virtual void OnNonFinite() {}
+  // A verdict about the wiring of the session `id` begins. `response` is what follows from it.
+  virtual void OnWiring(const std::string& /*id*/, const WiringVerdict& /*verdict*/,
+                        WiringResponse /*response*/) {}
+  // Returns the response to verdicts in sessions that ask for none.
+  virtual WiringResponse wiring_response() const { return WiringResponse::kCount; }
   virtual void OnEpisodeEnd(double /*episode_return*/) {}
   virtual void OnHeadUpdate(UpdateOutcome /*outcome*/) {}
   virtual void OnLearned(const LearningSummary& /*summary*/) {}  // end of an episode with learning

@@ -12,6 +12,7 @@
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
+#include "core/model/wiring_model.h"
 
 namespace spikeserve {
 namespace {
@@ -125,6 +126,13 @@ absl::Status CheckWeights(const Policy& policy) {
   return CheckIntegers(policy.config, weights);
 }
 
+absl::Status CheckDescription(const Policy& policy) {
+  const int size = policy.observation_size();
+  RETURN_IF_ERROR(policy.features.Validate(size, policy.action_space.size()));
+  if (policy.wiring == nullptr) return absl::OkStatus();
+  return policy.wiring->Validate(size, policy.action_space.size());
+}
+
 // Generates the random numbers of one tensor. Number i is a function of the seed, the tensor's name
 // and i in integer arithmetic, so it depends neither on the C library nor on the order of the
 // tensors.
@@ -213,7 +221,8 @@ absl::Status Policy::Validate() const {
   status.Update(action_space.Validate());
   status.Update(CheckScalars(*this));
   if (!status.ok()) return status;
-  return CheckWeights(*this);
+  RETURN_IF_ERROR(CheckWeights(*this));
+  return CheckDescription(*this);
 }
 
 Policy RandomPolicy(const ModelConfig& config, int observation_size,

@@ -6,15 +6,19 @@
 #define CORE_MODEL_POLICY_H_
 
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 
 #include "absl/status/status.h"
 #include "core/action/action_space.h"
 #include "core/model/config.h"
+#include "core/model/features.h"
 #include "core/model/weights.h"
 
 namespace spikeserve {
+
+struct WiringModel;
 
 struct Policy {
   ModelConfig config;
@@ -28,14 +32,17 @@ struct Policy {
   float modulator_mean = 0.0f;  // mu and sigma of eq. 4.2
   float modulator_std = 1.0f;
 
-  std::string environment;      // Gymnasium id, for example "CartPole-v1"
-  std::string training = "{}";  // JSON object: command, seed, data recipe, evaluation
+  std::string environment;                    // Gymnasium id, for example "CartPole-v1"
+  std::string training = "{}";                // JSON object: command, seed, data recipe, evaluation
+  Features features;                          // names of the elements; may be empty
+  std::shared_ptr<const WiringModel> wiring;  // checks sessions (wiring_model.h); null: none
 
   int observation_size() const { return static_cast<int>(weights.observation_mean.values.size()); }
 
   // Returns INVALID_ARGUMENT unless the config and the action space are valid, every tensor has the
   // shape that they require, every number is finite and in its range (see integer_weights.h for
-  // integers), the scales and deviations are positive, and `training` is a JSON object.
+  // integers), the scales and deviations are positive, `training` is a JSON object,
+  // and the features and the wiring model fit the sizes.
   absl::Status Validate() const;
 };
 

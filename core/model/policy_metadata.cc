@@ -3,6 +3,7 @@
 #include <array>
 #include <charconv>
 #include <cmath>
+#include <memory>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -13,6 +14,7 @@
 #include "core/base/json.h"
 #include "core/base/json_object.h"
 #include "core/base/status_macros.h"
+#include "core/model/wiring_model.h"
 
 namespace spikeserve {
 namespace {
@@ -169,6 +171,18 @@ absl::Status ParseActionSpace(const std::string& text, ActionSpace* space) {
   return reader.Finish();
 }
 
+// Reads the keys that a file may leave out.
+absl::Status ParseDescription(const std::map<std::string, std::string>& metadata, Policy* policy) {
+  if (const auto found = metadata.find("features"); found != metadata.end()) {
+    ASSIGN_OR_RETURN(policy->features, ParseFeatures(found->second));
+  }
+  if (const auto found = metadata.find("wiring"); found != metadata.end()) {
+    ASSIGN_OR_RETURN(auto wiring, ParseWiringModel(found->second));
+    policy->wiring = std::make_shared<const WiringModel>(std::move(wiring));
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 std::map<std::string, std::string> FormatPolicyMetadata(const Policy& policy) {
@@ -181,6 +195,9 @@ std::map<std::string, std::string> FormatPolicyMetadata(const Policy& policy) {
   };
   VisitNumbers(policy,
                [&metadata](const char* key, float number) { metadata[key] = Format(number); });
+  // Files without these keys name nothing, and earlier versions ignore them.
+  if (!policy.features.empty()) metadata["features"] = FormatFeatures(policy.features);
+  if (policy.wiring != nullptr) metadata["wiring"] = FormatWiringModel(*policy.wiring);
   return metadata;
 }
 
@@ -207,6 +224,7 @@ absl::Status ParsePolicyMetadata(const std::map<std::string, std::string>& metad
   });
   status.Update(ParseConfig(config, &policy->config));
   status.Update(ParseActionSpace(action_space, &policy->action_space));
+  status.Update(ParseDescription(metadata, policy));
   return status;
 }
 

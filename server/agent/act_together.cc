@@ -204,6 +204,7 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock, Bea
                                                   calls[i].executed.has_value(), session));
     }
     ToProto(act.request->session_id(), **calls[i].answer, entry.served->policy(), act.response);
+    WiringToProto(entry.agent, act.response);
     if (span) Describe(act, calls[i].is_retry, &span);
     if (HasBeats(*act.request)) {
       FillBeats(*act.request, act.beats, session, act.received, begun, act.response);

@@ -8,6 +8,7 @@
 #include "absl/container/inlined_vector.h"
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
+#include "core/agent/wiring_check.h"
 #include "core/base/json.h"
 #include "core/base/printable.h"
 #include "core/base/status.h"
@@ -18,6 +19,7 @@
 #include "core/session/session_id.h"
 #include "core/session/session_value.h"
 #include "server/agent/episode_end.h"
+#include "server/agent/feature_names.h"
 #include "server/agent/request_order.h"
 #include "server/agent/session_recovery.h"
 #include "server/base/retry_delay.h"
@@ -70,11 +72,21 @@ absl::Status CheckPeriod(double seconds) {
 
 absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& request,
                                                 const ServedPolicy& served) {
+  RETURN_IF_ERROR(CheckFeatures(request, served.policy().features));
   ASSIGN_OR_RETURN(auto settings, RequestFromProto(request));
   ASSIGN_OR_RETURN(auto options, ResolveSession(std::move(settings), served));
   options.policy_sha256 = served.sha256;
   RETURN_IF_ERROR(CheckLabels(request.labels()));
   options.labels.insert(request.labels().begin(), request.labels().end());
+  if (!v1::WiringResponse_IsValid(request.wiring())) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "wiring: expected WIRING_DEFAULT, WIRING_COUNT, WIRING_WARN or WIRING_SAFE, received ",
+        static_cast<int>(request.wiring())));
+  }
+  if (request.wiring() != v1::WIRING_DEFAULT) {
+    const auto wiring = static_cast<WiringResponse>(request.wiring() - v1::WIRING_COUNT);
+    options.labels[kWiringLabel] = std::string(ToString(wiring));
+  }
   if (!request.has_period_seconds()) return options;
   RETURN_IF_ERROR(CheckPeriod(request.period_seconds()));
   options.labels[kPeriodLabel] = absl::StrCat(request.period_seconds());
@@ -196,7 +208,7 @@ absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id
   if (!id.ok()) return id.status();
   const std::string& tenant = context.caller->tenant()->name();
   const auto other = store_->Peek(*id);
-  if (context.id_is_taken || (other != nullptr && other->tenant != tenant)) {
+  if (other != nullptr && other->tenant != tenant) {
     id = SessionGate::OwnId(tenant, *id);
   }
   ASSIGN_OR_RETURN(const auto route, ChooseRoute(request, *id, *registry_->catalog()));

@@ -85,14 +85,23 @@ Instances UnusualObservations(const AlertRule& rule, const AlertInput& input) {
   return found;
 }
 
-Instances NonFiniteAnswers(const AlertRule& rule, const AlertInput& input) {
+// Returns the versions of which the counter `name` has increased.
+Instances Counted(const char* name, std::initializer_list<const char*> by, const AlertRule& rule,
+                  const AlertInput& input) {
   Instances found;
-  const Selection answers = input.history.Select("spikeserve_non_finite_answers_total");
-  for (const auto& [labels, series] : GroupBy({"policy", "version"}, answers)) {
+  for (const auto& [labels, series] : GroupBy(by, input.history.Select(name))) {
     const double count = Increase(series, WindowOf(rule, input));
     if (count > rule.figures[0]) found.push_back({labels, count});
   }
   return found;
+}
+
+Instances NonFiniteAnswers(const AlertRule& rule, const AlertInput& input) {
+  return Counted("spikeserve_non_finite_answers_total", {"policy", "version"}, rule, input);
+}
+
+Instances RobotMiswired(const AlertRule& rule, const AlertInput& input) {
+  return Counted("spikeserve_wiring_verdicts_total", {"policy", "version", "cause"}, rule, input);
 }
 
 Instances NoDecisions(const AlertRule& rule, const AlertInput& input) {

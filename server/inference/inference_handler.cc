@@ -39,6 +39,9 @@ void FillConfig(const ServedPolicy& served, absl::Duration session_ttl,
     output->set_data_type(spec.data_type);
     output->mutable_dims()->Add(spec.shape.begin(), spec.shape.end());
   }
+  if (const Features& features = served.policy().features; !features.empty()) {
+    (*config->mutable_parameters())["features"].set_string_value(FormatFeatures(features));
+  }
   auto* sequences = config->mutable_sequence_batching();
   sequences->mutable_direct();
   sequences->set_max_sequence_idle_microseconds(

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "core/action/neutral_action.h"
 #include "core/agent/beats.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
@@ -16,17 +17,6 @@
 
 namespace spikeserve {
 namespace {
-
-// Returns the action nearest to doing nothing: index 0, or in each element of a Box 0, if the
-// bounds admit it, and otherwise their middle.
-Action NeutralAction(const ActionSpace& space) {
-  Action neutral;
-  for (size_t i = 0; i < space.low.size(); ++i) {
-    const bool admits_zero = space.low[i] <= 0.0f && space.high[i] >= 0.0f;
-    neutral.continuous.push_back(admits_zero ? 0.0f : 0.5f * space.low[i] + 0.5f * space.high[i]);
-  }
-  return neutral;
-}
 
 // Returns `evaluation.mean_return` of a policy file's training record, if the record has it.
 std::optional<double> TrainingReturn(const std::string& training) {
@@ -175,6 +165,22 @@ v1::ActionSpace ToProto(const ActionSpace& space) {
   return proto;
 }
 
+namespace {
+
+void ToProto(const std::vector<Feature>& features,
+             google::protobuf::RepeatedPtrField<v1::Feature>* proto) {
+  for (const Feature& feature : features) {
+    v1::Feature& added = *proto->Add();
+    added.set_name(feature.name);
+    added.set_unit(feature.unit);
+    if (feature.low.has_value()) added.set_low(*feature.low);
+    if (feature.high.has_value()) added.set_high(*feature.high);
+    added.set_frame(feature.frame);
+  }
+}
+
+}  // namespace
+
 v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served) {
   SPIKESERVE_DCHECK(entry.versions.contains(served.version));
   const Policy& policy = served.policy();
@@ -200,6 +206,13 @@ v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served) {
   proto.set_is_shadow(served.version == entry.settings.shadow_version);
   ToProto(NeutralAction(policy.action_space), policy.action_space.is_discrete(),
           proto.mutable_neutral_action());
+  ToProto(policy.features.observation, proto.mutable_observation_features());
+  ToProto(policy.features.action, proto.mutable_action_features());
+  if (policy.features.rate_hz.has_value()) {
+    proto.set_rate_hz(*policy.features.rate_hz);
+    proto.set_rate_tolerance(policy.features.rate_tolerance);
+  }
+  proto.set_checks_wiring(policy.wiring != nullptr);
   return proto;
 }
 
@@ -237,6 +250,17 @@ v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary) {
   return proto;
 }
 
+namespace {
+
+void ToProto(const WiringVerdict& verdict, v1::WiringVerdict* proto) {
+  proto->set_cause(static_cast<v1::WiringVerdict::Cause>(static_cast<int>(verdict.cause) + 1));
+  proto->mutable_elements()->Add(verdict.elements.begin(), verdict.elements.end());
+  proto->set_text(verdict.text);
+  proto->set_evidence(verdict.evidence);
+}
+
+}  // namespace
+
 v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delta) {
   const Session& session = agent.session();
   v1::GetSessionResponse proto;
@@ -263,8 +287,16 @@ v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delt
     proto.set_modulator_std(session.learner->returns.deviation());
     proto.set_rollbacks(agent.Rollbacks());
   }
+  if (const auto& verdict = agent.wiring_verdict()) ToProto(*verdict, proto.mutable_wiring());
   proto.mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());
   return proto;
+}
+
+void WiringToProto(const AgentSession& agent, v1::ActResponse* response) {
+  const auto& verdict = agent.wiring_verdict();
+  if (!verdict.has_value()) return;
+  ToProto(*verdict, response->mutable_wiring());
+  response->mutable_wiring()->set_is_safe_action(agent.acts_safely());
 }
 
 void ToProto(const std::string& session_id, const Answer& answer, const Policy& policy,
@@ -293,6 +325,8 @@ void ToProto(const std::string& session_id, const SessionOptions& options,
   response->set_history_limit(kHistoryLimit);
   ToProto(NeutralAction(policy.action_space), policy.action_space.is_discrete(),
           response->mutable_neutral_action());
+  ToProto(policy.features.observation, response->mutable_observation_features());
+  ToProto(policy.features.action, response->mutable_action_features());
 }
 
 void ErrorToProto(const absl::Status& status, v1::ActResult* result) {

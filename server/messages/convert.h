@@ -41,6 +41,9 @@ v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delt
 void ToProto(const std::string& session_id, const Answer& answer, const Policy& policy,
              v1::ActResponse* response);
 
+// Adds the verdict about the wiring of the session, if there is one.
+void WiringToProto(const AgentSession& agent, v1::ActResponse* response);
+
 // Describes a session of `served` to the caller that opened it.
 void ToProto(const std::string& session_id, const SessionOptions& options,
              const ServedPolicy& served, v1::OpenSessionResponse* response);

@@ -128,7 +128,10 @@ Metrics::Metrics()  // #lizard forgives(length): a table
                         "Elements of observations further than --unusual_deviations standard "
                         "deviations from the mean of the training data, by index in the "
                         "observation. Long observations are counted by ranges of indices. "
-                        "return_to_go: far beyond the policy's returns.")),
+                        "return_to_go: far beyond the policy's returns. `name` is the feature.")),
+      wiring_(Register(BuildCounter(), "spikeserve_wiring_verdicts_total",
+                       "Verdicts that the observations of a session are wired otherwise than those "
+                       "of the training data, by cause.")),
       learning_updates_(Register(BuildCounter(), "spikeserve_learning_updates_total",
                                  "Action-head updates applied by sessions that learn.")),
       learning_rejected_(Register(BuildCounter(), "spikeserve_learning_rejected_total",
@@ -237,11 +240,14 @@ auto* Metrics::Add(VersionSeries& series, auto& family, const prometheus::Labels
 
 std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& name,
                                                             int64_t version, const Policy& policy,
-                                                            double unusual_deviations) {
+                                                            double unusual_deviations,
+                                                            WiringResponse wiring) {
   const std::string key = absl::StrCat(name, "/", version);
   PolicySeries of = {.labels = {{"policy", name}, {"version", absl::StrCat(version)}},
                      .config = policy.config,
                      .elements = ElementNames(policy.observation_size()),
+                     .features = policy.features.observation,
+                     .checks_wiring = policy.wiring != nullptr,
                      .dense_energy = {}};
   for (size_t i = 0; i < kEnergyModels; ++i) {
     of.dense_energy[i] = DenseEnergy(static_cast<EnergyModel>(i), policy);
@@ -259,7 +265,7 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   const prometheus::Labels labels = of.labels;
   return std::make_shared<PolicyMetrics>(
       key, loaded, EvidenceOf(name, version), policy.config, PlausibleReturns::Of(policy),
-      UsualObservations::Of(policy, unusual_deviations),
+      UsualObservations::Of(policy, unusual_deviations), wiring,
       [this, key, of = std::move(of)] { return AddSessions(key, of); },
       [this, key, labels] { return AddRobots(key, labels); }, [this, key] { OnObserverEnd(key); });
 }
@@ -303,8 +309,15 @@ PolicyMetrics::Handles Metrics::AddSessions(const std::string& version, const Po
   handles.implausible = add(implausible_);
   handles.episode_return = add(episode_return_, Returns());
   handles.episode_return_mean = add(episode_return_mean_);
-  for (const std::string& element : of.elements) {
-    handles.unusual.push_back(add_with(unusual_, "element", element));
+  const bool are_named = of.features.size() == of.elements.size();
+  for (size_t i = 0; i < of.elements.size(); ++i) {
+    prometheus::Labels labels = With(of.labels, "element", of.elements[i]);
+    if (are_named) labels = With(labels, "name", of.features[i].name);
+    handles.unusual.push_back(Add(series, unusual_, labels));
+  }
+  for (const auto& [cause, name] : EnumNames(WiringCause())) {
+    if (!of.checks_wiring) break;
+    handles.wiring[static_cast<size_t>(cause)] = add_with(wiring_, "cause", name);
   }
   handles.unusual_return = add_with(unusual_, "element", "return_to_go");
   AddLearning(series, of.labels, &handles);

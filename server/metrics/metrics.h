@@ -60,9 +60,11 @@ class Metrics {
   // observer of a version is destroyed, the time series of the version are removed. The observer
   // must not outlive this object. Elements of observations further than `unusual_deviations`
   // standard deviations from the mean of the training data count as unusual; 0: none does.
+  // `wiring` follows from verdicts about the wiring of sessions that ask for no response.
   std::shared_ptr<SessionObserver> NewPolicyObserver(
       const std::string& name, int64_t version, const Policy& policy,
-      double unusual_deviations = kUnusualDeviations);
+      double unusual_deviations = kUnusualDeviations,
+      WiringResponse wiring = WiringResponse::kCount);
 
   // Returns the evidence about one policy version that all its observers count into. It lives as
   // long as this object.
@@ -139,6 +141,8 @@ class Metrics {
     prometheus::Labels labels;
     ModelConfig config;
     std::vector<std::string> elements;  // of the observation; see ElementNames
+    std::vector<Feature> features;      // the names of the elements; empty: none
+    bool checks_wiring = false;
     std::array<std::optional<double>, kEnergyModels> dense_energy;
   };
 
@@ -180,6 +184,7 @@ class Metrics {
   prometheus::Family<prometheus::Histogram>& episode_return_;
   prometheus::Family<prometheus::Gauge>& episode_return_mean_;
   prometheus::Family<prometheus::Counter>& unusual_;
+  prometheus::Family<prometheus::Counter>& wiring_;
   prometheus::Family<prometheus::Counter>& learning_updates_;
   prometheus::Family<prometheus::Counter>& learning_rejected_;
   prometheus::Family<prometheus::Gauge>& head_drift_;

@@ -103,6 +103,14 @@ void PolicyMetrics::OnNonFinite() {
   LogError("answer not finite", {{"policy", name_}});
 }
 
+void PolicyMetrics::OnWiring(const std::string& id, const WiringVerdict& verdict,
+                             WiringResponse response) {
+  series_.get().wiring[static_cast<size_t>(verdict.cause)]->Increment();
+  if (response == WiringResponse::kCount) return;
+  LogWarning("robot looks miswired",
+             {{"policy", name_}, {"session", id}, {"verdict", verdict.text}});
+}
+
 void PolicyMetrics::OnEpisodeEnd(double episode_return) {
   const Handles& handles = series_.get();
   handles.episodes->Increment();

@@ -116,6 +116,8 @@ class PolicyMetrics final : public SessionObserver {
     // Element i of an observation of length n counts in series i * unusual.size() / n.
     std::vector<prometheus::Counter*> unusual;
     prometheus::Counter* unusual_return;
+    // By WiringCause. Null if the policy has no model of its observations.
+    std::array<prometheus::Counter*, kWiringCauses> wiring = {};
     prometheus::Counter* learning_updates;
     prometheus::Counter* learning_rejected_non_finite;
     prometheus::Counter* learning_rejected_over_budget;
@@ -128,8 +130,8 @@ class PolicyMetrics final : public SessionObserver {
   // `robots` for the first request of a robot on a real link, and `on_end` when it is destroyed.
   PolicyMetrics(std::string name, const LoadedHandles& loaded, VersionEvidence* evidence,
                 const ModelConfig& config, PlausibleReturns plausible, UsualObservations usual,
-                std::function<Handles()> make, std::function<RobotHandles()> robots,
-                std::function<void()> on_end)
+                WiringResponse wiring, std::function<Handles()> make,
+                std::function<RobotHandles()> robots, std::function<void()> on_end)
       : name_(std::move(name)),
         loaded_(loaded),
         series_(std::move(make)),
@@ -138,6 +140,7 @@ class PolicyMetrics final : public SessionObserver {
         config_(config),
         plausible_(plausible),
         usual_(std::move(usual)),
+        wiring_(wiring),
         on_end_(std::move(on_end)) {
     loaded_.info->Increment();
   }
@@ -165,6 +168,9 @@ class PolicyMetrics final : public SessionObserver {
   void OnReport(const BeatCounts& beats) override;
   void OnImplausible() override { series_.get().implausible->Increment(); }
   void OnNonFinite() override;
+  void OnWiring(const std::string& id, const WiringVerdict& verdict,
+                WiringResponse response) override;
+  WiringResponse wiring_response() const override { return wiring_; }
   void OnEpisodeEnd(double episode_return) override;
   void OnHeadUpdate(UpdateOutcome outcome) override;
   void OnLearned(const LearningSummary& summary) override;
@@ -181,6 +187,7 @@ class PolicyMetrics final : public SessionObserver {
   const ModelConfig config_;
   const PlausibleReturns plausible_;
   const UsualObservations usual_;
+  const WiringResponse wiring_;
   const std::function<void()> on_end_;
   absl::Mutex mutex_;
   int64_t returns_ ABSL_GUARDED_BY(mutex_) = 0;  // that are plausible

@@ -362,9 +362,12 @@ Json ObservationJson(const Session& session, const Policy& policy, double unusua
   if (!session.last_answer.has_value()) return elements;
   const auto usual = UsualObservations::Of(policy, unusual_deviations);
   const auto observation = session.history.observation(session.history.size() - 1);
+  const std::vector<Feature>& features = policy.features.observation;
   for (size_t i = 0; i < observation.size(); ++i) {
     const bool bounded = i < usual.low.size();
-    elements.push_back({{"value", observation[i]},
+    elements.push_back({{"name", i < features.size() ? features[i].name : ""},
+                        {"unit", i < features.size() ? features[i].unit : ""},
+                        {"value", observation[i]},
                         {"mean", policy.weights.observation_mean.values[i]},
                         {"deviation", policy.weights.observation_std.values[i]},
                         {"low", bounded ? Json(usual.low[i]) : Json()},
@@ -417,6 +420,8 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
   json["return_to_go"] = session.return_to_go;
   json["environment"] = entry.served->policy().environment;
   json["observation"] = ObservationJson(session, entry.served->policy(), unusual_deviations);
+  const auto& verdict = entry.agent.wiring_verdict();
+  json["wiring"] = verdict.has_value() ? Json(verdict->text) : Json();
   json["age_seconds"] = absl::ToDoubleSeconds(entry.agent.Age());
   Json& decisions = json["history"]["decisions"] = Json::array();
   for (const auto& [first, count, sum] : entry.agent.life().decisions()) {

@@ -155,7 +155,7 @@ TEST_F(SpikectlTest, SaysInOneLineWhatIsWrong) {
   ExpectOneLineError(
       Spikectl("fly"),
       "command: expected one of policies, health, run, explain, adapt, replay, admin, "
-      "store, received \"fly\"");
+      "store, emit-c, policy, doctor, received \"fly\"");
   ExpectOneLineError(Spikectl("run", {"land"}), "expected flags alone, received \"land\"");
   ExpectOneLineError(Spikectl("run", {"--env=Pong-v0"}), "\"Pong-v0\"");
   ExpectOneLineError(Spikectl("run", {"--episodes=0"}),

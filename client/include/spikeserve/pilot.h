@@ -28,6 +28,7 @@
 #include "absl/time/time.h"
 #include "absl/types/span.h"
 #include "spikeserve/client.h"
+#include "spikeserve/feature_order.h"
 #include "spikeserve/local_policy.h"
 #include "spikeserve/pilot_options.h"
 #include "spikeserve/pilot_stats.h"
@@ -103,8 +104,9 @@ class Pilot {
  private:
   class Cockpit;
 
-  explicit Pilot(std::unique_ptr<Cockpit> cockpit);
+  Pilot(std::unique_ptr<Cockpit> cockpit, FeatureOrder order);
 
+  FeatureOrder order_;  // of the robot's elements, if the request names them
   const std::unique_ptr<Cockpit> cockpit_;
 };
 

@@ -28,6 +28,7 @@
 #include "absl/status/statusor.h"
 #include "absl/types/span.h"
 #include "spikeserve/client.h"
+#include "spikeserve/feature_order.h"
 #include "spikeserve/unacknowledged.h"
 
 namespace spikeserve {
@@ -50,7 +51,8 @@ class RemoteSession {
   // by a new one with the same request: Act then decides at step 0 of its first episode, and what
   // the lost session remembered and learned is gone. EndEpisode still returns the error, because
   // the totals of the episode are lost. The calls of the session take the way of `route`, or one of
-  // their own. `client` must outlive the session.
+  // their own. `client` must outlive the session. If `request` names the robot's elements, the
+  // session takes observations and returns actions in the robot's order, whatever the policy's is.
   static absl::StatusOr<RemoteSession> Open(Client* client, v1::OpenSessionRequest request,
                                             bool reopens = false,
                                             std::shared_ptr<Route> route = nullptr);
@@ -77,6 +79,9 @@ class RemoteSession {
   v1::ActRequest MakeRequest(absl::Span<const float> observation, double reward,
                              const std::optional<v1::Action>& executed_action = std::nullopt);
   absl::Status Accept(const v1::ActResponse& response);
+  // Puts the action of an accepted answer in the order of the robot that named its elements. Act
+  // and streams with a session have done it.
+  void ToRobot(v1::ActResponse* response) { order_.ToRobot(response); }
 
   // Brings a server up to date that does not have all decisions of the session, as `error` of such
   // a request says (ExpectedDecision): sends again what it misses. Returns OK if the request may
@@ -122,6 +127,9 @@ class RemoteSession {
   // Act, for a request of MakeRequest.
   absl::StatusOr<v1::ActResponse> Decide(const v1::ActRequest& request);
   absl::Status CatchUp(const absl::Status& error, bool reads);
+  // MakeRequest, of an observation and an action in the policy's order.
+  v1::ActRequest MakeOrdered(absl::Span<const float> observation, double reward,
+                             const std::optional<v1::Action>& executed_action);
 
   Client* client_;
   std::string session_id_;
@@ -135,6 +143,7 @@ class RemoteSession {
   v1::ActRequest request_;                           // the last one; empty if not stored
   std::optional<v1::OpenSessionRequest> reopening_;  // absent: a lost session stays lost
   v1::OpenSessionResponse opening_;
+  FeatureOrder order_;
   int reopened_ = 0;
 };
 

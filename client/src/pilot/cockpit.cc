@@ -112,7 +112,12 @@ absl::string_view Pilot::Cockpit::Traceparent() const {
 
 bool Pilot::Cockpit::Choose(uint64_t number, bool sees, absl::Duration observed_at,
                             absl::Duration deadline) {
-  return (sees && TakeAnswer(deadline)) || facts_.ladder.Hold(observed_at) ||
+  const bool is_fresh = sees && TakeAnswer(deadline);
+  if (is_miswired_) {
+    facts_.ladder.Release();
+    return facts_.ladder.Ramp();
+  }
+  return is_fresh || facts_.ladder.Hold(observed_at) ||
          (sees && TakeLocal(number, observed_at, deadline)) || facts_.ladder.Ramp();
 }
 
@@ -144,6 +149,8 @@ bool Pilot::Cockpit::TakeAnswer(absl::Duration deadline) {
   }
   if (!HasAnswer()) return false;
   next_answer_ = facts_.answer.number + 1;
+  is_miswired_ = facts_.answer.is_miswired;
+  if (is_miswired_) return false;
   if (RobotNow() - facts_.answer.observed_at > options_.oldest()) {
     ++facts_.counters.counts().stale;
     return false;

@@ -82,6 +82,7 @@ class Pilot::Cockpit {
   piloting::Link link_;
 
   const std::vector<float> no_observation_;  // NaN in each element
+  bool is_miswired_ = false;                 // says the newest answer: actions are safe ones
   bool has_seen_ = false;                    // whether an observation was valid
   piloting::ActionValue fitted_;             // an action of the caller, with its elements in bounds
   piloting::ActionValue returned_;           // by the last beat

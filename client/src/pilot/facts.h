@@ -28,6 +28,8 @@ struct Decision {
   uint64_t number = 0;
   ActionValue action = {};
   absl::Duration observed_at = absl::ZeroDuration();  // of RobotNow()
+  // The action is the neutral one, because the observations look miswired.
+  bool is_miswired = false;
 };
 
 // A request for the newest beat of an episode, or one that ends it.

@@ -50,6 +50,8 @@ class Ladder {
   void TakeFresh(const ActionView& action, absl::Duration observed_at);
   // Takes the last action again, if it may be held.
   bool Hold(absl::Duration now);
+  // Ends the holding of the last action until the next fresh one.
+  void Release() { can_hold_ = false; }
   // Takes the decision of the engine on the robot.
   void TakeLocal(const ActionView& action, absl::Duration observed_at);
   // Goes one beat on the way to the neutral action. Returns false at its end.

@@ -129,6 +129,7 @@ void Link::TakeAnswer(const v1::ActResponse& reply, const SentRequest& request,
   newest.is_there = facts_->ladder.shape().Fit(ViewOf(reply.action()), &newest.action);
   newest.number = request.number;
   newest.observed_at = observed_at;
+  newest.is_miswired = reply.wiring().is_safe_action();
   facts_->has_decision.notify_all();
 }
 

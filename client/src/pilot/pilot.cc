@@ -1,5 +1,6 @@
 #include "spikeserve/pilot.h"
 
+#include <functional>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -23,15 +24,27 @@ absl::Status ResumeLocal(Client* client, const std::string& session_id,
 }
 
 absl::StatusOr<piloting::ActionValue> NeutralOf(const PilotOptions& options,
-                                                const v1::OpenSessionResponse& opened) {
+                                                const v1::OpenSessionResponse& opened,
+                                                FeatureOrder order) {
   const piloting::ActionShape shape(opened.action_space());
-  const v1::Action& neutral =
-      options.neutral.has_value() ? *options.neutral : opened.neutral_action();
+  v1::Action neutral = options.neutral.value_or(opened.neutral_action());
+  if (options.neutral.has_value()) order.ToPolicy(&neutral);
   piloting::ActionValue value;
   if (shape.Fit(piloting::ViewOf(neutral), &value)) return value;
   return absl::InvalidArgumentError(
       absl::StrCat("neutral: expected an action of the policy's action space, received {",
                    neutral.ShortDebugString(), "}"));
+}
+
+// Returns a robot's function of observations as one of the policy's.
+std::function<ActionView(absl::Span<const float>)> Ordered(
+    std::function<ActionView(absl::Span<const float>)> fallback, const FeatureOrder& order) {
+  if (fallback == nullptr) return nullptr;
+  return
+      [fallback = std::move(fallback), own = order](absl::Span<const float> observation) mutable {
+        const ActionView action = fallback(own.RobotObservation(observation));
+        return ActionView{own.Action(action.discrete), own.Action(action.continuous)};
+      };
 }
 
 }  // namespace
@@ -40,6 +53,7 @@ absl::StatusOr<std::unique_ptr<Pilot>> Pilot::Create(Client* client, v1::OpenSes
                                                      PilotOptions options) {
   if (absl::Status status = options.Validate(); !status.ok()) return status;
   request.set_period_seconds(absl::ToDoubleSeconds(options.period));
+  request.set_names_in_any_order(true);
   const std::shared_ptr<Route> route = MakeRoute();
   const auto opened = client->OpenSession(request, route);
   if (!opened.ok()) return opened.status();
@@ -52,8 +66,10 @@ absl::StatusOr<std::unique_ptr<Pilot>> Pilot::Create(Client* client, v1::OpenSes
     return close_after(absl::UnimplementedError(
         "server: expected a release that appends beats, received an older one"));
   }
-  const auto neutral = NeutralOf(options, *opened);
+  const FeatureOrder order(request, *opened);
+  const auto neutral = NeutralOf(options, *opened, order);
   if (!neutral.ok()) return close_after(neutral.status());
+  options.fallback = Ordered(std::move(options.fallback), order);
   LocalPolicy* const local = options.local.get();
   auto cockpit =
       std::make_unique<Cockpit>(client->replicas_.get(), client->crew_.get(), route,
@@ -63,20 +79,33 @@ absl::StatusOr<std::unique_ptr<Pilot>> Pilot::Create(Client* client, v1::OpenSes
     if (!status.ok()) return close_after(status);
   }
   cockpit->link().Start();
-  return std::unique_ptr<Pilot>(new Pilot(std::move(cockpit)));
+  return std::unique_ptr<Pilot>(new Pilot(std::move(cockpit), order));
 }
 
-Pilot::Pilot(std::unique_ptr<Cockpit> cockpit) : cockpit_(std::move(cockpit)) {}
+Pilot::Pilot(std::unique_ptr<Cockpit> cockpit, FeatureOrder order)
+    : order_(std::move(order)), cockpit_(std::move(cockpit)) {}
 
 Pilot::~Pilot() { Close(); }
 
 PilotAction Pilot::Beat(absl::Span<const float> observation, double reward,
                         const std::optional<ActionView>& executed) noexcept {
-  return cockpit_->Beat(observation, reward, executed);
+  std::optional<ActionView> ordered;
+  if (executed.has_value()) {
+    ordered.emplace(
+        ActionView{order_.Action(executed->discrete), order_.Action(executed->continuous)});
+  }
+  PilotAction action = cockpit_->Beat(order_.Observation(observation), reward, ordered);
+  action.value = {order_.RobotAction(action.value.discrete),
+                  order_.RobotAction(action.value.continuous)};
+  return action;
 }
 
 std::future<Pilot::Summary> Pilot::EndEpisode(const EpisodeOutcome& outcome) {
-  return cockpit_->EndEpisode(outcome);
+  EpisodeOutcome ordered = outcome;
+  const auto observation = order_.Observation(outcome.observation);
+  ordered.observation.assign(observation.begin(), observation.end());
+  if (ordered.executed_action.has_value()) order_.ToPolicy(&*ordered.executed_action);
+  return cockpit_->EndEpisode(std::move(ordered));
 }
 
 bool Pilot::WaitReady(absl::Duration timeout) { return cockpit_->WaitReady(timeout); }

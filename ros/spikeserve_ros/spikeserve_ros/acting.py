@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from spikeserve_ros.errors import ValueRefusedError
-from spikeserve_ros.mapping import Joints, RobotMapping, check_finite, vector
+from spikeserve_ros.mapping import Joints, RobotMapping, check_finite, elements_of, vector
 from spikeserve_ros.parameters import Settings
 
 # No pilot yet, or no recent observation. The other sources are those of spikeserve.Pilot.
@@ -42,6 +42,18 @@ class Task:
     observation_size: int
     actions: int | None  # the number of discrete actions; None: an action is a vector
     action_size: int  # of such a vector
+    names: tuple[str, ...] = ()  # of the elements of an observation; (): the policy has none
+
+    def mapped(self, mapping: RobotMapping, settings: Settings) -> RobotMapping:
+        """Returns the mapping, with the elements that the policy's names mean if it has none and the input is joints.
+
+        Raises ValueRefusedError if there are no such names.
+        """
+        if settings.input != "joints" or mapping.elements:
+            return mapping
+        if not self.names:
+            raise ValueRefusedError("mapping", "a file, because the policy names no elements", settings.mapping)
+        return dataclasses.replace(mapping, elements=elements_of(self.names))
 
     def check(self, mapping: RobotMapping, settings: Settings) -> None:
         """Raises ValueRefusedError, which names the parameter or the field of the mapping that does not fit."""
@@ -92,6 +104,7 @@ class Acting:
     def begin(self, pilot: Pilot, task: Task) -> None:
         """Acts by a pilot from now on."""
         self._pilot, self._task, self._observation = pilot, task, None
+        self._mapping = task.mapped(self._mapping, self._settings)
 
     def observe_vector(self, values: Sequence[float]) -> None:
         """Keeps an observation. Refuses one of another size, or with values that are not finite."""

@@ -22,9 +22,10 @@ def task_of(client: spikeserve.Client, settings: Settings) -> Task:
         wanted = policy.is_default if settings.version == 0 else policy.version == settings.version
         if policy.name == settings.policy and wanted:
             space = policy.action_space
+            names = tuple(feature.name for feature in policy.observation_features)
             if isinstance(space, spikeserve.Discrete):
-                return Task(policy.observation_size, int(space.n), 1)
-            return Task(policy.observation_size, None, len(space.low))
+                return Task(policy.observation_size, int(space.n), 1, names)
+            return Task(policy.observation_size, None, len(space.low), names)
     names = sorted({f"{policy.name}/{policy.version}" for policy in served})
     raise ValueRefusedError(
         "policy", "one of " + ", ".join(names), f"{settings.policy}/{settings.version or 'default'}"
@@ -81,8 +82,11 @@ class Connecting:
         client = spikeserve.Client(settings.server)
         try:
             task = task_of(client, settings)
-            task.check(self._mapping, settings)
-            session = spikeserve.SessionOptions(version=settings.version, target_return=settings.target_return)
+            mapping = task.mapped(self._mapping, settings)
+            task.check(mapping, settings)
+            session = spikeserve.SessionOptions(
+                version=settings.version, target_return=settings.target_return, observation=mapping.names
+            )
             neutral = list(settings.safe_action) if task.actions is None else None
             pilot = spikeserve.Pilot(client, settings.policy, period=settings.period, neutral=neutral, session=session)
         except BaseException:

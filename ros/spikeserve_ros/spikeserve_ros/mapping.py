@@ -5,10 +5,11 @@ policy with discrete actions is:
 
     observation:
       - {joint: slider, field: position}
-      - {joint: hinge, field: position, function: sin, scale: 1.0, offset: 0.0}
+      - {joint: hinge, field: position, function: sin, scale: 1.0, offset: 0.0, name: pole_angle_sin}
     actions: [[-10.0], [10.0]]
 
-An element is `function(value) * scale + offset`. Immutable; safe to use from many threads.
+An element is `function(value) * scale + offset`. If all of them have the names of the policy's elements, they may have any
+order. A policy whose elements have names such as `hinge/position` needs no mapping of the observation. Immutable; safe to use from many threads.
 """
 
 import dataclasses
@@ -50,6 +51,7 @@ class Element:
     function: str = "none"
     scale: float = 1.0
     offset: float = 0.0
+    name: str = ""  # of the policy's element; empty: the order says it
 
 
 def _number(field: str, value: Any) -> float:
@@ -78,7 +80,20 @@ def _element(field: str, given: Any) -> Element:
         given.get("function", "none"),
         _number(f"{field}.scale", given.get("scale", 1.0)),
         _number(f"{field}.offset", given.get("offset", 0.0)),
+        str(given.get("name", "")),
     )
+
+
+def elements_of(names: Sequence[str]) -> tuple[Element, ...]:
+    """Returns the elements that the names JOINT/FIELD of a policy mean. Raises ValueRefusedError for other names."""
+    elements = []
+    for i, name in enumerate(names):
+        joint, _, field = name.rpartition("/")
+        if not joint or field not in FIELDS:
+            expected = f"JOINT/FIELD with a field of {', '.join(FIELDS)}, or a mapping"
+            raise ValueRefusedError(f"the policy's element {i}", expected, name)
+        elements.append(Element(joint, field, name=name))
+    return tuple(elements)
 
 
 def _vectors(field: str, given: Any) -> tuple[tuple[float, ...], ...]:
@@ -129,6 +144,12 @@ class RobotMapping:
 
     elements: tuple[Element, ...] = ()
     actions: tuple[tuple[float, ...], ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The policy's names of the elements; () unless all of them have one."""
+        names = tuple(element.name for element in self.elements)
+        return names if all(names) else ()
 
     @classmethod
     def parse(cls, given: Any) -> "RobotMapping":

@@ -98,8 +98,6 @@ class Settings:
         checked = {name: each.check(values.get(name, each.default)) for name, each in BY_NAME.items()}
         if not checked["safe_action"]:
             raise ValueRefusedError("safe_action", "the numbers of an action", checked["safe_action"])
-        if checked["input"] == "joints" and not checked["mapping"]:
-            raise ValueRefusedError("mapping", "a file, because input is joints", checked["mapping"])
         checked["safe_action"] = tuple(checked["safe_action"])
         checked["target_return"] = target_return(checked["target_return"])
         return cls(**checked)

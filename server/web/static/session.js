@@ -11,6 +11,8 @@ const PLAY_MILLISECONDS = 250;
 const SHOWN_ELEMENTS = 16;
 const COLOUR = '#0072b2';
 const WHOLE = [1, 2, 5].flatMap((digit) => [0, 1, 2, 3, 4, 5, 6, 7, 8].map((power) => digit * 10 ** power)).sort((a, b) => a - b);
+/** Returns the name of an element of the observation, or its index. */
+const elementName = ({name}, index) => name || `${index}`;
 const CHARTS = [
   {title: 'Return of an episode, by episode', format: (y) => fixed(y), points: ({episodes}) =>
     episodes.map(({first, count: n, mean_return: y}) => [first + n - 1, y])},
@@ -169,16 +171,19 @@ export class SessionView {
     });
   }
 
-  /** Shows each element of the last observation against its range in training. */
+  /** Shows the verdict about the wiring, and each element of the last observation against its range in training. */
   showObservation(elements) {
     if (!elements.length) return;
     const far = elements.flatMap(({unusual}, i) => (unusual ? [i] : []));
     const verdict = far.length === 0
       ? 'Every element is as in training.'
-      : `Element${far.length === 1 ? '' : 's'} ${far.join(', ')}: unlike anything in training.`;
+      : `Element${far.length === 1 ? '' : 's'} ${far.map((i) => elementName(elements[i], i)).join(', ')}: ` +
+        'unlike anything in training.';
+    const wiring = this.shown?.wiring;
     this.observation.replaceChildren(element('figure', {},
       element('figcaption', {textContent: 'Last observation against training'}),
-      ...elements.slice(0, SHOWN_ELEMENTS).map((part, i) => rangeRow(`${i}`, part)),
+      ...elements.slice(0, SHOWN_ELEMENTS).map((part, i) => rangeRow(elementName(part, i), part)),
+      ...(wiring ? [element('p', {className: 'bad', textContent: `Miswired? ${wiring}.`})] : []),
       element('p', {className: far.length ? 'bad' : 'quiet', textContent: verdict}),
       element('p', {className: 'quiet', textContent: 'Shaded: two standard deviations around the mean of the training data.' +
         (elements.length > SHOWN_ELEMENTS ? ` The first ${SHOWN_ELEMENTS} of ${elements.length} elements.` : '')})));

@@ -343,7 +343,7 @@ def test_the_connection_closes_its_session(gateway, server):
 MAPPINGS = {
     "json": ("{", "mapping.json: expected a JSON file"),
     "empty": ('{"observation": []}', "observation: expected a list of keys or objects, received []"),
-    "unknown": ('{"observations": ["a"]}', "expected any of observation, reward, reset, terminated, truncated"),
+    "unknown": ('{"observations": ["a"]}', "expected any of observation, names, reward, reset, terminated, truncated"),
     "key": ('{"observation": [{"size": 3}]}', "observation[0].key: expected the key of an entry, received None"),
     "elements": ('{"observation": [{"key": "a", "elements": [-1]}]}', "observation[0].elements: expected indices"),
     "size": ('{"observation": [{"key": "a", "size": 3}]}', "mapping: observation: expected 4 numbers, as cartpole"),

@@ -80,7 +80,6 @@ def acting_of(clock, pilot, mapping=None, task=Task(2, 2, 1), **values):
         ({"rate": math.nan}, "rate: expected 0.1 to 1000.0, received nan"),
         ({"version": -1}, "version: expected 0 to 2147483647, received -1"),
         ({"input": "camera"}, "input: expected array or joints, received 'camera'"),
-        ({"input": "joints"}, "mapping: expected a file, because input is joints, received ''"),
         ({"safe_action": []}, "safe_action: expected the numbers of an action, received []"),
         ({"safe_action": [math.inf]}, "safe_action: expected finite numbers, received [inf]"),
         ({"observation_timeout": 0}, "observation_timeout: expected 0.001 to 60.0, received 0.0"),
@@ -168,6 +167,39 @@ def test_joints_become_an_observation_in_the_order_of_the_file():
         observed(["hinge", "hinge"])
     with pytest.raises(ValueRefusedError, match=r"observation\[2\]: expected a finite number"):
         observed(["slider", "hinge"], velocity=[math.nan, 0.0])
+
+
+def state(acting, **positions):
+    """A JointState of joints with these positions, in their order."""
+    names = list(positions)
+    acting.observe_joints(names, {"position": list(positions.values()), "velocity": [], "effort": []})
+
+
+def test_a_policy_that_names_joints_needs_no_mapping(clock, pilot):
+    task = Task(2, 2, 1, ("elbow/position", "wrist/position"))
+    acting = acting_of(clock, pilot, task=task, input="joints")
+    state(acting, wrist=2.0, elbow=1.0, gripper=9.0)
+    acting.beat()
+    assert pilot.beats == [([1.0, 2.0], 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        ((), "mapping: expected a file, because the policy names no elements"),
+        (("elbow/position", "angle"), "the policy's element 1: expected JOINT/FIELD"),
+    ],
+)
+def test_other_names_need_a_mapping(clock, pilot, names, text):
+    with pytest.raises(ValueRefusedError, match=text):
+        acting_of(clock, pilot, task=Task(2, 2, 1, names), input="joints")
+
+
+def test_elements_with_the_names_of_the_policy_may_have_any_order():
+    rows = [{"joint": "hinge", "field": "position", "name": "angle"}, {"joint": "slider", "field": "position"}]
+    assert RobotMapping.parse({"observation": rows}).names == ()  # the order says it
+    rows[1]["name"] = "x"
+    assert RobotMapping.parse({"observation": rows}).names == ("angle", "x")
 
 
 def test_two_publishers_share_the_topic_of_the_joints(clock, pilot):

@@ -23,7 +23,7 @@ def moments():
 def counted(server, policy):
     """Returns the counters of one policy by element."""
     text = page_of(server, "/metrics")
-    pattern = rf'spikeserve_unusual_observations_total\{{element="([^"]*)",policy="{policy}",version="\d+"\}} (\S+)'
+    pattern = rf'spikeserve_unusual_observations_total\{{element="([^"]*)",(?:name="[^"]*",)?policy="{policy}",version="\d+"\}} (\S+)'
     found = re.findall(pattern, text)
     assert found
     return {element: float(value) for element, value in found}
@@ -38,12 +38,12 @@ def test_elements_far_from_the_training_data_are_counted(moments):
             far = mean + np.array([0, 8.1, 0, -8.1]) * deviation
             assert session.act(far, 1.0).stats.unusual_observations == 2
             again = spikeserve.Session(client, session.session_id, session.step - 1)
-            assert again.act(mean, 1.0).stats.unusual_observations == 2  # the stored answer
+            assert again.act(far, 1.0).stats.unusual_observations == 2  # the stored answer
             assert session.act(np.full(4, 1e30), 1.0).stats.unusual_observations == 4
         text = page_of(server, "/metrics")
         series = dict(
             re.findall(
-                r'spikeserve_unusual_observations_total\{element="(\d+)",policy="cartpole",version="2"\} (\d+)',
+                r'spikeserve_unusual_observations_total\{element="(\d+)",name="[a-z_]+",policy="cartpole",version="2"\} (\d+)',
                 text,
             )
         )

@@ -27,6 +27,7 @@ from stored_sessions import (
     Restartable,
     acting,
     comparable,
+    comparable_view,
     decisions,
     ending,
     opening,
@@ -62,7 +63,7 @@ def play_patiently(service, disturb):
         view = until_answered(
             lambda i=i: service().GetSession(session_id=f"{i:032x}", include_head_delta=True)
         )
-        answers[i].append(view.SerializeToString(deterministic=True))
+        answers[i].append(comparable_view(view))
     return answers
 
 

@@ -45,6 +45,7 @@ from spikeserve.values import (
     Action,
     Decision,
     EpisodeSummary,
+    Feature,
     Learning,
     LearningSummary,
     Opening,
@@ -52,6 +53,7 @@ from spikeserve.values import (
     SessionOptions,
     SessionState,
     Stats,
+    WiringVerdict,
 )
 from spikeserve.vector_session import VectorSession
 
@@ -86,6 +88,7 @@ __all__ = [
     "EvaluationStoppedError",
     "Explanation",
     "FailedPreconditionError",
+    "Feature",
     "InvalidArgumentError",
     "Learning",
     "LearningSummary",
@@ -112,6 +115,7 @@ __all__ = [
     "UnavailableError",
     "UnimplementedError",
     "VectorSession",
+    "WiringVerdict",
     "__version__",
     "evaluate",
 ]

@@ -11,7 +11,7 @@ from spikeserve.async_connection import AsyncConnection
 from spikeserve.async_session import AsyncSession
 from spikeserve.async_stream import AsyncActStream
 from spikeserve.batches import ExecutedActions, act_each, by_server
-from spikeserve.calls import list_policies, open_session
+from spikeserve.calls import list_policies, named, open_session
 from spikeserve.errors import SpikeserveError
 from spikeserve.replicas import Route
 from spikeserve.values import Decision, Policy, SessionOptions
@@ -29,11 +29,15 @@ class AsyncClient(AsyncConnection):
         policy: str,
         options: SessionOptions | None = None,
         *,
+        observation: Sequence[str] = (),
+        action: Sequence[str] = (),
         reopen: bool = False,
         route: Route | None = None,
     ) -> AsyncSession:
         """Asyncio form of Client.open_session."""
-        open_again = functools.partial(open_session, policy, options, route)
+        open_again = functools.partial(
+            open_session, policy, named(options, observation, action), route
+        )
         return AsyncSession._of(self, await self.run(open_again()), open_again if reopen else None)
 
     async def act_batch(

@@ -6,11 +6,12 @@ in this module sends or waits.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 from spikeserve.errors import SpikeserveError, error_of_item
+from spikeserve.feature_order import FeatureOrder
 from spikeserve.replicas import Route, draw_id
 from spikeserve.values import Opening, Policy, SessionOptions
 from spikeserve.wire import METHODS, Message
@@ -74,6 +75,19 @@ class Opened:
     session_id: str
     opening: Opening
     route: Route
+    order: FeatureOrder = field(default_factory=FeatureOrder)
+
+
+def named(
+    options: SessionOptions | None, observation: Sequence[str], action: Sequence[str]
+) -> SessionOptions:
+    """Returns `options` with the names of a robot's elements, if there are any."""
+    options = options or SessionOptions()
+    return replace(
+        options,
+        observation=tuple(observation) or options.observation,
+        action=tuple(action) or options.action,
+    )
 
 
 def open_session(
@@ -83,12 +97,15 @@ def open_session(
 
     The calls of the session take the way of `route`; None: a way of their own.
     """
-    request = (options or SessionOptions()).to_wire(policy)
+    options = options or SessionOptions()
+    request = options.to_wire(policy)
     request.session_id = draw_id()
     route = route or Route(request.session_id)
 
     def decode(response: Message) -> Opened:
-        return Opened(response.session_id, Opening.from_wire(response), route)
+        opening = Opening.from_wire(response)
+        order = FeatureOrder.of(opening, options.observation, options.action)
+        return Opened(response.session_id, opening, route, order)
 
     return Call("OpenSession", request, decode, route=route)
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from numpy.typing import ArrayLike
 
 from spikeserve.batches import ExecutedActions, act_each, by_server
-from spikeserve.calls import list_policies, open_session
+from spikeserve.calls import list_policies, named, open_session
 from spikeserve.connection import Connection
 from spikeserve.errors import SpikeserveError
 from spikeserve.replicas import Route
@@ -43,16 +43,23 @@ class Client(Connection):
         policy: str,
         options: SessionOptions | None = None,
         *,
+        observation: Sequence[str] = (),
+        action: Sequence[str] = (),
         reopen: bool = False,
         route: Route | None = None,
     ) -> Session:
         """Opens a session of `policy` at step 0 of its first episode.
 
+        `observation` and `action` are the names of the robot's elements in its own order, as in
+        SessionOptions. InvalidArgumentError names the first one that the policy does not have.
+
         With `reopen`, a session that the server has lost is replaced by a new one with the same
         options. Without it, its calls raise SessionLostError. With several servers, sessions with
         the same `route` go to the same server, for example those of a vector environment.
         """
-        open_again = functools.partial(open_session, policy, options, route)
+        open_again = functools.partial(
+            open_session, policy, named(options, observation, action), route
+        )
         return Session._of(self, self.run(open_again()), open_again if reopen else None)
 
     def act_batch(

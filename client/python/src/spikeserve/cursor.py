@@ -12,6 +12,7 @@ from spikeserve.calls import Call, Opened
 from spikeserve.check import check
 from spikeserve.errors import NotFoundError, SpikeserveError, expected_decision, make_error
 from spikeserve.explanation import Explanation
+from spikeserve.feature_order import FeatureOrder
 from spikeserve.replicas import Route
 from spikeserve.trace_context import active_traceparent
 from spikeserve.unacknowledged import Unacknowledged
@@ -41,6 +42,7 @@ class SessionCursor:
         self.decision: int | None = None  # number of the next decision in the session
         self.episode: int | None = None
         self.route = Route(session_id)
+        self.order = FeatureOrder()  # of the robot's elements
         self._unacknowledged: Unacknowledged | None = None
 
     def begin(self, opened: Opened, reopens: bool) -> None:
@@ -48,7 +50,7 @@ class SessionCursor:
 
         A session that no store has stays at its server, unless a lost session is opened again.
         """
-        self.session_id, self.route = opened.session_id, opened.route
+        self.session_id, self.route, self.order = opened.session_id, opened.route, opened.order
         self.step = self.decision = self.episode = 0
         is_stored = opened.opening.durability in ("ASYNC", "SYNC")
         self.route.is_pinned = not is_stored and not reopens
@@ -66,9 +68,9 @@ class SessionCursor:
         request = METHODS["Act"].request(
             session_id=self.session_id,
             step=self.step,
-            observation=observation_array(observation),
+            observation=observation_array(self.order.observation(observation)),
             reward=0.0 if self.step == 0 or reward is None else float(reward),
-            executed_action=action_to_wire(executed_action),
+            executed_action=action_to_wire(self.order.executed(executed_action)),
             decision=self.decision,
             traceparent=active_traceparent(),  # for streams, whose metadata is that of one call
         )
@@ -99,8 +101,10 @@ class SessionCursor:
             terminated=bool(terminated),
             truncated=bool(truncated),
             target_return=target_return,
-            observation=() if observation is None else observation_array(observation),
-            executed_action=action_to_wire(executed_action),
+            observation=()
+            if observation is None
+            else observation_array(self.order.observation(observation)),
+            executed_action=action_to_wire(self.order.executed(executed_action)),
             episode=self.episode,
             steps=None if self.episode is None else self.step,
         )
@@ -175,7 +179,7 @@ class SessionCursor:
         self.step += 1
         if self.decision is not None:
             self.decision += 1
-        return Decision.from_wire(response)
+        return self.order.decision(Decision.from_wire(response))
 
     def missing(self, error: SpikeserveError) -> list[Call[None]]:
         """Returns the calls that the server misses, if it expects an older decision: Call.missing.

@@ -20,6 +20,56 @@ ActionLike = int | np.integer[Any] | ArrayLike
 
 
 @dataclass(frozen=True)
+class Feature:
+    """One element of an observation or of a Box action, or one action of a Discrete."""
+
+    name: str
+    unit: str = ""  # in UCUM's spelling; "": unknown
+    low: float | None = None  # the smallest value that the robot can have; None: unknown
+    high: float | None = None
+    frame: str = ""  # the frame of reference; "": unknown
+
+    @classmethod
+    def all_from_wire(cls, messages: Sequence[Message]) -> tuple[Feature, ...]:
+        """Converts the Features of a message."""
+        return tuple(
+            cls(
+                message.name,
+                message.unit,
+                message.low if message.HasField("low") else None,
+                message.high if message.HasField("high") else None,
+                message.frame,
+            )
+            for message in messages
+        )
+
+
+@dataclass(frozen=True)
+class WiringVerdict:
+    """What the server believes about how the elements of the observation are wired."""
+
+    cause: str  # EXCHANGED, SIGN, UNIT, STUCK, DELAY or DYNAMICS
+    elements: tuple[int, ...]  # indices in the policy's order
+    text: str  # for people
+    evidence: float  # logarithm of the likelihood ratio between the cause and a correct wiring
+    is_safe_action: bool  # the action is the policy's neutral action because of this verdict
+
+    @classmethod
+    def from_wire(cls, message: Message) -> WiringVerdict | None:
+        """Converts the verdict of an ActResponse or a GetSessionResponse; None: there is none."""
+        if not message.HasField("wiring"):
+            return None
+        verdict = message.wiring
+        return cls(
+            enum_name(verdict, "cause"),
+            tuple(verdict.elements),
+            verdict.text,
+            verdict.evidence,
+            verdict.is_safe_action,
+        )
+
+
+@dataclass(frozen=True)
 class Policy:
     """One version of a policy that the server serves."""
 
@@ -36,6 +86,11 @@ class Policy:
     version_labels: tuple[str, ...]  # the labels of this version, for example "stable"
     traffic_percent: int | None  # of the new sessions; None: no traffic shares are set
     is_shadow: bool  # compared with the serving versions, and never answers
+    observation_features: tuple[Feature, ...]  # (): the policy file names none
+    action_features: tuple[Feature, ...]  # one per element of a Box, or per action of a Discrete
+    rate_hz: float | None  # decisions per second in the training data; None: unknown
+    rate_tolerance: float  # largest relative deviation from it
+    checks_wiring: bool  # whether the server checks how sessions are wired
 
     @classmethod
     def from_wire(cls, message: Message) -> Policy:
@@ -56,6 +111,11 @@ class Policy:
             version_labels=tuple(message.version_labels),
             traffic_percent=message.traffic_percent if has_share else None,
             is_shadow=message.is_shadow,
+            observation_features=Feature.all_from_wire(message.observation_features),
+            action_features=Feature.all_from_wire(message.action_features),
+            rate_hz=message.rate_hz if message.HasField("rate_hz") else None,
+            rate_tolerance=message.rate_tolerance,
+            checks_wiring=message.checks_wiring,
         )
 
 
@@ -96,6 +156,15 @@ class SessionOptions:
     # NONE: the session ends with its server. ASYNC, SYNC: it outlives it (docs/guides/fleet.md).
     # "": the default of the server.
     durability: str = ""
+    # The names of the robot's elements in the order in which it sends them, and of the elements of
+    # a Box action, or the actions of a Discrete, as it takes them. The client puts them in the
+    # order of the policy; names that differ are refused. (): the policy's order, not checked.
+    observation: Sequence[str] = ()
+    action: Sequence[str] = ()
+    observation_units: Sequence[str] = ()  # one per name, in UCUM's spelling; "": not checked
+    action_units: Sequence[str] = ()
+    rate_hz: float | None = None  # decisions per second of the robot, to be checked
+    wiring: str = ""  # what follows from a verdict: COUNT, WARN or SAFE; "": the server's choice
 
     def to_wire(self, policy: str) -> Message:
         """Returns the OpenSessionRequest for `policy`."""
@@ -113,6 +182,13 @@ class SessionOptions:
             routing_key=self.routing_key,
             head_delta=() if self.head_delta is None else _flat(self.head_delta),
             durability=self.durability or "DURABILITY_DEFAULT",
+            observation_names=self.observation,
+            action_names=self.action,
+            observation_units=self.observation_units,
+            action_units=self.action_units,
+            names_in_any_order=True,
+            rate_hz=self.rate_hz,
+            wiring=f"WIRING_{self.wiring or 'DEFAULT'}",
         )
 
 
@@ -128,6 +204,8 @@ class Opening:
     target_return: float
     recording: str  # path below the --record_dir of the server; empty: not recorded
     durability: str  # NONE, ASYNC or SYNC
+    observation_features: tuple[Feature, ...] = ()  # (): the policy file names none
+    action_features: tuple[Feature, ...] = ()
 
     @classmethod
     def from_wire(cls, message: Message) -> Opening:
@@ -141,6 +219,8 @@ class Opening:
             target_return=message.target_return,
             recording=message.recording,
             durability=enum_name(message, "durability"),
+            observation_features=Feature.all_from_wire(message.observation_features),
+            action_features=Feature.all_from_wire(message.action_features),
         )
 
     def check_action_space(self, space: ActionSpace) -> None:
@@ -199,6 +279,7 @@ class Decision:
     stats: Stats
     durable_decision: int  # decisions of the session that its store has acknowledged
     durable_episode: int  # episodes of the session whose end its store has acknowledged
+    wiring: WiringVerdict | None = None  # None: nothing speaks against the wiring
 
     @classmethod
     def from_wire(cls, message: Message) -> Decision:
@@ -215,6 +296,7 @@ class Decision:
             stats=Stats.from_wire(message.stats),
             durable_decision=message.durable_decision,
             durable_episode=message.durable_episode,
+            wiring=WiringVerdict.from_wire(message),
         )
 
 
@@ -289,6 +371,7 @@ class SessionState:
     # W - W_base of the head that makes the next decision, row-major. None: it was not asked for, or
     # the session plays on the head of the policy.
     head_delta: NDArray[np.float32] | None
+    wiring: WiringVerdict | None  # None: nothing speaks against the wiring
 
     @classmethod
     def from_wire(cls, message: Message) -> SessionState:
@@ -296,6 +379,7 @@ class SessionState:
         values = {name: getattr(message, name) for name in cls.__dataclass_fields__}
         values["labels"] = dict(message.labels)
         values["head_delta"] = _array_or_none(message.head_delta)
+        values["wiring"] = WiringVerdict.from_wire(message)
         return cls(**values)
 
 

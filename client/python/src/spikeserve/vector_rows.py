@@ -15,7 +15,7 @@ In both modes the ended episode gets its last reward, and no decision mixes two 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic
 
@@ -97,6 +97,9 @@ class VectorRows(Generic[AnySession]):
         policy = self._sessions[0].opening
         assert policy is not None
         size = policy.observation_size
+        names = {feature.name for feature in policy.observation_features}
+        if names and set(_names_of(self._observation_space)) == names:  # a Dict goes by its names
+            return policy.check_action_space(self._action_space)
         check_observation_space(self._observation_space, size, policy.policy)
         policy.check_action_space(self._action_space)
 
@@ -109,7 +112,7 @@ class VectorRows(Generic[AnySession]):
         infos: dict[str, Any] | None,
         executed_actions: ArrayLike | None,
     ) -> VectorStep:
-        observed = self._rows("observations", observations, np.float32)
+        observed = self._observed(observations)
         rewarded = self._rows("rewards", self._rewards(rewards), np.float64)
         terminated = self._rows("terminations", self._flags(terminations), np.bool_)
         truncated = self._rows("truncations", self._flags(truncations), np.bool_)
@@ -139,16 +142,24 @@ class VectorRows(Generic[AnySession]):
             None if executed is None else list(executed[rows]),
         )
 
+    def _observed(self, observations: ArrayLike) -> NDArray[Any]:
+        """Returns one observation for each row: an array, or a dict of a Dict space."""
+        if not isinstance(observations, Mapping):
+            return self._rows("observations", observations, np.float32)
+        rows = np.empty(self._num_envs, object)
+        rows[:] = [row_of(observations, row) for row in range(self._num_envs)]
+        return rows
+
     def _final_observation(
-        self, row: int, observed: NDArray[np.float32], infos: dict[str, Any] | None
-    ) -> NDArray[np.float32] | None:
+        self, row: int, observed: NDArray[Any], infos: dict[str, Any] | None
+    ) -> Any:
         if not self._acts_on_ended_rows:
-            return np.asarray(observed[row], np.float32)
+            return observed[row]
         # Simulators on a GPU do not keep them by default: then the last observation is unknown.
         finals = None if infos is None else infos.get("final_obs")
         present = True if infos is None else infos.get("_final_obs", np.ones(self._num_envs))[row]
         final = None if finals is None or not present else finals[row]
-        return None if final is None else np.asarray(unmasked(final, "final_obs"), np.float32)
+        return None if final is None else unmasked(final, "final_obs")
 
     def _finish(self, step: VectorStep, decisions: list[Decision]) -> Actions:
         by_row = dict(zip(step.rows.tolist(), decisions, strict=True))
@@ -207,6 +218,23 @@ class VectorRows(Generic[AnySession]):
         expected = f"shape ({self._num_envs},{' n' if dimensions == 2 else ''})"
         check(fits, field, expected, array.shape)
         return array
+
+
+def _names_of(space: Any) -> tuple[str, ...]:
+    """Returns the names of the numbers of a Dict space; () for other spaces."""
+    if not hasattr(space, "keys"):
+        return ()
+    from spikeserve.flat_spaces import element_names  # needs Gymnasium, as environments do
+
+    return element_names(space)
+
+
+def row_of(observations: Mapping[str, Any], row: int) -> dict[str, Any]:
+    """Returns one row of a Dict of batched arrays."""
+    return {
+        key: row_of(value, row) if isinstance(value, Mapping) else value[row]
+        for key, value in observations.items()
+    }
 
 
 def _autoreset_mode(envs: Any) -> str:

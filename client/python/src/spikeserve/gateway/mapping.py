@@ -78,6 +78,7 @@ class ObservationMapping:
     reset: str = "reset"
     terminated: str = "terminated"
     truncated: str = "truncated"
+    names: tuple[str, ...] = ()  # of the vector's numbers, by which the policy's order is found
 
     @property
     def length(self) -> int | None:
@@ -148,7 +149,7 @@ def load_mapping(path: pathlib.Path) -> ObservationMapping:
         raise ValueError(f"{path}: expected a JSON file, received {error}") from error
     check(isinstance(value, dict), str(path), "an object", type(value).__name__)
     names = ("reward", "reset", "terminated", "truncated")
-    _check_keys(value, ("observation", *names), str(path))
+    _check_keys(value, ("observation", "names", *names), str(path))
     for name in names:
         if name in value:
             text = isinstance(value[name], str)
@@ -158,7 +159,11 @@ def load_mapping(path: pathlib.Path) -> ObservationMapping:
     check(isinstance(parts, list) and bool(parts), where, "a list of keys or objects", parts)
     assert isinstance(parts, list)
     read = tuple(_part(part, f"{where}[{index}]") for index, part in enumerate(parts))
-    return ObservationMapping(read, **{name: value[name] for name in names if name in value})
+    keys = {name: value[name] for name in names if name in value}
+    elements = value.get("names", [])
+    are_names = isinstance(elements, list) and all(isinstance(each, str) for each in elements)
+    check(are_names, f"{path}: names", "a list of names", elements)
+    return ObservationMapping(read, **keys, names=tuple(elements))
 
 
 def _check_keys(value: dict[str, Any], known: tuple[str, ...], where: str) -> None:

@@ -223,7 +223,9 @@ class _Robot:
 
     async def _open(self) -> None:
         settings = self._settings
-        self.session = await self._client.open_session(settings.policy, settings.session)
+        names = settings.mapping.names
+        opening = self._client.open_session(settings.policy, settings.session, observation=names)
+        self.session = await opening
 
     async def answer(self, frame: str | bytes) -> dict[str, Any]:
         """Answers a message. SessionLostError if the server has lost the session of its episode.

@@ -71,12 +71,16 @@ class Ladder:
         local: Callable[[], Action | None],
         observation: NDArray[np.float32],
         observed_at: int,
+        is_miswired: bool = False,
     ) -> Chosen:
-        """Returns the action of a beat.
+        """Returns the action of a beat; a safe one if the robot `is_miswired`.
 
         `fresh` is a new answer that is not stale, and when its observation was made. `local` asks
         the engine on the robot. `observation` was made at `observed_at`.
         """
+        if is_miswired:
+            self._can_hold = False
+            return self._take(self._safe(observation), "safe")
         if fresh is not None:
             action, self._observed_at = fresh
             self._held, self._can_hold = 0, True

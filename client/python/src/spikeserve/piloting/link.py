@@ -68,6 +68,7 @@ class Answer:
     step: int
     action: Action
     observed_at: int  # of robot_clock.now_ns()
+    is_miswired: bool  # the action is the neutral one, because the observations look miswired
 
 
 @dataclass(frozen=True)
@@ -331,7 +332,9 @@ class Link:
             kind = reply.action.WhichOneof("kind")
             values = reply.action.continuous.values
             action = reply.action.discrete if kind == "discrete" else np.asarray(values, np.float32)
-            self.answer = Answer(request.episode, reply.step, action, reply.observed_at)
+            is_miswired = reply.wiring.is_safe_action
+            at = reply.observed_at
+            self.answer = Answer(request.episode, reply.step, action, at, is_miswired)
 
     def _refused(self, error: SpikeserveError, request: _Request) -> None:
         """Handles the error of one request."""

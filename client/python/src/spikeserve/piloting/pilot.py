@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,7 +47,8 @@ class Pilot:
         self._options = PilotOptions(period=period, **options)
         self._session = ServerSession(client, policy, self._options)
         opening = self._session.opening
-        neutral = self._options.neutral
+        self._order = self._session.order
+        neutral = self._order.executed(self._options.neutral)
         if neutral is None:
             wire = self._session.neutral
             is_discrete = wire.WhichOneof("kind") != "continuous"
@@ -55,11 +57,16 @@ class Pilot:
         self._has_seen = False  # whether there was a valid observation
         self._last_invalid = ""  # what was wrong with the last one that was not
         began_at = robot_clock.now_ns()
-        self._ladder = Ladder(self._options, opening.action_space, neutral, began_at)
+        ladder_options = self._options
+        if ladder_options.fallback is not None:
+            fallback = self._order.around(ladder_options.fallback)
+            ladder_options = replace(ladder_options, fallback=fallback)
+        self._ladder = Ladder(ladder_options, opening.action_space, neutral, began_at)
         self._ladder.begin_episode()
         self._link = Link(client, self._options, self._session)
         self._executed_step = -1  # of `_executed_in`: the newest answer that was executed
         self._executed_in = self._link.log.running
+        self._is_miswired = False  # says the newest answer
         self._beats = 0
         self._is_new_episode = True
         self._ending: Ending | None = None  # of the episode before
@@ -96,7 +103,7 @@ class Pilot:
         safe action, and nothing raises.
         """
         began = time.monotonic()
-        seen, wrong = observation_of(observation, self._no_observation.size)
+        seen, wrong = observation_of(observation, self._no_observation.size, self._order)
         if seen is None and not self._has_seen:
             raise ValueError(wrong)
         self._has_seen = True
@@ -107,7 +114,8 @@ class Pilot:
             with self._link.changed:
                 self._link.counters.count(failures=1)
             self._beats += 1
-            return PilotAction(self._ladder.neutral, "safe", 0.0, self._beats - 1)
+            neutral = self._order.action(self._ladder.neutral)
+            return PilotAction(neutral, "safe", 0.0, self._beats - 1)
 
     def end_episode(
         self,
@@ -208,7 +216,9 @@ class Pilot:
         if observation is None:  # nothing is decided without one
             chosen = self._ladder.choose(None, lambda: None, self._no_observation, now_ns)
         else:
-            chosen = self._ladder.choose(fresh, self._ask_local, observation, now_ns)
+            chosen = self._ladder.choose(
+                fresh, self._ask_local, observation, now_ns, self._is_miswired
+            )
         with link.changed:
             age = max(0.0, (robot_clock.now_ns() - chosen.observed_at) / 1e9)
             self._log_executed(chosen.action)
@@ -234,6 +244,7 @@ class Pilot:
         if answer is None or not self._has_answer():
             return None
         self._executed_in = answer.episode
+        self._is_miswired = answer.is_miswired
         if robot_clock.now_ns() - answer.observed_at > self._options.oldest * 1e9:
             link.counters.count(stale=1)
             self._executed_step = answer.step
@@ -252,7 +263,7 @@ class Pilot:
         return None if local is None else local.catch_up()
 
     def _action(self, chosen: Chosen, age: float) -> PilotAction:
-        action = chosen.action
+        action = self._order.action(chosen.action)
         copy = action if isinstance(action, int) else np.array(action)  # the caller may change it
         return PilotAction(copy, chosen.source, age, self._beats - 1)
 
@@ -266,7 +277,7 @@ class Pilot:
         if executed is None or self._is_new_episode:
             return
         try:
-            action = self._ladder.fitted(executed)
+            action = self._ladder.fitted(self._order.executed(executed))
         except (TypeError, ValueError) as error:
             self._not_valid("executed_action", f"executed_action: {error}")
             return
@@ -275,7 +286,7 @@ class Pilot:
 
     def _last_observation(self, given: ArrayLike) -> NDArray[np.float32] | None:
         """Returns the observation behind an episode, which is only recorded; None: not valid."""
-        observation, wrong = observation_of(given, self._no_observation.size)
+        observation, wrong = observation_of(given, self._no_observation.size, self._order)
         if observation is None:
             self._not_valid("observation", wrong)
         return observation

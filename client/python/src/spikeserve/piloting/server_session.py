@@ -53,6 +53,7 @@ class ServerSession:
         self.is_open = False
         opened, response = client.run(self._opening(None))
         self.opening: Opening = opened.opening
+        self.order = opened.order
         self.neutral = response.neutral_action
         self._begin(opened, response)
         if self.history_limit == 0:

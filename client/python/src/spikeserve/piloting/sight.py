@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spikeserve.check import unmasked
+from spikeserve.feature_order import FeatureOrder
 
 
-def observation_of(given: ArrayLike, size: int) -> tuple[NDArray[np.float32] | None, str]:
-    """Returns the observation, or None and what was expected and received."""
+def observation_of(
+    given: ArrayLike, size: int, order: FeatureOrder
+) -> tuple[NDArray[np.float32] | None, str]:
+    """Returns the observation in the policy's order, or None and what was expected and received."""
     try:
-        values = unmasked(given, "observation")
+        values = order.observation(unmasked(given, "observation"))
     except ValueError as error:
         return None, str(error)
     try:

@@ -17,7 +17,7 @@ from minari.dataset.minari_storage import MinariStorage
 from numpy.typing import NDArray
 
 from spikeserve.check import check
-from spikeserve.flat_spaces import ActionMap, FlatEnvironment, ObservationMap
+from spikeserve.flat_spaces import ActionMap, FlatEnvironment, ObservationMap, element_names
 from spikeserve.imitation.episodes import Episode
 
 
@@ -39,7 +39,10 @@ def write_dataset(
     partial = folder.with_name(folder.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    write_storage(partial, episodes, environment.action_space, name, folder.name)
+    storage = write_storage(partial, episodes, environment.action_space, name, folder.name)
+    if names := element_names(environment.native_space):  # the policy file gets them
+        recipe = {"minari": folder.name, "observation_names": list(names)}
+        storage.update_metadata({"spikeserve": {"environment": name, "recipe": recipe}})
     partial.rename(folder)
 
 

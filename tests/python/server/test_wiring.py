@@ -1,0 +1,134 @@
+"""The server recognises a robot whose elements are wired otherwise than those of the training data."""
+
+import os
+import subprocess
+
+import gymnasium
+import numpy as np
+import pytest
+import spikeserve
+from serving import metric, page_of, running_server
+
+STEPS = 50
+
+
+def exchange(i, j):
+    def wire(observation):
+        wired = observation.copy()
+        wired[[i, j]] = wired[[j, i]]
+        return wired
+
+    return wire
+
+
+def negate(i):
+    def wire(observation):
+        return observation * np.where(np.arange(len(observation)) == i, -1, 1)
+
+    return wire
+
+
+def right(observation):
+    return observation
+
+
+def play(session, environment, wire, steps=STEPS, seed=0):
+    """Plays up to `steps` steps, over as many episodes as that takes. Returns the last decision."""
+    observation, _ = environment.reset(seed=seed)
+    reward, decision = 0.0, None
+    for _ in range(steps + 1):
+        decision = session.act(wire(observation), reward)
+        observation, reward, terminated, truncated, _ = environment.step(decision.action)
+        if terminated or truncated:
+            session.end_episode(reward, terminated, truncated)
+            observation, _ = environment.reset()
+            reward = 0.0
+    return decision
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    flags = [f"--record_dir={tmp_path_factory.mktemp('recordings')}", "--wiring=count,pendulum=safe"]
+    with running_server(flags=flags) as addresses:
+        yield addresses
+
+
+@pytest.fixture
+def client(server):
+    with spikeserve.Client(server.grpc) as opened:
+        yield opened
+
+
+@pytest.mark.parametrize(
+    ("wire", "text"),
+    [
+        (exchange(1, 2), "observation[1] (cart_velocity) and observation[2] (pole_angle) look exchanged"),
+        (negate(3), "observation[3] (pole_angular_velocity) looks as if it had the other sign"),
+        (lambda x: x * [1, 1, 57.29578, 1], "observation[2] (pole_angle) looks like degrees, expected radians"),
+    ],
+)
+def test_a_wrong_wiring_is_named_in_answers_metrics_and_on_the_page(server, client, wire, text):
+    with client.open_session("cartpole") as session:
+        decision = play(session, gymnasium.make("CartPole-v1"), wire)
+        assert decision.wiring.text == text
+        assert not decision.wiring.is_safe_action
+        assert session.state().wiring.text == text
+        assert text in page_of(server, f"/session.json?session={session.session_id}")
+    assert metric(server, "spikeserve_wiring_verdicts_total", policy="cartpole") >= 1
+
+
+def test_a_robot_that_is_wired_right_gets_no_verdict(client):
+    for policy, task in (("cartpole", "CartPole-v1"), ("pendulum", "Pendulum-v1"), ("acrobot", "Acrobot-v1")):
+        with client.open_session(policy) as session:
+            for seed in range(3):
+                assert play(session, gymnasium.make(task), right, 200, seed).wiring is None
+
+
+def test_a_policy_that_acts_safely_takes_the_neutral_action_until_the_wiring_is_right(client):
+    environment = gymnasium.make("Pendulum-v1")
+    with client.open_session("pendulum") as session:
+        decision = play(session, environment, negate(1))
+        assert decision.wiring.is_safe_action
+        assert decision.action.tolist() == [0.0]
+        decision = play(session, environment, right, 150)
+        assert decision.wiring is None
+
+
+def test_a_session_chooses_what_follows(client):
+    with client.open_session("pendulum", spikeserve.SessionOptions(wiring="COUNT")) as session:
+        decision = play(session, gymnasium.make("Pendulum-v1"), negate(1))
+        assert decision.wiring.cause == "SIGN" and not decision.wiring.is_safe_action
+
+
+def test_a_pilot_takes_its_safe_step(server):
+    environment = gymnasium.make("Pendulum-v1")
+    options = {"period": 0.5, "max_age": 60.0, "local": False, "neutral": [0.5], "ramp_beats": 0}
+    with spikeserve.Client(server.grpc) as client, spikeserve.Pilot(client, "pendulum", **options) as pilot:
+        observation, _ = environment.reset(seed=1)
+        beat = None
+        for _ in range(STEPS):
+            beat = pilot.beat(negate(1)(observation), 0.0)
+            observation = environment.step(beat.action)[0]
+        assert beat.source == "safe" and beat.action.tolist() == [0.5]
+
+
+def test_the_doctor_names_what_a_recording_shows(server, client):
+    with client.open_session("cartpole", spikeserve.SessionOptions(record=True)) as session:
+        play(session, gymnasium.make("CartPole-v1"), exchange(0, 2))
+        session.end_episode(0.0, truncated=True)
+        recording = session.opening.recording
+        live = doctor(server, f"--session={session.session_id}")
+    assert "observation[0] (cart_position) and observation[2] (pole_angle) look exchanged" in live
+
+
+def doctor(server, *flags):
+    command = [os.environ["SPIKECTL_PROGRAM"], f"--server={server.grpc}", "doctor", *flags]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+def test_rules_are_refused_by_the_flag():
+    finished = subprocess.run(
+        [os.environ["SPIKESERVE_PROGRAM"], "--policies=.", "--wiring=arm=stop"], capture_output=True, text=True
+    )
+    assert finished.returncode == 1
+    assert "--wiring: expected count, warn or safe" in finished.stderr

@@ -1,0 +1,149 @@
+#include "core/agent/wiring_check.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/math/counter_random.h"
+#include "core/model/wiring_fit.h"
+#include "tests/support/small_policy.h"
+
+namespace spikeserve {
+namespace {
+
+using Observation = std::vector<float>;
+using Wire = std::function<void(Observation&)>;
+
+// A cart that two actions push, and a pendulum that hangs from it.
+class Robot {
+ public:
+  explicit Robot(uint64_t seed) : seed_(seed) {
+    for (double& element : state_) element = 0.4 * Draw();
+  }
+  Observation observation() const { return {state_, state_ + 4}; }
+  int action() { return Draw() + 0.3 * state_[1] > 0.0 ? 0 : 1; }
+  void Step(int action) {
+    const double push = action == 1 ? 0.1 : -0.1;
+    const double angle = state_[2];
+    state_[0] += 0.1 * state_[1];
+    state_[1] += push - 0.02 * state_[0] + 0.002 * Draw();
+    state_[2] += 0.1 * state_[3];
+    state_[3] += -0.3 * angle + 0.05 * angle * state_[1] - 0.4 * push + 0.002 * Draw();
+  }
+
+ private:
+  double Draw() { return 2.0 * UniformDouble(RandomBits({seed_, draws_++})) - 1.0; }
+
+  const uint64_t seed_;
+  uint64_t draws_ = 0;
+  double state_[4];
+};
+
+class WiringCheckTest : public testing::Test {
+ protected:
+  WiringCheckTest() {
+    WiringFit fit(4, 2);
+    for (uint64_t seed = 0; seed < 30; ++seed) {
+      Robot robot(seed);
+      Observation observations = robot.observation();
+      std::vector<float> actions;
+      for (int t = 0; t < 100; ++t) {
+        const int action = robot.action();
+        robot.Step(action);
+        actions.insert(actions.end(), {action == 0 ? 1.0f : 0.0f, action == 1 ? 1.0f : 0.0f});
+        const Observation next = robot.observation();
+        observations.insert(observations.end(), next.begin(), next.end());
+      }
+      fit.Add(observations, actions);
+    }
+    policy_.wiring = std::make_shared<const WiringModel>(*fit.Finish());
+    policy_.features = *ParseFeatures(R"({"observation": ["x", "v", "angle", "rate"]})");
+  }
+
+  // Plays `steps` and returns the step of the first verdict; -1: there was none.
+  int Play(WiringCheck* check, uint64_t seed, int steps, const Wire& wire) {
+    Robot robot(seed);
+    check->BeginEpisode();
+    std::vector<float> action;
+    int first = -1;
+    for (int t = 0; t < steps; ++t) {
+      Observation observation = robot.observation();
+      wire(observation);
+      if (check->OnStep(observation, action) && first < 0) first = t;
+      const int chosen = robot.action();
+      action = {chosen == 0 ? 1.0f : 0.0f, chosen == 1 ? 1.0f : 0.0f};
+      robot.Step(chosen);
+    }
+    return first;
+  }
+
+  // Expects a verdict with `text` within 50 steps of each of ten sessions.
+  void ExpectVerdict(const Wire& wire, const std::string& text) {
+    for (uint64_t seed = 100; seed < 110; ++seed) {
+      WiringCheck check(policy_);
+      const int first = Play(&check, seed, 51, wire);
+      ASSERT_GE(first, 0) << text << ", seed " << seed;
+      EXPECT_EQ(check.verdict()->text, text) << "seed " << seed;
+    }
+  }
+
+  Policy policy_ = SmallPolicy();
+};
+
+TEST_F(WiringCheckTest, NamesEveryExchangeAndEverySign) {
+  const std::string named[] = {"observation[0] (x)", "observation[1] (v)", "observation[2] (angle)",
+                               "observation[3] (rate)"};
+  for (size_t i = 0; i < 4; ++i) {
+    ExpectVerdict([i](Observation& x) { x[i] = -x[i]; },
+                  named[i] + " looks as if it had the other sign");
+    for (size_t j = i + 1; j < 4; ++j) {
+      ExpectVerdict([i, j](Observation& x) { std::swap(x[i], x[j]); },
+                    named[i] + " and " + named[j] + " look exchanged");
+    }
+  }
+}
+
+TEST_F(WiringCheckTest, NamesDegreesAndADeadElement) {
+  ExpectVerdict([](Observation& x) { x[2] *= 57.29578f; },
+                "observation[2] (angle) looks like degrees, expected radians");
+  WiringCheck check(policy_);
+  Play(&check, 1, 60, [](Observation& x) { x[1] = 0.25f; });
+  ASSERT_TRUE(check.verdict().has_value());
+}
+
+TEST_F(WiringCheckTest, CleanSessionsGetNoVerdict) {
+  for (uint64_t seed = 1000; seed < 1200; ++seed) {
+    WiringCheck check(policy_);
+    EXPECT_EQ(Play(&check, seed, 500, [](Observation&) {}), -1) << "seed " << seed;
+  }
+}
+
+TEST_F(WiringCheckTest, AStandstillGetsNoVerdict) {
+  WiringCheck check(policy_);
+  check.BeginEpisode();
+  const Observation zero(4, 0.0f);
+  for (int t = 0; t < 40; ++t) {
+    check.OnStep(zero,
+                 t == 0 ? std::vector<float>() : std::vector<float>{t % 2 ? 1.0f : 0.0f, 0.0f});
+  }
+  if (check.verdict().has_value()) {
+    EXPECT_EQ(check.verdict()->cause, WiringCause::kDynamics) << check.verdict()->text;
+  }
+}
+
+TEST_F(WiringCheckTest, AVerdictIsWithdrawnWhenTheRobotIsWiredRight) {
+  WiringCheck check(policy_);
+  EXPECT_GE(Play(&check, 5, 50, [](Observation& x) { std::swap(x[0], x[3]); }), 0);
+  ASSERT_TRUE(check.verdict().has_value());
+  Play(&check, 6, 200, [](Observation&) {});
+  EXPECT_FALSE(check.verdict().has_value()) << check.verdict()->text;
+}
+
+}  // namespace
+}  // namespace spikeserve
