@@ -214,8 +214,8 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
 }  // namespace
 
 void AddQuantizeCommand(Program& program) {
-  const Command command = program.root().AddCommand(
-      "quantize", "Rounds a policy to integers, or converts one in int8 of a former release");
+  const Command command =
+      program.root().AddCommand("quantize", "Rounds a policy to integers, or converts one in int8");
   const auto flags = std::make_shared<QuantizeFlags>();
   command.Flags("Rounding")
       .Add("policy", "FILE", &flags->policy, "Policy file in float32, or in int8")

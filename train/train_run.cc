@@ -19,6 +19,7 @@
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
 #include "core/model/wiring_fit.h"
+#include "core/model/wiring_model.h"
 #include "train/baselines/comparison.h"
 #include "train/baselines/verdict.h"
 #include "train/evaluation/evaluation.h"
@@ -305,6 +306,8 @@ absl::StatusOr<std::optional<BaselineComparison>> CompareIfPossible(
 // Adds what the data say about the robot. Robots that act late differ from the data's steps.
 void Describe(const TrainOptions& options, const EpisodeSource& source, Policy* policy) {
   AddNames(source.dataset().recipe, policy);
+  const auto size = static_cast<size_t>(source.dataset().observation_size);
+  if (options.delay.most > 0 || size > WiringModel::kMostElements) return;
   std::vector<int> first;
   size_t steps = 0;
   for (const EpisodeEntry& entry : source.entries()) {
@@ -313,9 +316,7 @@ void Describe(const TrainOptions& options, const EpisodeSource& source, Policy* 
     first.push_back(static_cast<int>(first.size()));
   }
   const auto episodes = source.Read(first);
-  if (options.delay.most == 0 && episodes.ok()) {
-    AddWiringModel(*episodes, policy).IgnoreError();  // too few steps, or too many elements
-  }
+  if (episodes.ok()) AddWiringModel(*episodes, policy).IgnoreError();  // too few steps
 }
 
 // Writes the policy to --out, evaluates it, and writes it again with the result in its record.

@@ -327,7 +327,7 @@ void AddRollout(FlagGroup& group, AdminFlags* flags) {
       .Add("min_episodes", "N", &flags->min_episodes,
            "Episodes of the new version in each step, at least")
       .AddList("abort_if", "MEASURE:MARGIN%,...", &flags->abort_if,
-               "What ends the roll-out, if worse by more")
+               "Ends the roll-out if worse by more")
       .AddSwitch("abort", &flags->abort, "End the running roll-out");
 }
 

@@ -122,7 +122,7 @@ void AddEmitCommand(Command program, const ServerFlags& server) {
       .Add("policy", "FILE", &flags->policy, "The policy's file, in integer arithmetic")
       .Add("out", "DIR", &flags->out, "Folder for spike_policy.c and spike_policy.h")
       .Add("kind", EnumKind<EmitKind>(), &flags->kind,
-           "Also makes the folder a library of Arduino or a module of Zephyr")
+           "Also makes the folder an Arduino library or a Zephyr module")
       .Add("ram", "BYTES", &flags->ram, "Refuses a policy whose state needs more; 0: none");
   command.SetAction([flags, &server] { return Run(*flags, server.json); });
 }

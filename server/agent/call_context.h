@@ -33,8 +33,6 @@ struct CallContext {
   bool may_claim = false;
   // The store has had the session for this request, and this server has taken it over.
   bool has_claimed = false;
-  // The id of the session to open is that of another tenant's.
-  bool id_is_taken = false;
   // The session of a request that only reads, if this server does not hold it: as the store has it.
   // It stays with its owner. Null: none was read.
   std::shared_ptr<SessionEntry> read = nullptr;

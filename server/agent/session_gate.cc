@@ -210,12 +210,6 @@ void SessionGate::OnFound(Search& search, const std::string& id, const absl::Sta
   EndSpan(claimed, &search.span);
   GatedRequest& request = *search.request;
   if (request.is_over()) return request.Answer(search.status);
-  if (absl::IsNotFound(claimed) && absl::IsAlreadyExists(search.status)) {
-    // Another tenant has a session of this id in the store.
-    request.call_context().commits.clear();
-    request.call_context().id_is_taken = true;
-    return request.HandleAgain({});
-  }
   if (!claimed.ok() && !request.has_items()) {
     return request.Answer(failed ? claimed : search.status);
   }

@@ -30,7 +30,7 @@ struct BaselineData {
   bool is_held_out = true;
 };
 
-// Reads all steps to fit baselines if their inputs are at most 16 million numbers, and episodes
+// Reads all steps to fit baselines if their inputs are at most a million numbers, and episodes
 // that have about as many, evenly spaced, otherwise; and 10,000 held-out steps. `validation` is the
 // share of the episodes that the trainer holds out. INVALID_ARGUMENT if observations have more than
 // kMostBaselineInputs numbers. Fails if a file can no longer be read.

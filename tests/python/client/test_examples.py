@@ -29,7 +29,7 @@ def readme_block(language):
 
 def test_each_is_short_and_listed():
     listed = re.findall(r"^\| \[(\S+)\]\(\1\)", (EXAMPLES / "README.md").read_text(), re.MULTILINE)
-    programs = {path.name for path in EXAMPLES.iterdir() if path.suffix != ".md"}
+    programs = {path.name for path in EXAMPLES.iterdir() if path.is_file() and path.suffix != ".md"}
     assert sorted(listed) == sorted(programs)
     for name in programs:
         assert 30 <= len((EXAMPLES / name).read_text().splitlines()) <= 60, name

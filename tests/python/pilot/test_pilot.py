@@ -114,7 +114,7 @@ class Flight:
 
     def check_session(self, client):
         """Checks that the session at the server equals one that was never disturbed, bit for bit."""
-        with undisturbed() as other:
+        with undisturbed(has_store=bool(self.session.durability)) as other:
             self.check_equal(client, other)
 
     def check_equal(self, client, other):
@@ -134,10 +134,11 @@ class Flight:
 
 
 @contextlib.contextmanager
-def undisturbed():
-    """Yields a client of a server with a store."""
-    with tempfile.TemporaryDirectory() as folder, restartable_server(f"--session_store=file:{folder}") as server:
-        with spikeserve.Client(server.address) as client:
+def undisturbed(has_store=True):
+    """Yields a client of a server, with a store or without: a session's value says how durable it is."""
+    with tempfile.TemporaryDirectory() as folder:
+        flags = [f"--session_store=file:{folder}"] if has_store else []
+        with restartable_server(*flags) as server, spikeserve.Client(server.address) as client:
             yield client
 
 

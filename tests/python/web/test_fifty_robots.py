@@ -87,7 +87,7 @@ def test_the_alert_names_the_robot_and_leads_to_its_element(page, fleet):
     page.click("#alerts .robots a")
     page.wait_for("document.querySelector('#observation .bar-row.unusual')", "the element")
     assert page.evaluate("location.hash") == f"#/sessions/{robots.sessions[BROKEN]}"
-    assert page.text("#observation .bad") == "Element 2: unlike anything in training."
+    assert page.text("#observation .bad") == "Element pole_angle: unlike anything in training."
 
 
 def test_robots_are_listed_by_their_label(page):

@@ -214,7 +214,7 @@ def test_an_unusual_element_stands_beside_its_range_in_training(browser, server)
     act = open_page(browser, server, "cartpole", labels={"robot": "arm-07"})
     act([0.0, 0.0, 40.0, 0.0])
     browser.wait_for("document.querySelector('#observation .bad')", "the unusual element")
-    assert browser.text("#observation .bad") == "Element 2: unlike anything in training."
+    assert browser.text("#observation .bad") == "Element pole_angle: unlike anything in training."
     assert browser.evaluate("document.querySelectorAll('#observation .bar-row.unusual').length") == 1
     assert "arm-07" in browser.tiles("session-tiles")
 

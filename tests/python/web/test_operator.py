@@ -89,7 +89,8 @@ def test_whether_a_canary_is_worse(page):
     page.wait_for("document.querySelector('#alerts .firing')", "the alert")
     assert "SpikeserveRolloutAborted" in page.text("#alerts")
     assert page.tiles()["Health"][::2] == ("not healthy", True)
-    assert page.text("#health").startswith("not healthy: 1 alert firing")
+    # The weak robot may also look miswired.
+    assert page.text("#health").startswith(("not healthy: 1 alert firing", "not healthy: 2 alerts firing"))
 
 
 def test_which_robot_has_the_lowest_return_and_what_its_last_decision_looked_like(page, fleet):

@@ -28,7 +28,7 @@ ImitationError Explaining(double share) {
 BaselineComparison Comparison(double policy, double baseline) {
   BaselineComparison comparison;
   comparison.policy = Explaining(policy);
-  comparison.baselines.push_back({.baseline = {}, .error = Explaining(baseline), .returns = {}});
+  comparison.baselines.emplace_back().error = Explaining(baseline);
   return comparison;
 }
 

@@ -64,13 +64,13 @@ class Comparison:
 
     @classmethod
     def read(cls, path: pathlib.Path) -> Comparison:
-        """Reads the file of `spiketrain compare --out`."""
+        """Reads the file of `compare --out`, or baselines.json of `train`, which has no verdict."""
         stored = json.loads(path.read_text())
         return cls(
             stored["policy"]["error"],
             stored["policy"].get("error_by_element", []),
             stored["policy"]["explained"],
-            stored["verdict"].get("explained_by_element", {}),
+            stored.get("verdict", {}).get("explained_by_element", {}),
             stored["error_is"],
             stored["warnings"],
             [_baseline(entry) for entry in stored["baselines"]],
