@@ -3,8 +3,10 @@
 - A guide begins with what the reader has at its end and how long that takes, and ends with "When it fails".
 - Figures that were measured stand under docs/evidence, apart from what a command prints.
 - The index and the site list every page.
+- A digest beside the name of a shipped policy is that of its file.
 """
 
+import hashlib
 import pathlib
 import re
 import sys
@@ -16,6 +18,7 @@ CODE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 PROMISE = "At the end of this page"
 DURATION = re.compile(r"\b(seconds?|minutes?|hours?)\b")
 LAST_HEADING = "When it fails"
+DIGEST = re.compile(r"`([\w-]+/\d+)`[^`\n]*`([0-9a-f]{12})`")
 MEASURED = re.compile(r"±|\bEPYC\b|\bXeon\b|µs\b|\bmedians? of\b|\bmeasured on\b")
 
 
@@ -34,6 +37,13 @@ def complaints_about_guide(text):
         yield f"ends without {LAST_HEADING!r}"
 
 
+def complaints_about_digests(text):
+    for policy, digest in DIGEST.findall(text):
+        shipped = (ROOT / "deploy" / "policies" / policy / "policy.safetensors").read_bytes()
+        if (expected := hashlib.sha256(shipped).hexdigest()[:12]) != digest:
+            yield f"{policy}: expected the digest {expected} of the shipped file, received {digest}"
+
+
 def main():
     complaints, count = [], 0
     index, site = (DOCS / "README.md").read_text(), (ROOT / "mkdocs.yml").read_text()
@@ -43,6 +53,7 @@ def main():
             complaints.append(f"{name}: docs/README.md does not list it")
         if not re.search(rf"[ \[]{re.escape(name)}\b", site):
             complaints.append(f"{name}: mkdocs.yml does not list it")
+        complaints += [f"{name}: {complaint}" for complaint in complaints_about_digests(text)]
         if name.startswith("guides/"):
             complaints += [f"{name}: {complaint}" for complaint in complaints_about_guide(text)]
         if name.startswith("evidence/") or GENERATED in text:

@@ -142,7 +142,7 @@ absl::StatusOr<EmittedC> EmitC(absl::string_view policy_file, const EmitOptions&
                                 "\"spike_policy.h\"\n\n#include <string.h>\n\n",
                                 fixed.at("network.c"), "\n", tables.text, fixed.at("stages.c"),
                                 fixed.at("attention.c"), fixed.at("head.c"), fixed.at("session.c"),
-                                fixed.at("value.c"));
+                                fixed.at("value_writer.c"), fixed.at("value_reader.c"));
   return emitted;
 }
 

@@ -140,6 +140,34 @@ void TakeEnd(DecisionRequest& act, const Clock& clock, BeatBudget* budget)
   FillBeats(request, act.beats, agent.session(), act.received, begun, act.response);
 }
 
+// Answers a request whose decision was made by `call`. `begun` is when, if the request has beats.
+void AnswerDecision(DecisionRequest& act, const ActCall& call, absl::Duration begun) {
+  SessionEntry& entry = *act.entry;
+  entry.mutex.AssertHeld();
+  act.entry->mutex.AssertHeld();
+  act.status = call.answer.status();
+  Span span = std::move(act.span);
+  Conclude(act, /*is_new=*/!call.is_retry);
+  span.Fail(act.status);
+  if (!act.status.ok()) return;
+  const Session& session = entry.agent.session();
+  if (call.is_retry) {
+    entry.served->observer->OnRepeated();
+  } else if (call.step > 0 && !act.request->has_reward()) {
+    entry.agent.CountMissingRewards(1);
+  }
+  if (entry.shadow != nullptr && !call.is_retry) {
+    entry.shadow_steps.push_back(MakeShadowStep(act.request->observation(), act.request->reward(),
+                                                call.executed.has_value(), session));
+  }
+  ToProto(act.request->session_id(), **call.answer, entry.served->policy(), act.response);
+  WiringToProto(entry.agent, act.response);
+  if (span) Describe(act, call.is_retry, &span);
+  if (HasBeats(*act.request)) {
+    FillBeats(*act.request, act.beats, session, act.received, begun, act.response);
+  }
+}
+
 }  // namespace
 
 void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock, BeatBudget* budget) {
@@ -183,33 +211,7 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const Clock& clock, Bea
     deciding.push_back(act);
   }
   AgentSession::ActTogether(absl::MakeSpan(calls));
-  for (size_t i = 0; i < calls.size(); ++i) {
-    DecisionRequest& act = *deciding[i];
-    SessionEntry& entry = *act.entry;
-    entry.mutex.AssertHeld();
-    act.entry->mutex.AssertHeld();
-    act.status = calls[i].answer.status();
-    Span span = std::move(act.span);
-    Conclude(act, /*is_new=*/!calls[i].is_retry);
-    span.Fail(act.status);
-    if (!act.status.ok()) continue;
-    const Session& session = entry.agent.session();
-    if (calls[i].is_retry) {
-      entry.served->observer->OnRepeated();
-    } else if (calls[i].step > 0 && !act.request->has_reward()) {
-      entry.agent.CountMissingRewards(1);
-    }
-    if (entry.shadow != nullptr && !calls[i].is_retry) {
-      entry.shadow_steps.push_back(MakeShadowStep(act.request->observation(), act.request->reward(),
-                                                  calls[i].executed.has_value(), session));
-    }
-    ToProto(act.request->session_id(), **calls[i].answer, entry.served->policy(), act.response);
-    WiringToProto(entry.agent, act.response);
-    if (span) Describe(act, calls[i].is_retry, &span);
-    if (HasBeats(*act.request)) {
-      FillBeats(*act.request, act.beats, session, act.received, begun, act.response);
-    }
-  }
+  for (size_t i = 0; i < calls.size(); ++i) AnswerDecision(*deciding[i], calls[i], begun);
 }
 
 }  // namespace spikeserve

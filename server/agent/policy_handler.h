@@ -28,12 +28,6 @@
 
 namespace spikeserve {
 
-// Limits on the labels and the routing key of one OpenSession, which the server stores or hashes.
-struct LabelLimits {
-  static constexpr int kLabels = 32;
-  static constexpr size_t kBytes = 256;  // of a key, a value or a routing key
-};
-
 // The largest number of requests in one ActBatch.
 inline constexpr int kMaxBatch = 1024;
 

@@ -39,6 +39,13 @@ def write_policy(path, tensors, metadata):
     path.write_bytes(len(text).to_bytes(8, "little") + text + b"".join(chunks))
 
 
+def copy_without_wiring(source, destination):
+    """Copies a version of a policy without its model of the wiring, for sessions that do not play as in training."""
+    tensors, metadata = read_policy(source / "policy.safetensors")
+    del metadata["wiring"]
+    write_policy(destination / "policy.safetensors", tensors, metadata)
+
+
 def without_norms(tensors, metadata):
     """Returns a policy in float32 as one without norms."""
     config = json.dumps(json.loads(metadata["config"]) | {"norm": "none"})

@@ -6,11 +6,11 @@ DIR.
 
 import json
 import re
-import shutil
 
 import grpc
 import pytest
 from browser import DESKTOP, PHONE, SCREENSHOTS
+from policy_file import copy_without_wiring
 from robots import Fleet
 from security import ADMIN
 from serving import SHIPPED_POLICIES, Service, running_server
@@ -21,11 +21,14 @@ WEAK_ROBOT = "arm-03"
 
 
 def copy_policies(directory):
-    """Copies shipped policies, two versions of each. Version 2 of cartpole will be rolled out; the others are idle or busy."""
+    """Copies shipped policies, two versions of each. Version 2 of cartpole will be rolled out; the others are idle or busy.
+
+    Robots with broken motors look miswired, which is not what these tests are about.
+    """
     for name in ("cartpole", "pendulum", "acrobot", "mountaincar"):
-        shutil.copytree(SHIPPED_POLICIES / name, directory / name)
-        if not (directory / name / "2").exists():
-            shutil.copytree(directory / name / "1", directory / name / "2")
+        for version in ("1", "2"):
+            source = SHIPPED_POLICIES / name / version
+            copy_without_wiring(source if source.exists() else source.with_name("1"), directory / name / version)
     return directory
 
 
@@ -89,8 +92,7 @@ def test_whether_a_canary_is_worse(page):
     page.wait_for("document.querySelector('#alerts .firing')", "the alert")
     assert "SpikeserveRolloutAborted" in page.text("#alerts")
     assert page.tiles()["Health"][::2] == ("not healthy", True)
-    # The weak robot may also look miswired.
-    assert page.text("#health").startswith(("not healthy: 1 alert firing", "not healthy: 2 alerts firing"))
+    assert page.text("#health").startswith("not healthy: 1 alert firing")
 
 
 def test_which_robot_has_the_lowest_return_and_what_its_last_decision_looked_like(page, fleet):
