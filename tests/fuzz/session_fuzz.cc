@@ -25,6 +25,7 @@ struct Model {
   int64_t step = 0;
   uint64_t decisions = 0;
   double episode_return = 0.0;
+  uint8_t argument = 0;  // of the last step
 };
 
 class Game {
@@ -67,14 +68,16 @@ class Game {
     const bool is_next = step == model_.step;
     const auto answer = agent_->Act(step, ObservationAt(argument), reward);
     if (!is_next) {
-      // A retry of the last step is answered; every other one is refused.
-      FUZZ_CHECK(answer.ok() == (model_.step > 0 && step == model_.step - 1));
+      // A retry of the last step is answered; every other step, and another content, is refused.
+      const bool is_last = model_.step > 0 && step == model_.step - 1;
+      FUZZ_CHECK(answer.ok() == (is_last && argument == model_.argument));
       FUZZ_CHECK(SerializeSession(agent_->session()) == before);
       return;
     }
     FUZZ_CHECK(answer.ok());
     FUZZ_CHECK((*answer)->step == step);
     if (step > 0) model_.episode_return += reward;
+    model_.argument = argument;
     ++model_.step;
     ++model_.decisions;
     agent_->AppendPendingAction();
@@ -83,7 +86,8 @@ class Game {
   void Retry() {
     if (model_.step == 0) return;
     const Answer stored = *agent_->session().last_answer;
-    const auto answer = agent_->Act(model_.step - 1, ObservationAt(99), 99.0);
+    const uint8_t argument = model_.argument;
+    const auto answer = agent_->Act(model_.step - 1, ObservationAt(argument), argument / 16.0);
     FUZZ_CHECK(answer.ok());
     FUZZ_CHECK(**answer == stored);
   }
