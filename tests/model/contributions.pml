@@ -5,8 +5,8 @@
  * notices whenever it looks that the log does not have its position any more. A log that was written again, or whose Redis
  * has started again, takes no entries until every replica has looked, which stands for the seconds of kSettling.
  *
- * Checked, by assertions: no contribution is in the log twice, and none that was acknowledged is lost while a replica lives
- * that has taken it.
+ * Checked, by assertions: no contribution is in the log twice, none that was acknowledged is lost while a replica lives
+ * that has taken it, and a script that stops half-way removes none.
  *
  * Each of these is the old protocol, so that the check must fail:
  * -DMARKER_ONLY     only the marker tells whether the log has a contribution
@@ -14,12 +14,14 @@
  * -DFIRST_REWRITES  a log that was written again takes entries at once
  * -DSAME_RUN        a log whose Redis has started again takes entries at once
  * -DFORGETFUL       a replica does not know positions of some time ago, and takes the snapshot's heads
+ * -DDEL_FIRST       the script that writes a log again, and may stop, removes the old one before it writes the snapshot
  *
  * run_model.py runs SPIN on this file. */
 
 #define REPLICAS 2
 #define CONTRIBUTIONS 3
 #define MOST_LOSSES 1
+#define MOST_STOPS 1
 #define MOST_APPENDS 5
 
 byte entry[MOST_APPENDS];    /* contribution of each entry, from 0 */
@@ -31,6 +33,8 @@ byte old_length = 0;
 byte old_markers = 0;
 byte old_snapshot = 0;
 byte losses = 0;
+byte stops = 0;
+bool stopped = false;
 byte mine[10];               /* entries that each replica has folded, REPLICAS * MOST_APPENDS */
 byte read[REPLICAS];         /* how many: HeadReplica::position() */
 bool settling = false;
@@ -62,8 +66,27 @@ inline fold(r) {
   od
 }
 
-/* LoggedHeads::Rewrite(), kReplace, RestoreHeadMarkers() */
+/* LoggedHeads::Rewrite(), kReplace, RestoreHeadMarkers(). kReplace may stop before it puts the new log in its place: the
+ * snapshot stands for a log that is gone; one that is there stays. */
 inline rewrite(r) {
+  count = length;
+#ifdef DEL_FIRST
+  if
+  :: stops < MOST_STOPS -> stops++; stopped = true; exists = false; length = snapshot
+  :: rewrite_whole(r, true)
+  fi;
+#else
+  if
+  :: stops < MOST_STOPS && exists -> stops++; stopped = true; settling = true; looked = 0
+  :: stops < MOST_STOPS && !exists -> stops++; stopped = true; rewrite_whole(r, false); snapshot = length
+  :: rewrite_whole(r, true)
+  fi;
+#endif
+  assert(!stopped || length >= count);  /* what is stored lives on if the replica dies */
+  count = 0
+}
+
+inline rewrite_whole(r, is_there) {
   i = 0;
   do
   :: i < read[r] ->
@@ -75,7 +98,7 @@ inline rewrite(r) {
   :: else -> break
   od;
   i = 0;
-  length = read[r]; exists = true;
+  length = read[r]; exists = is_there;
   settling = true; looked = 0
 }
 
@@ -105,7 +128,8 @@ inline look(r) {
       fi
     fi
   fi;
-  looked = looked | BIT(r);
+  looked = (stopped -> looked : looked | BIT(r));
+  stopped = false;
   settling = settling && (looked != 3);
   same = true
 }

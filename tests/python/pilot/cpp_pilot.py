@@ -22,9 +22,9 @@ def number(value):
 
 
 class CppPilot:
-    """Starts client_pilot, whose lines are described there."""
+    """Starts client_pilot, whose lines are described there, with a `prefix` of its command."""
 
-    def __init__(self, client, policy, period, session=spikeserve.SessionOptions(), local=None, **options):
+    def __init__(self, client, policy, period, session=spikeserve.SessionOptions(), local=None, prefix=(), **options):
         opening = session.to_wire(policy)
         if "local_policy" in options:
             options["local"] = str(options.pop("local_policy"))
@@ -32,7 +32,7 @@ class CppPilot:
             options["local"] = ""
         servers = client if isinstance(client, str) else ",".join(r.address for r in client.replicas)
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        self.process = subprocess.Popen([os.environ["CLIENT_PILOT_PROGRAM"]], **pipes)
+        self.process = subprocess.Popen([*prefix, os.environ["CLIENT_PILOT_PROGRAM"]], **pipes)
         self.allocations = []  # of each beat, on its thread
         self._lock = threading.Lock()  # of a line and its answer
         self._ended = 0

@@ -92,7 +92,7 @@ class Flight:
         """Plays beats until one of them has one of the sources."""
         end = time.monotonic() + WAIT
         while self.beat().source not in sources:
-            assert time.monotonic() < end
+            assert time.monotonic() < end, f"expected {sources}, received {self.pilot.stats()}"
 
     def end(self, reward=1.0):
         self.endings.append(reward)
@@ -108,9 +108,9 @@ class Flight:
         ended = zip(self.episodes, self.endings, self.summaries, strict=False)
         for beats, last, summary in ended:
             result = summary.result(WAIT)
-            assert result.steps == len(beats)
+            assert result.steps == len(beats), f"expected {len(beats)} steps, received {result}"
             rewards = sum(reward for _, reward, _ in beats[1:]) + last
-            assert result.episode_return == pytest.approx(rewards)
+            assert result.episode_return == pytest.approx(rewards), f"expected {rewards}, received {result}"
 
     def check_session(self, client):
         """Checks that the session at the server equals one that was never disturbed, bit for bit."""
@@ -124,13 +124,17 @@ class Flight:
         opening.session_id, opening.period_seconds = self.pilot.session_id, self.period
         other.call("OpenSession", opening)
         session = spikeserve.Session(other, self.pilot.session_id)
+        returned = iter(self.actions)
         for beats, last in zip(self.episodes, self.endings, strict=False):
-            before = None
+            before, answers = None, []
             for observation, reward, action in beats:
-                session.act(observation, reward, executed_action=before)
-                before = action
+                answers.append(session.act(observation, reward, executed_action=before).action)
+                before, one = action, next(returned)
+                is_answer = any(np.array_equal(one.action, answer) for answer in reversed(answers))
+                assert one.source != "fresh" or is_answer, f"beat {one.beat}: received {one.action}, which is no answer"
             session.end_episode(last, terminated=True, executed_action=before)
-        assert exported(client, self.pilot.session_id) == exported(other, session.session_id)
+        values = [exported(each, session.session_id) for each in (client, other)]
+        assert values[0] == values[1], f"session {session.session_id} differs from an undisturbed one"
 
 
 @contextlib.contextmanager

@@ -2,55 +2,14 @@
 
 import contextlib
 import itertools
-import mmap
-import pathlib
-import struct
-import subprocess
 
 import pytest
+from machine import Clock
 from security import until
 from stored_sessions import Restartable, acting, comparable, opening, undisturbed_answers
 
 IDLE = range(8)
 DAY = 86400
-SHIM = """
-#define _GNU_SOURCE
-#include <fcntl.h>
-#include <stdlib.h>
-#include <sys/mman.h>
-#include <sys/syscall.h>
-#include <time.h>
-#include <unistd.h>
-
-int clock_gettime(clockid_t clock, struct timespec* time) {
-  static volatile long* seconds;
-  if (seconds == NULL) {
-    const int file = open(getenv("CLOCK_FILE"), O_RDONLY);
-    seconds = mmap(NULL, sizeof(long), PROT_READ, MAP_SHARED, file, 0);
-    close(file);
-  }
-  const int outcome = syscall(SYS_clock_gettime, clock, time);
-  if (clock == CLOCK_REALTIME) time->tv_sec += *seconds;
-  return outcome;
-}
-"""
-
-
-class Clock:
-    """The time of day of servers that start with `prefix`, which differs from that of the machine."""
-
-    def __init__(self, folder: pathlib.Path):
-        (folder / "shim.c").write_text(SHIM)
-        subprocess.run(["cc", "-shared", "-fPIC", "-o", folder / "shim.so", folder / "shim.c"], check=True)
-        (folder / "clock").write_bytes(bytes(8))
-        self._file = (folder / "clock").open("r+b")
-        self._seconds = mmap.mmap(self._file.fileno(), 8)
-        self.prefix = ["env", f"LD_PRELOAD={folder}/shim.so", f"CLOCK_FILE={folder}/clock"]
-        self._at = 0
-
-    def jump(self, seconds):
-        self._at += seconds
-        self._seconds[:8] = struct.pack("q", self._at)
 
 
 @pytest.fixture

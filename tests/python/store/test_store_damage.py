@@ -1,6 +1,5 @@
 """A damaged page, a full disk and a removed lock cost a file store at most the sessions that they hit."""
 
-import contextlib
 import os
 import random
 import shutil
@@ -8,6 +7,7 @@ import subprocess
 
 import grpc
 import pytest
+from machine import fill, small_disk
 from security import code_of, until
 from serving import SHIPPED_POLICIES, Service, running_server
 from stored_sessions import Restartable, acting, comparable, expected_decision, opening
@@ -208,21 +208,10 @@ def run_server(flags):
 
 @pytest.fixture
 def disk(tmp_path):
-    """A file system of its own that the test may fill."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", folder], check=False)
-    if mounted.returncode != 0:
-        pytest.skip("mounting needs root")
-    yield folder
-    subprocess.run(["umount", "--lazy", folder], check=True)
-
-
-def fill(folder):
-    """Leaves no room on the disk."""
-    with (folder / "filler").open("wb", buffering=0) as file, contextlib.suppress(OSError):
-        while file.write(bytes(PAGE)):
-            pass
+    with small_disk(tmp_path / "disk", DISK) as folder:
+        if folder is None:
+            pytest.skip("mounting needs root")
+        yield folder
 
 
 def test_a_full_disk_refuses_sessions_and_lets_others_end(disk):
@@ -230,7 +219,7 @@ def test_a_full_disk_refuses_sessions_and_lets_others_end(disk):
         for i in range(SESSIONS):
             server.OpenSession(**opening(i))
             server.Act(**acting(i, 0, 0))
-        fill(disk)
+        filler = fill(disk)
         refused = next(
             code
             for i in range(SESSIONS, MOST_SESSIONS)
@@ -240,7 +229,7 @@ def test_a_full_disk_refuses_sessions_and_lets_others_end(disk):
         closed, left = range(SESSIONS // 2), range(SESSIONS // 2, SESSIONS)
         for i in closed:
             server.CloseSession(session_id=name(i))
-        (disk / "filler").unlink()
+        filler.unlink()
         server.restart()
         for i in closed:
             assert code_of(server.GetSession, session_id=name(i)) == grpc.StatusCode.NOT_FOUND
@@ -274,7 +263,7 @@ def test_a_store_that_has_filled_its_disk_has_room_again_when_its_sessions_end(d
 
 def test_a_session_that_a_full_disk_refuses_is_not_in_the_store(disk):
     with Restartable(f"file:{disk}/store") as server:
-        fill(disk)
+        filler = fill(disk)
         refused = []
         for i in range(MOST_SESSIONS):
             code = code_of(server.OpenSession, **opening(i) | {"durability": ["ASYNC", "SYNC"][i % 2]})
@@ -282,7 +271,7 @@ def test_a_session_that_a_full_disk_refuses_is_not_in_the_store(disk):
             if len(refused) == 4:
                 break
         assert len(refused) == 4
-        (disk / "filler").unlink()
+        filler.unlink()
         until(lambda: code_of(server.OpenSession, **opening(refused[0])) == grpc.StatusCode.OK)
         for i in refused[1:]:
             assert code_of(server.GetSession, session_id=name(i)) == grpc.StatusCode.NOT_FOUND
