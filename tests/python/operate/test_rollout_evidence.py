@@ -127,7 +127,8 @@ def test_one_session_does_not_leave_a_step(served):
         episodes(fleet, open_on(fleet, NEW), [GOOD] * 4)
     # Nobody has played the stable version, with which this one is to be compared.
     assert rollout.state().percent == 50
-    assert "waits for a comparison: 20 more sessions of version 2 and 20 of version 1" in rollout.state().reason
+    comparison = "waits for a comparison: 20 more sessions of version 2 and 20 of version 1"
+    until(lambda: comparison in rollout.state().reason)  # the hold time is over
     for _ in range(20):
         episodes(fleet, open_on(fleet, STABLE), [GOOD])
     for _ in range(14):
