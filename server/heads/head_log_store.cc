@@ -3,8 +3,11 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "core/agent/served_policy.h"
 #include "core/base/status_macros.h"
+#include "prometheus/counter.h"
+#include "prometheus/gauge.h"
 #include "server/heads/redis_head_log.h"
 
 namespace spikeserve {
@@ -25,23 +28,52 @@ constexpr absl::Duration kUseInterval = absl::Seconds(1);
 // How often a store that stops tries to append what waits.
 constexpr absl::Duration kStopInterval = absl::Milliseconds(10);
 
+HeadLogSettings NewSettings(absl::Duration retention, int64_t replicas, const Clock* clock,
+                            prometheus::Registry* registry) {
+  auto& entries =
+      prometheus::BuildCounter()
+          .Name("spikeserve_head_log_entries_total")
+          .Help(
+              "Entries of the logs of shared heads that this server has appended, found there "
+              "already (known), or taken into its heads (folded).")
+          .Register(*registry);
+  auto& reloads =
+      prometheus::BuildCounter()
+          .Name("spikeserve_head_log_reloads_total")
+          .Help(
+              "Times that a log did not go on from the heads of this server, which then took the "
+              "stored heads (reloaded), stored its own (rewritten), or gave up the entries after "
+              "a gap (cut).")
+          .Register(*registry);
+  return {.retention = retention,
+          .replicas = replicas,
+          .clock = clock,
+          .appended = entries.Add({{"outcome", "appended"}}),
+          .known = entries.Add({{"outcome", "known"}}),
+          .folded = entries.Add({{"outcome", "folded"}}),
+          .reloaded = reloads.Add({{"outcome", "reloaded"}}),
+          .rewritten = reloads.Add({{"outcome", "rewritten"}}),
+          .cut = reloads.Add({{"outcome", "cut"}}),
+          .positions = prometheus::BuildGauge()
+                           .Name("spikeserve_head_log_position")
+                           .Help("Number of the last entry of the log of a shared head that this "
+                                 "server has taken.")
+                           .Register(*registry)};
+}
+
 }  // namespace
 
 HeadLogStore::HeadLogStore(RedisOptions options, absl::Duration retention, const Clock* clock,
                            prometheus::Registry* registry)
     : options_(std::move(options)),
-      metrics_(registry),
-      settings_({.retention = retention,
-                 .replicas = options_.replicas,
-                 .clock = clock,
-                 .metrics = &metrics_}) {
+      settings_(NewSettings(retention, options_.replicas, clock, registry)) {
   thread_ = std::thread([this] { Run(); });
 }
 
 HeadLogStore::~HeadLogStore() { Stop(absl::ZeroDuration()); }
 
 std::shared_ptr<HeadLog> HeadLogStore::Open(const ServedPolicy& served) {
-  const std::string key = HeadLogKeys(served.name, served.version, served.sha256).log;
+  const std::string key = absl::StrCat(served.name, "/", served.version, "/", served.sha256);
   absl::MutexLock lock(&mutex_);
   std::weak_ptr<VersionLog>& known = logs_[key];
   std::shared_ptr<VersionLog> log = known.lock();
@@ -133,7 +165,6 @@ void HeadLogStore::Run() {
     for (const auto& log : logs) {
       if (IsOver()) break;
       if (!connected.ok()) {
-        log->Begin();
         log->Fail(connected, /*is_connected=*/false);
       } else if (log->IsDue()) {
         Serve(*log);
@@ -150,25 +181,23 @@ void HeadLogStore::Run() {
 }
 
 void HeadLogStore::Serve(VersionLog& log) {
-  log.Begin();
-  absl::Status status = Exchange(log);
+  const auto exchange = [&]() -> absl::Status {
+    RETURN_IF_ERROR(Connect());
+    return log.Exchange(*client_);
+  };
+  absl::Status status = exchange();
   if (absl::IsUnavailable(status)) {
     // The connection may be one that Redis has closed since it was used last.
     client_ = nullptr;
-    status = Exchange(log);
+    status = exchange();
   }
   if (!status.ok()) {
     client_ = nullptr;
     return log.Fail(status, /*is_connected=*/true);
   }
   // Logs that were read together are read at different times later.
-  log.Finish(log.is_used() ? kReadInterval : unused_interval_ * absl::Uniform(random_, 0.5, 1.5));
-  log.CorrectPause(follows_.load(std::memory_order_relaxed));
-}
-
-absl::Status HeadLogStore::Exchange(VersionLog& log) {
-  RETURN_IF_ERROR(Connect());
-  return log.Exchange(*client_);
+  log.Finish(log.is_used() ? kReadInterval : unused_interval_ * absl::Uniform(random_, 0.5, 1.5),
+             follows_.load(std::memory_order_relaxed));
 }
 
 absl::Status HeadLogStore::Connect() {

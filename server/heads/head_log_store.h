@@ -23,15 +23,14 @@
 #include "core/store/redis_client.h"
 #include "core/store/redis_options.h"
 #include "prometheus/registry.h"
-#include "server/heads/head_log_metrics.h"
 #include "server/heads/version_log.h"
 
 namespace spikeserve {
 
 class HeadLogStore final : public HeadLogs {
  public:
-  // Redis remembers for `retention` that an entry is in a log. Registers metrics
-  // (head_log_metrics.h) in `registry`, which must outlive the store, as must `clock`.
+  // Redis remembers for `retention` that an entry is in a log. Registers metrics in `registry`,
+  // which must outlive the store, as must `clock`.
   HeadLogStore(RedisOptions options, absl::Duration retention, const Clock* clock,
                prometheus::Registry* registry);
   ~HeadLogStore() override;
@@ -68,10 +67,8 @@ class HeadLogStore final : public HeadLogs {
   Logs OpenLogs() ABSL_LOCKS_EXCLUDED(mutex_);
   absl::Status Connect();
   void Serve(VersionLog& log);
-  absl::Status Exchange(VersionLog& log);
 
   const RedisOptions options_;
-  HeadLogMetrics metrics_;
   const HeadLogSettings settings_;
   std::atomic<bool> joined_ = false;
   std::atomic<bool> follows_ = false;

@@ -1,19 +1,15 @@
 #include "server/heads/redis_head_log.h"
 
-#include <array>
 #include <utility>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "core/base/status_macros.h"
-#include "core/learning/contribution_budget.h"
 #include "core/store/stored_session.h"
 
 namespace spikeserve {
 namespace {
-
-// Contributors in one command; more make no difference (ContributionBudget::Members()).
-constexpr size_t kMostMembers = ContributionBudget::kProtectedMembers;
 
 // How long the marker of an entry stays after the next entry of its session. A session that goes on
 // from an older snapshot, because Redis has lost its last one, does not contribute twice within it.
@@ -37,14 +33,12 @@ local time = redis.call('TIME')
 local now = string.format('%d', time[1] * 1000 + math.floor(time[2] / 1000))
 )";
 
-// Keeps the contributors ARGV[first] to ARGV[first + kMostMembers - 1] in the sorted set `key`.
+// Keeps the contributors, whose names end with a line each, in the sorted set `key`.
 constexpr char kKeepMembers[] = R"(
-local function keep_members(key, first, alive)
+local function keep_members(key, names, alive)
   local time = redis.call('TIME')
   local now = time[1] * 1000 + math.floor(time[2] / 1000)
-  for i = first, #ARGV do
-    if ARGV[i] ~= '' then redis.call('ZADD', key, now, ARGV[i]) end
-  end
+  for name in string.gmatch(names, '[^\n]+') do redis.call('ZADD', key, now, name) end
   redis.call('ZREMRANGEBYSCORE', key, '-inf', now - alive)
   redis.call('PEXPIRE', key, alive)
 end
@@ -77,7 +71,7 @@ if #entries == tonumber(ARGV[9]) then return -1 end
 for _, entry in ipairs(entries) do
   if string.sub(entry[2][8], 1, #ARGV[8]) == ARGV[8] then return 0 end
 end
-keep_members(KEYS[5], 11, ARGV[7])
+keep_members(KEYS[5], ARGV[11], ARGV[7])
 local members = redis.call('ZCARD', KEYS[5])
 local number, digest = 0, ''
 local last = redis.call('XREVRANGE', KEYS[1], '+', '-', 'COUNT', 1)[1]
@@ -95,17 +89,18 @@ redis.call('SET', KEYS[3], id, 'PX', ARGV[5])
 redis.call('PEXPIRE', KEYS[4], ARGV[6])
 return 1)";
 
-// KEYS: log, snapshot. ARGV: id, largest number of entries.
-constexpr char kTail[] = R"(
-local snapshot = redis.call('HMGET', KEYS[2], 'n', 'wanted')
-return {snapshot[1] or '0', snapshot[2] or '',
-        redis.call('XRANGE', KEYS[1], ARGV[1], '+', 'COUNT', ARGV[2])})";
-
-// KEYS: log, snapshot.
-constexpr char kLoad[] = R"(
-local snapshot = redis.call('HMGET', KEYS[2], 'id', 'n', 'c', 's')
-return {snapshot[1] or '', snapshot[2] or '0', snapshot[3] or '', snapshot[4] or '',
-        redis.call('XRANGE', KEYS[1], snapshot[1] or '-', '+')})";
+// KEYS: log, snapshot. ARGV: id of the first entry (empty: that of the snapshot, which is read,
+// too), most entries.
+constexpr char kRead[] = R"(
+local snapshot = redis.call('HMGET', KEYS[2], 'id', 'n', 'c', 'wanted')
+local bytes, first = '', ARGV[1]
+if first == '' then
+  bytes, first = redis.call('HGET', KEYS[2], 's') or '', snapshot[1] or '-'
+end
+return {snapshot[1] or '0-0', snapshot[2] or '0', snapshot[3] or '', snapshot[4] or '', bytes,
+        redis.call('XRANGE', KEYS[1], first, '+', 'COUNT', ARGV[2])}
+)";
+constexpr char kAllEntries[] = "1000000000";
 
 // KEYS: log, snapshot. ARGV: id, number, digest, snapshot.
 constexpr char kSnapshot[] = R"(
@@ -175,10 +170,19 @@ absl::StatusOr<std::vector<LoggedEntry>> ParseEntries(const redisReply& reply) {
   return entries;
 }
 
-std::array<absl::string_view, kMostMembers> Padded(const std::vector<std::string>& members) {
-  std::array<absl::string_view, kMostMembers> padded;
-  for (size_t i = 0; i < std::min(members.size(), padded.size()); ++i) padded[i] = members[i];
-  return padded;
+absl::StatusOr<StoredLog> ReadLog(RedisClient& client) {
+  ASSIGN_OR_RETURN(const auto reply, client.Read());
+  StoredLog stored;
+  if (!IsArray(*reply, 6) ||
+      !absl::SimpleAtoi(TextOf(*reply->element[1]), &stored.snapshot.number)) {
+    return Unexpected("a log with its snapshot");
+  }
+  stored.snapshot.id = std::string(TextOf(*reply->element[0]));
+  stored.snapshot.digest = std::string(TextOf(*reply->element[2]));
+  stored.wants_snapshot = !TextOf(*reply->element[3]).empty();
+  stored.bytes = std::string(TextOf(*reply->element[4]));
+  ASSIGN_OR_RETURN(stored.entries, ParseEntries(*reply->element[5]));
+  return stored;
 }
 
 const std::string& AppendScript() {
@@ -188,55 +192,39 @@ const std::string& AppendScript() {
 }
 
 const std::string& KeepScript() {
-  static const auto* const script =
-      new std::string(absl::StrCat(kKeepMembers, "keep_members(KEYS[1], 2, ARGV[1])\nreturn 1"));
+  static const auto* const script = new std::string(
+      absl::StrCat(kKeepMembers, "keep_members(KEYS[1], ARGV[2], ARGV[1])\nreturn 1"));
   return *script;
-}
-
-std::string Marker(const HeadLogKeys& keys, absl::string_view session, int64_t episode) {
-  return absl::StrCat(keys.marker_prefix, session, ":", episode);
 }
 
 }  // namespace
 
-HeadLogKeys::HeadLogKeys(absl::string_view policy, int64_t version, absl::string_view sha256) {
+RedisHeadLog::RedisHeadLog(absl::string_view policy, int64_t version, absl::string_view sha256,
+                           absl::Duration retention)
+    : retention_(absl::StrCat(absl::ToInt64Milliseconds(retention))) {
   const std::string name = absl::StrCat("{", policy, "@", version, "}:");
   const std::string file = absl::StrCat(name, sha256.substr(0, kDigits));
-  log = absl::StrCat("fl:", file);
-  snapshot = absl::StrCat("fs:", file);
-  marker_prefix = absl::StrCat("fc:", name);
-  members_prefix = absl::StrCat("fm:", file, ":");
+  log_ = absl::StrCat("fl:", file);
+  snapshot_ = absl::StrCat("fs:", file);
+  marker_prefix_ = absl::StrCat("fc:", name);
+  members_prefix_ = absl::StrCat("fm:", file, ":");
 }
 
-void SendHeadAppend(RedisClient& client, const HeadLogKeys& keys, const HeadPosition& at,
-                    const HeadAppend& append, absl::Duration retention) {
-  const auto members = Padded(append.members);
-  client.Append({"EVAL",
-                 AppendScript(),
-                 "5",
-                 keys.log,
-                 keys.snapshot,
-                 Marker(keys, append.session, append.episode),
-                 Marker(keys, append.session, append.episode - 1),
-                 absl::StrCat(keys.members_prefix, append.head),
-                 at.id,
-                 absl::StrCat(at.number),
-                 at.digest,
-                 append.bytes,
-                 absl::StrCat(absl::ToInt64Milliseconds(retention)),
-                 kMarkerGrace,
-                 absl::StrCat(kAliveMilliseconds),
-                 append.identity,
-                 kMostUnread,
-                 kSettling,
-                 members[0],
-                 members[1],
-                 members[2],
-                 members[3],
-                 members[4]});
+std::string RedisHeadLog::MarkerOf(absl::string_view session, int64_t episode) const {
+  return absl::StrCat(marker_prefix_, session, ":", episode);
 }
 
-absl::StatusOr<AppendOutcome> ReadHeadAppend(RedisClient& client) {
+void RedisHeadLog::SendAppend(RedisClient& client, const HeadPosition& at, const HeadEntry& entry,
+                              absl::string_view bytes,
+                              const std::vector<std::string>& members) const {
+  client.Append({"EVAL", AppendScript(), "5", log_, snapshot_,
+                 MarkerOf(entry.session, entry.episode), MarkerOf(entry.session, entry.episode - 1),
+                 absl::StrCat(members_prefix_, entry.head), at.id, absl::StrCat(at.number),
+                 at.digest, bytes, retention_, kMarkerGrace, absl::StrCat(kAliveMilliseconds),
+                 HeadEntryIdentity(entry), kMostUnread, kSettling, absl::StrJoin(members, "\n")});
+}
+
+absl::StatusOr<AppendOutcome> RedisHeadLog::ReadAppend(RedisClient& client) {
   ASSIGN_OR_RETURN(const auto reply, client.Read());
   if (reply->type != REDIS_REPLY_INTEGER) return Unexpected("the outcome of an entry");
   if (reply->integer < -1) return AppendOutcome::kSettling;
@@ -244,79 +232,60 @@ absl::StatusOr<AppendOutcome> ReadHeadAppend(RedisClient& client) {
   return reply->integer == 0 ? AppendOutcome::kKnown : AppendOutcome::kAppended;
 }
 
-void SendHeadTail(RedisClient& client, const HeadLogKeys& keys, const HeadPosition& from) {
-  client.Append({"EVAL", kTail, "2", keys.log, keys.snapshot, from.number == 0 ? "-" : from.id,
-                 absl::StrCat(kMostTailEntries)});
+void RedisHeadLog::SendTail(RedisClient& client, const HeadPosition& from) const {
+  client.Append({"EVAL", kRead, "2", log_, snapshot_, from.number == 0 ? "-" : from.id,
+                 absl::StrCat(kMostEntries)});
 }
 
-absl::StatusOr<LogTail> ReadHeadTail(RedisClient& client) {
-  ASSIGN_OR_RETURN(const auto reply, client.Read());
-  LogTail tail;
-  if (!IsArray(*reply, 3) || !absl::SimpleAtoi(TextOf(*reply->element[0]), &tail.snapshot_number)) {
-    return Unexpected("the end of a log");
-  }
-  tail.wants_snapshot = !TextOf(*reply->element[1]).empty();
-  ASSIGN_OR_RETURN(tail.entries, ParseEntries(*reply->element[2]));
-  return tail;
+absl::StatusOr<StoredLog> RedisHeadLog::ReadTail(RedisClient& client) { return ReadLog(client); }
+
+absl::StatusOr<StoredLog> RedisHeadLog::Load(RedisClient& client) const {
+  client.Append({"EVAL", kRead, "2", log_, snapshot_, "", kAllEntries});
+  return ReadLog(client);
 }
 
-absl::StatusOr<StoredLog> LoadHeadLog(RedisClient& client, const HeadLogKeys& keys) {
-  ASSIGN_OR_RETURN(const auto reply, client.Run({"EVAL", kLoad, "2", keys.log, keys.snapshot}));
-  StoredLog stored;
-  if (!IsArray(*reply, 5) ||
-      !absl::SimpleAtoi(TextOf(*reply->element[1]), &stored.snapshot.number)) {
-    return Unexpected("a log with its snapshot");
-  }
-  const absl::string_view id = TextOf(*reply->element[0]);
-  if (!id.empty()) stored.snapshot.id = std::string(id);
-  stored.snapshot.digest = std::string(TextOf(*reply->element[2]));
-  stored.bytes = std::string(TextOf(*reply->element[3]));
-  ASSIGN_OR_RETURN(stored.entries, ParseEntries(*reply->element[4]));
-  return stored;
-}
-
-absl::Status StoreHeadSnapshot(RedisClient& client, const HeadLogKeys& keys,
-                               const HeadPosition& position, absl::string_view bytes) {
+absl::Status RedisHeadLog::StoreSnapshot(RedisClient& client, const HeadFold& heads) const {
+  const HeadPosition& position = heads.position();
   return client
-      .Run({"EVAL", kSnapshot, "2", keys.log, keys.snapshot, position.id,
-            absl::StrCat(position.number), position.digest, bytes})
+      .Run({"EVAL", kSnapshot, "2", log_, snapshot_, position.id, absl::StrCat(position.number),
+            position.digest, heads.Serialize()})
       .status();
 }
 
-absl::Status ReplaceHeadLog(RedisClient& client, const HeadLogKeys& keys,
-                            absl::string_view expected_digest, const HeadPosition& position,
-                            absl::string_view bytes) {
-  ASSIGN_OR_RETURN(
-      const auto reply,
-      client.Run({"EVAL", absl::StrCat(kRunAndTime, kReplace), "3", keys.log, keys.snapshot,
-                  absl::StrCat(keys.log, ":new"), expected_digest, position.id,
-                  absl::StrCat(position.number), position.digest, bytes}));
-  if (reply->integer == 1) return absl::OkStatus();
-  return absl::AbortedError("another server has changed the log");
+absl::Status RedisHeadLog::AskForSnapshot(RedisClient& client) const {
+  return client.Run({"HSET", snapshot_, "wanted", "1"}).status();
 }
 
-absl::Status RestoreHeadMarkers(RedisClient& client, const HeadLogKeys& keys,
-                                absl::Span<const HeadMarker> markers, absl::Duration retention) {
-  const std::string milliseconds = absl::StrCat(absl::ToInt64Milliseconds(retention));
-  for (const HeadMarker& marker : markers) {
+absl::Status RedisHeadLog::Replace(RedisClient& client, absl::string_view expected_digest,
+                                   const HeadFold& heads) const {
+  const HeadPosition& position = heads.position();
+  ASSIGN_OR_RETURN(const auto reply,
+                   client.Run({"EVAL", absl::StrCat(kRunAndTime, kReplace), "3", log_, snapshot_,
+                               absl::StrCat(log_, ":new"), expected_digest, position.id,
+                               absl::StrCat(position.number), position.digest, heads.Serialize()}));
+  if (reply->integer != 1) return absl::UnavailableError("another server has changed the log");
+  // The markers of older entries stay, unless Redis has lost them, too.
+  for (const HeadFold::Folded& entry : heads.last()) {
     client.Append(
-        {"SET", Marker(keys, marker.session, marker.episode), marker.id, "PX", milliseconds});
+        {"SET", MarkerOf(entry.session, entry.episode), entry.position.id, "PX", retention_});
   }
   absl::Status outcome;
-  for (size_t i = 0; i < markers.size(); ++i) outcome.Update(client.Read().status());
+  for (size_t i = 0; i < heads.last().size(); ++i) outcome.Update(client.Read().status());
   return outcome;
 }
 
-absl::Status AskForHeadSnapshot(RedisClient& client, const HeadLogKeys& keys) {
-  return client.Run({"HSET", keys.snapshot, "wanted", "1"}).status();
-}
-
-void SendHeadMembers(RedisClient& client, const HeadLogKeys& keys, absl::string_view head,
-                     const std::vector<std::string>& members) {
-  const auto padded = Padded(members);
-  client.Append({"EVAL", KeepScript(), "1", absl::StrCat(keys.members_prefix, head),
-                 absl::StrCat(kAliveMilliseconds), padded[0], padded[1], padded[2], padded[3],
-                 padded[4]});
+absl::Status RedisHeadLog::KeepMembers(RedisClient& client, const TenantHeads& heads) const {
+  size_t sent = 0;
+  for (const std::string& tenant : heads.Tenants()) {
+    const auto members = heads.Find(tenant)->Members();
+    if (members.empty()) continue;
+    client.Append({"EVAL", KeepScript(), "1", absl::StrCat(members_prefix_, tenant),
+                   absl::StrCat(kAliveMilliseconds), absl::StrJoin(members, "\n")});
+    ++sent;
+  }
+  absl::Status outcome;
+  for (; sent > 0; --sent) outcome.Update(client.Read().status());
+  return outcome;
 }
 
 }  // namespace spikeserve

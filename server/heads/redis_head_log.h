@@ -9,9 +9,6 @@
 // - fc:{policy@version}:<session>:<episode>: the entry is in the log.
 // - fm:{policy@version}:<file>:<tenant>, a sorted set: contributors with a session, by the time at
 //   which a server has said so last.
-//
-// Free functions without shared state. They take the client of one thread, block as it does, and
-// return UNAVAILABLE if Redis cannot be reached.
 #ifndef SERVER_HEADS_REDIS_HEAD_LOG_H_
 #define SERVER_HEADS_REDIS_HEAD_LOG_H_
 
@@ -23,31 +20,11 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
-#include "absl/types/span.h"
+#include "core/fleet/head_entry.h"
+#include "core/fleet/head_fold.h"
 #include "core/store/redis_client.h"
-#include "server/heads/head_entry.h"
 
 namespace spikeserve {
-
-// The names of the keys of one log.
-struct HeadLogKeys {
-  HeadLogKeys(absl::string_view policy, int64_t version, absl::string_view sha256);
-
-  std::string log;
-  std::string snapshot;
-  std::string marker_prefix;
-  std::string members_prefix;
-};
-
-// How an entry is appended.
-struct HeadAppend {
-  std::string session;
-  int64_t episode = 0;
-  std::string head;
-  std::string bytes;
-  std::string identity;              // HeadEntryIdentity()
-  std::vector<std::string> members;  // contributors with a session on this server
-};
 
 enum class AppendOutcome {
   kAppended,
@@ -56,63 +33,67 @@ enum class AppendOutcome {
   kSettling,  // the log was written again just now, and takes entries a few seconds later
 };
 
-// Sends the command that appends an entry after whatever the log has. The log remembers the entry
-// for `retention`, and the one of the session's episode before for ten more minutes. `at` is the
-// position of the caller.
-void SendHeadAppend(RedisClient& client, const HeadLogKeys& keys, const HeadPosition& at,
-                    const HeadAppend& append, absl::Duration retention);
-absl::StatusOr<AppendOutcome> ReadHeadAppend(RedisClient& client);
-
-// The entries of a log from a position on.
-struct LogTail {
-  int64_t snapshot_number = 0;       // of the last entry that the snapshot contains
-  bool wants_snapshot = false;       // a server has asked for a newer snapshot
-  std::vector<LoggedEntry> entries;  // the first is the one at the position, if the log has it
-};
-// The largest number of entries of a LogTail.
-inline constexpr size_t kMostTailEntries = 256;
-
-void SendHeadTail(RedisClient& client, const HeadLogKeys& keys, const HeadPosition& from);
-absl::StatusOr<LogTail> ReadHeadTail(RedisClient& client);
-
-// A snapshot, and all entries since.
+// What was read of a log.
 struct StoredLog {
-  HeadPosition snapshot;
-  std::string bytes;                 // HeadReplica::Serialize(); empty: no snapshot
-  std::vector<LoggedEntry> entries;  // may begin with the one of the snapshot
-};
-absl::StatusOr<StoredLog> LoadHeadLog(RedisClient& client, const HeadLogKeys& keys);
-
-// Stores a snapshot and removes the entries before it. Does nothing if the log does not have the
-// entry of the snapshot, or the store has a snapshot that is as new and nobody asks for one.
-absl::Status StoreHeadSnapshot(RedisClient& client, const HeadLogKeys& keys,
-                               const HeadPosition& position, absl::string_view bytes);
-
-// Replaces the log and its snapshot by this one. For some seconds the log then takes no entries, in
-// which a server that has more replaces it again. Returns ABORTED if the log does not end with
-// `expected_digest` any more.
-absl::Status ReplaceHeadLog(RedisClient& client, const HeadLogKeys& keys,
-                            absl::string_view expected_digest, const HeadPosition& position,
-                            absl::string_view bytes);
-
-// The session and the episode of an entry, and its id in the log.
-struct HeadMarker {
-  std::string session;
-  int64_t episode = 0;
-  std::string id;
+  HeadPosition snapshot;        // of the last entry that the snapshot contains
+  bool wants_snapshot = false;  // a server has asked for a newer one
+  std::string bytes;            // HeadFold::Serialize(), if it was loaded; empty: no snapshot
+  // Begins with the entry at the position from which it was read, if the log has it.
+  std::vector<LoggedEntry> entries;
 };
 
-// Lets the log remember for `retention` that it has had these entries.
-absl::Status RestoreHeadMarkers(RedisClient& client, const HeadLogKeys& keys,
-                                absl::Span<const HeadMarker> markers, absl::Duration retention);
+// The commands for one log. They take the client of one thread, block as it does, and return
+// UNAVAILABLE if Redis cannot be reached. Thread-safe, because immutable.
+class RedisHeadLog {
+ public:
+  // The largest number of entries that ReadTail() returns.
+  static constexpr size_t kMostEntries = 256;
 
-// Asks the other servers for a snapshot.
-absl::Status AskForHeadSnapshot(RedisClient& client, const HeadLogKeys& keys);
+  // The log remembers for `retention` that it has an entry, and for ten minutes that it has the one
+  // of the session's episode before.
+  RedisHeadLog(absl::string_view policy, int64_t version, absl::string_view sha256,
+               absl::Duration retention);
 
-// Sends the command that says that the contributors have a session on this server. Its reply has no
-// meaning.
-void SendHeadMembers(RedisClient& client, const HeadLogKeys& keys, absl::string_view head,
-                     const std::vector<std::string>& members);
+  const std::string& key() const { return log_; }
+
+  // Sends the command that appends `entry`, of which `bytes` is the form, after whatever the log
+  // has. `at` is the position of the caller; `members` are contributors with a session on this
+  // server.
+  void SendAppend(RedisClient& client, const HeadPosition& at, const HeadEntry& entry,
+                  absl::string_view bytes, const std::vector<std::string>& members) const;
+  static absl::StatusOr<AppendOutcome> ReadAppend(RedisClient& client);
+
+  // Reads the entries from a position on.
+  void SendTail(RedisClient& client, const HeadPosition& from) const;
+  static absl::StatusOr<StoredLog> ReadTail(RedisClient& client);
+
+  // Reads the snapshot, and all entries since.
+  absl::StatusOr<StoredLog> Load(RedisClient& client) const;
+
+  // Stores a snapshot and removes the entries before it. Does nothing if the log does not have the
+  // entry of the snapshot, or the store has a snapshot that is as new and nobody asks for one.
+  absl::Status StoreSnapshot(RedisClient& client, const HeadFold& heads) const;
+  // Asks the other servers for a snapshot.
+  absl::Status AskForSnapshot(RedisClient& client) const;
+
+  // Replaces the log and its snapshot by `heads`, and remembers the last entries. For some seconds
+  // the log then takes no entries, in which a server that has more replaces it again. UNAVAILABLE
+  // if the log does not end with `expected_digest` any more.
+  absl::Status Replace(RedisClient& client, absl::string_view expected_digest,
+                       const HeadFold& heads) const;
+
+  // Remembers that contributors to the heads of each tenant have a session on this server.
+  absl::Status KeepMembers(RedisClient& client, const TenantHeads& heads) const;
+
+ private:
+  std::string MarkerOf(absl::string_view session, int64_t episode) const;
+
+  std::string log_;
+  std::string snapshot_;
+  std::string marker_prefix_;
+  std::string members_prefix_;
+  std::string retention_;  // in milliseconds
+};
 
 }  // namespace spikeserve
 

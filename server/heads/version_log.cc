@@ -1,16 +1,21 @@
 #include "server/heads/version_log.h"
 
 #include <algorithm>
+#include <iterator>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status_macros.h"
+#include "core/base/steady_wait.h"
 #include "core/session/session_id.h"
 #include "server/base/log.h"
 #include "server/base/retry_delay.h"
 
 namespace spikeserve {
 namespace {
+
+// Entries that are appended together.
+constexpr ptrdiff_t kMostAppends = 16;
 
 // How long a call of an operator waits for the log.
 constexpr absl::Duration kOperationTimeout = absl::Seconds(5);
@@ -25,23 +30,6 @@ constexpr int kFailuresToLog = 2;
 // to reach this server.
 constexpr absl::Duration kPausePatience = absl::Seconds(5);
 
-// Returns a request for an entry without a session.
-HeadRequest NewRequest(HeadEntry::Kind kind, const std::string& head = "") {
-  const auto id = NewSessionId();  // any random name
-  const HeadEntry entry = {.kind = kind,
-                           .session = id.ok() ? *id : "",
-                           .head = head,
-                           .contributor = "",
-                           .delta = {},
-                           .episode_return = 0.0};
-  return {.append = {.session = entry.session,
-                     .episode = 0,
-                     .head = head,
-                     .bytes = id.ok() ? SerializeHeadEntry(entry) : "",
-                     .identity = HeadEntryIdentity(entry),
-                     .members = {}}};
-}
-
 HeadEntry::Kind PauseKind(bool paused) {
   return paused ? HeadEntry::Kind::kPause : HeadEntry::Kind::kResume;
 }
@@ -51,34 +39,54 @@ HeadEntry::Kind PauseKind(bool paused) {
 VersionLog::VersionLog(const HeadLogSettings* settings, const ServedPolicy& served,
                        std::function<void()> wake)
     : settings_(*settings),
+      name_(absl::StrCat(served.name, "/", served.version)),
       learning_(served.learning),
-      requests_(std::move(wake)),
-      logged_(settings, served),
+      wake_(std::move(wake)),
+      redis_(served.name, served.version, served.sha256, settings->retention),
+      shown_position_(settings->positions.Add(
+          {{"policy", served.name}, {"version", absl::StrCat(served.version)}})),
+      fold_(std::make_shared<TenantHeads>(
+          std::shared_ptr<const Policy>(served.engine, &served.policy()))),
       retry_delay_(kFirstRetry) {}
+
+VersionLog::Request VersionLog::NewRequest(HeadEntry::Kind kind, const std::string& head) {
+  const auto id = NewSessionId();  // any random name
+  HeadEntry entry = {.kind = kind, .session = id.value_or(""), .head = head};
+  std::string bytes = id.ok() ? SerializeHeadEntry(entry) : "";
+  return {.entry = std::move(entry), .bytes = std::move(bytes), .done = [](const auto&, bool) {}};
+}
 
 void VersionLog::Append(std::shared_ptr<FleetContribution> contribution) {
   const PendingContribution& pending = contribution->pending();
-  const HeadEntry entry = {.kind = HeadEntry::Kind::kMerge,
-                           .session = contribution->session(),
-                           .episode = pending.episode,
-                           .head = contribution->head(),
-                           .contributor = contribution->contributor(),
-                           .held_out = contribution->held_out(),
-                           .delta = pending.delta,
-                           .episode_return = pending.episode_return};
-  requests_.Add({.append = {.session = entry.session,
-                            .episode = entry.episode,
-                            .head = entry.head,
-                            .bytes = SerializeHeadEntry(entry),
-                            .identity = HeadEntryIdentity(entry),
-                            .members = {}},
-                 .contribution = std::move(contribution)});
+  HeadEntry entry = {.session = contribution->session(),
+                     .episode = pending.episode,
+                     .head = contribution->head(),
+                     .contributor = contribution->contributor(),
+                     .held_out = contribution->held_out(),
+                     .delta = pending.delta,
+                     .episode_return = pending.episode_return};
+  std::string bytes = SerializeHeadEntry(entry);
+  Add({.entry = std::move(entry),
+       .bytes = std::move(bytes),
+       .done =
+           [contribution = std::move(contribution)](const auto& outcome, bool is_new) {
+             if (!outcome.ok()) return contribution->OnUnreachable(outcome.status());
+             contribution->OnMerged(*outcome, is_new);
+           },
+       .is_kept = true});
 }
 
-absl::StatusOr<MergeOutcome> VersionLog::Do(HeadRequest request) {
-  const auto operation = std::make_shared<HeadOperation>();
-  request.operation = operation;
-  requests_.Add(std::move(request));
+absl::StatusOr<MergeOutcome> VersionLog::Do(Request request) {
+  struct Operation {
+    SteadyNotification done;
+    absl::StatusOr<MergeOutcome> outcome;  // set before `done`
+  };
+  const auto operation = std::make_shared<Operation>();
+  request.done = [operation](const auto& outcome, bool /*is_new*/) {
+    operation->outcome = outcome;
+    operation->done.Notify();
+  };
+  Add(std::move(request));
   if (operation->done.WaitFor(kOperationTimeout)) return operation->outcome;
   return WithRetryDelay(
       absl::UnavailableError("session store: has not answered about a shared head; try again"),
@@ -99,6 +107,36 @@ absl::Status VersionLog::SetPaused(bool paused) {
   return Do(NewRequest(PauseKind(paused))).status();
 }
 
+void VersionLog::Add(Request request) {
+  {
+    absl::MutexLock lock(&mutex_);
+    requests_.push_back(std::move(request));
+  }
+  wake_();
+}
+
+void VersionLog::Take() {
+  if (!taken_.empty()) return;
+  {
+    absl::MutexLock lock(&mutex_);
+    const auto end = requests_.begin() + std::min(std::ssize(requests_), kMostAppends);
+    std::move(requests_.begin(), end, std::back_inserter(taken_));
+    requests_.erase(requests_.begin(), end);
+  }
+  if (std::ssize(taken_) == kMostAppends) wake_();  // there may be more
+}
+
+void VersionLog::PutBack(Requests requests) {
+  absl::MutexLock lock(&mutex_);
+  std::move(requests_.begin(), requests_.end(), std::back_inserter(requests));
+  requests_ = std::move(requests);
+}
+
+bool VersionLog::has_requests() const {
+  absl::MutexLock lock(&mutex_);
+  return !requests_.empty();
+}
+
 void VersionLog::NoteUse() {
   const auto tenants = heads()->Tenants();
   const bool is_used = std::any_of(tenants.begin(), tenants.end(), [&](const auto& tenant) {
@@ -113,26 +151,22 @@ bool VersionLog::IsDue() const {
   return now >= retry_at_ && (now >= read_at_ || has_requests());
 }
 
-void VersionLog::Begin() {
-  logged_.ForgetOutcomes();
-  taken_ = requests_.Take();
-}
-
-void VersionLog::Finish(absl::Duration pause) {
+void VersionLog::Finish(absl::Duration pause, bool follows) {
   failures_ = 0;
   retry_delay_ = kFirstRetry;
   read_at_ = settings_.clock->Now() + pause;
-  std::vector<HeadRequest> again;
-  for (HeadRequest& request : taken_) {
+  Requests again;
+  for (Request& request : std::exchange(taken_, {})) {
     if (request.IsToBeAppended()) {
       again.push_back(std::move(request));
     } else {
-      request.OnMerged(logged_.OutcomeOf(request));
+      request.done(OutcomeOf(request), request.is_new);
     }
   }
-  taken_.clear();
+  fold_.ForgetOutcomes();
   if (!again.empty()) retry_at_ = settings_.clock->Now() + kFirstRetry;
-  requests_.PutBack(std::move(again));
+  PutBack(std::move(again));
+  CorrectPause(follows);
 }
 
 void VersionLog::Fail(const absl::Status& status, bool is_connected) {
@@ -140,31 +174,31 @@ void VersionLog::Fail(const absl::Status& status, bool is_connected) {
   failures_ = is_connected ? failures_ + 1 : 0;
   if (failures_ == kFailuresToLog) {
     LogError("shared heads not taken from their log; tries again",
-             {{"policy", logged_.name()}, {"error", status.message()}});
+             {{"policy", name_}, {"error", status.message()}});
   }
   retry_at_ = settings_.clock->Now() + retry_delay_;
   retry_delay_ = std::min(2 * retry_delay_, kLongestRetry);
   const absl::Status error = WithRetryDelay(
       absl::UnavailableError(absl::StrCat("shared head: ", status.message(), "; try again")),
       kLongestRetry);
-  std::vector<HeadRequest> again;
-  for (HeadRequest& request : taken_) {
-    request.OnError(error);
-    if (request.operation == nullptr) again.push_back(std::move(request));
+  Take();
+  Requests again;
+  for (Request& request : std::exchange(taken_, {})) {
+    request.done(error, false);
+    if (request.is_kept) again.push_back(std::move(request));
   }
-  taken_.clear();
-  requests_.PutBack(std::move(again));
+  PutBack(std::move(again));
 }
 
 void VersionLog::Close(const absl::Status& status) {
-  while (has_requests()) {
-    for (const HeadRequest& request : requests_.Take()) request.OnError(status);
+  for (Take(); !taken_.empty(); Take()) {
+    for (const Request& request : std::exchange(taken_, {})) request.done(status, false);
   }
 }
 
 void VersionLog::CorrectPause(bool follows) {
   const bool paused = learning_->paused();
-  if (paused == logged_.paused() || !follows) {
+  if (paused == fold_.paused() || !follows) {
     pause_since_.reset();
     return;
   }
@@ -172,7 +206,9 @@ void VersionLog::CorrectPause(bool follows) {
   if (!pause_since_.has_value()) pause_since_ = now;
   if (now - *pause_since_ < kPausePatience) return;
   pause_since_.reset();
-  requests_.Add(NewRequest(PauseKind(paused)));
+  Request request = NewRequest(PauseKind(paused));
+  request.is_kept = true;
+  Add(std::move(request));
 }
 
 }  // namespace spikeserve

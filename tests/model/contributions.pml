@@ -36,7 +36,7 @@ byte losses = 0;
 byte stops = 0;
 bool stopped = false;
 byte mine[10];               /* entries that each replica has folded, REPLICAS * MOST_APPENDS */
-byte read[REPLICAS];         /* how many: HeadReplica::position() */
+byte read[REPLICAS];         /* how many: HeadFold::position() */
 bool settling = false;
 byte looked = 0;             /* replicas, since the log was written again */
 byte acknowledged = 0;       /* bits */
@@ -48,7 +48,7 @@ bool same = true;
 #define BIT(c) (1 << (c))
 #define MINE(r, n) mine[(r) * MOST_APPENDS + (n)]
 
-/* Sets `same` if the log and a replica have equal entries as far as both go: HeadReplica::HasPassed(). */
+/* Sets `same` if the log and a replica have equal entries as far as both go: HeadFold::HasPassed(). */
 inline compare(r) {
   same = true; i = 0;
   do
@@ -58,7 +58,7 @@ inline compare(r) {
   i = 0
 }
 
-/* LoggedHeads::FoldTail() */
+/* VersionLog::FoldTail() */
 inline fold(r) {
   do
   :: read[r] < length -> MINE(r, read[r]) = entry[read[r]]; read[r]++
@@ -66,7 +66,7 @@ inline fold(r) {
   od
 }
 
-/* LoggedHeads::Rewrite(), kReplace, RestoreHeadMarkers(). kReplace may stop before it puts the new log in its place: the
+/* VersionLog::Rewrite(), RedisHeadLog::Replace(). kReplace may stop before it puts the new log in its place: the
  * snapshot stands for a log that is gone; one that is there stays. */
 inline rewrite(r) {
   count = length;
@@ -108,7 +108,7 @@ inline find_position(r) {
   same = read[r] == 0 || (exists && same && read[r] <= length)
 }
 
-/* LoggedHeads::FoldTail(), Reload() */
+/* VersionLog::FoldTail(), Reload() */
 inline look(r) {
   find_position(r);
   if
@@ -177,7 +177,7 @@ inline check() {
 proctype Replica(byte r) {
   byte c = 0;
   do
-  /* VersionLog::Append(), LoggedHeads::AppendAndRead(), kAppend: nothing if the log does not have its position. */
+  /* VersionLog::Append(), AppendAndRead(), kAppend: nothing if the log does not have its position. */
   :: atomic {
        length < MOST_APPENDS ->
        if
@@ -205,7 +205,7 @@ proctype Replica(byte r) {
        c = 0
      }
   :: atomic { read[r] != length || !exists || settling -> look(r); check() }
-  /* LoggedHeads::StoreSnapshotIfDue() */
+  /* VersionLog::StoreSnapshotIfDue() */
   :: atomic { exists && !settling && read[r] == length && snapshot < length -> snapshot = length }
   od
 }

@@ -1,5 +1,6 @@
 """Replicas learn shared heads through an ordered log in Redis: each contribution once, and equal heads everywhere."""
 
+import json
 import pathlib
 import shutil
 import signal
@@ -22,6 +23,7 @@ SAMPLING = {"action_selection": "SAMPLE", "temperature": 4.0}
 LEARNERS = 64
 EPISODES = 8
 STEPS = 5
+EARLIER_LOG = pathlib.Path(__file__).parent / "head_log"
 
 
 @pytest.fixture
@@ -244,6 +246,20 @@ def test_a_replica_joins_from_a_snapshot(redis, start):
     for session in sessions:
         play(second, session)
     assert weights(second) == weights(first)
+
+
+def test_a_log_of_an_earlier_program(tmp_path):
+    """Commit bae5a768 left a snapshot and 13 entries, after roll-backs and with a pause, and this head."""
+    shutil.copy(EARLIER_LOG / "dump.rdb", tmp_path)
+    with stopping([Redis("--dir", str(tmp_path), "--dbfilename", "dump.rdb")]) as [redis]:
+        number = int(redis.command(f"HGET {key_of(redis, 'fs')} n"))
+        for start in replicas_on(redis.port, tmp_path):
+            first = start()
+            head = json.loads((EARLIER_LOG / "head.json").read_text())
+            assert any(head[0]) and list(weights(first)) == head
+            play(first, open_learner(first))
+            assert metric(first, "spikeserve_head_log_position") == number + entries_of(redis) - 1
+            assert contributions(first) == head[1] + head[2] + 1 and weights(start()) == weights(first)
 
 
 def test_the_guard_decides_once(start):

@@ -1,16 +1,9 @@
-#include "server/heads/head_entry.h"
+#include "core/fleet/head_entry.h"
 
 #include <openssl/sha.h>
 
-#include <algorithm>
-#include <concepts>
-#include <string>
-#include <type_traits>
-#include <utility>
-
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/string_view.h"
 #include "absl/strings/strip.h"
 #include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
@@ -19,15 +12,15 @@ namespace spikeserve {
 namespace {
 
 constexpr char kEntryFormat[] = "spikeserve.head_entry.v1";
+constexpr size_t kFields = 7;
 
 // Stands before the contributor of a session that is held out. No session and no tenant has it in
 // its name. Entries of earlier releases have no mark, and count as contributing.
-constexpr char kHeldOutMark[] = "held out: ";
+constexpr absl::string_view kHeldOutMark = "held out: ";
 
 }  // namespace
 
-template <typename T, typename Visitor>
-requires std::same_as<std::remove_const_t<T>, HeadEntry>
+template <Is<HeadEntry> T, typename Visitor>
 void VisitFields(T& entry, Visitor&& visit) {
   visit("kind", entry.kind);
   visit("session", entry.session);
@@ -38,30 +31,25 @@ void VisitFields(T& entry, Visitor&& visit) {
   visit("episode_return", entry.episode_return);
 }
 
-std::string SerializeHeadEntry(const HeadEntry& entry) {
-  HeadEntry marked = entry;
-  if (entry.held_out) marked.contributor.insert(0, kHeldOutMark);
+std::string HeadEntryIdentity(const HeadEntry& entry) {
   std::string bytes;
   codec::Writer writer(&bytes);
   writer.Begin(kEntryFormat);
-  writer.Write(marked);
+  CborWriter(&bytes).Array(kFields);
+  writer.Write(entry.kind);
+  writer.Write(entry.session);
+  writer.Write(entry.episode);
   return bytes;
 }
 
-std::string HeadEntryIdentity(const HeadEntry& entry) {
-  // The forms of two entries with different heads differ from the head on, which follows the
-  // episode: the length of a text comes before it.
-  const auto with_head = [&](std::string head) {
-    return SerializeHeadEntry({.kind = entry.kind,
-                               .session = entry.session,
-                               .episode = entry.episode,
-                               .head = std::move(head),
-                               .contributor = "",
-                               .delta = {}});
-  };
-  const std::string first = with_head("");
-  const std::string second = with_head("other");
-  return {first.begin(), std::ranges::mismatch(first, second).in1};
+std::string SerializeHeadEntry(const HeadEntry& entry) {
+  std::string bytes = HeadEntryIdentity(entry);
+  codec::Writer writer(&bytes);
+  writer.Write(entry.head);
+  writer.Write(absl::StrCat(entry.held_out ? kHeldOutMark : "", entry.contributor));
+  writer.Write(entry.delta);
+  writer.Write(entry.episode_return);
+  return bytes;
 }
 
 absl::StatusOr<HeadEntry> ParseHeadEntry(const std::string& bytes) {

@@ -1,8 +1,8 @@
 // Defines the entries of the log of a policy version's heads, and their binary form (CBOR).
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_HEADS_HEAD_ENTRY_H_
-#define SERVER_HEADS_HEAD_ENTRY_H_
+#ifndef CORE_FLEET_HEAD_ENTRY_H_
+#define CORE_FLEET_HEAD_ENTRY_H_
 
 #include <array>
 #include <cstdint>
@@ -20,14 +20,15 @@ struct HeadEntry {
 
   Kind kind = Kind::kMerge;
   // Identify the entry, which the log has once: the session and its episode, or a random name.
-  std::string session;
+  std::string session = "";
   int64_t episode = 0;
-  std::string head;  // tenant whose head it changes; unused by kPause and kResume, which change all
+  std::string head =
+      "";  // tenant whose head it changes; unused by kPause and kResume, which change all
   // kMerge only:
-  std::string contributor;  // as for FleetHead::Merge()
+  std::string contributor = "";  // as for FleetHead::Merge()
   // As for FleetHead::Merge(). The server of the session decides it, so that all servers agree.
   bool held_out = false;
-  Eigen::VectorXf delta;  // [act * d]
+  Eigen::VectorXf delta = {};  // [act * d]
   double episode_return = 0.0;
 };
 
@@ -67,4 +68,4 @@ std::string NextDigest(absl::string_view before, const LoggedEntry& entry);
 
 }  // namespace spikeserve
 
-#endif  // SERVER_HEADS_HEAD_ENTRY_H_
+#endif  // CORE_FLEET_HEAD_ENTRY_H_

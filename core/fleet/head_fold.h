@@ -1,17 +1,19 @@
 // The heads of one policy version as the entries of their log leave them.
 //
-//   HeadReplica replica(heads);
-//   for (const LoggedEntry& entry : entries) replica.Fold(entry);
+//   HeadFold fold(heads);
+//   for (const LoggedEntry& entry : entries) fold.Fold(entry);
 //
-// Replicas that have folded the same entries have heads that are equal bit for bit: the merge, its
-// bounds, the guard and the budgets depend on the entries alone. Not thread-safe, except that the
+// Folds of the same entries have heads that are equal bit for bit: the merge, its bounds, the guard
+// and the budgets depend on the entries alone. Not thread-safe, except that the
 // heads may be read at any time.
-#ifndef SERVER_HEADS_HEAD_REPLICA_H_
-#define SERVER_HEADS_HEAD_REPLICA_H_
+#ifndef CORE_FLEET_HEAD_FOLD_H_
+#define CORE_FLEET_HEAD_FOLD_H_
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <iterator>
 #include <map>
 #include <memory>
 #include <optional>
@@ -20,19 +22,19 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/agent/head_log.h"
+#include "core/fleet/head_entry.h"
 #include "core/learning/tenant_heads.h"
-#include "server/heads/head_entry.h"
 
 namespace spikeserve {
 
-class HeadReplica {
+class HeadFold {
  public:
-  // The outcomes of this many entries are remembered, and the digests of this many.
-  static constexpr size_t kRemembered = 256;
+  // The outcomes of this many entries are stored, and the digests of this many are remembered.
+  static constexpr ptrdiff_t kRemembered = 256;
   static constexpr size_t kDigestsRemembered = 1 << 14;
 
   // Starts before the first entry, with heads that have learned nothing.
-  explicit HeadReplica(std::shared_ptr<TenantHeads> heads) : heads_(std::move(heads)) {}
+  explicit HeadFold(std::shared_ptr<TenantHeads> heads) : heads_(std::move(heads)) {}
 
   const std::shared_ptr<TenantHeads>& heads() const { return heads_; }
   const HeadPosition& position() const { return position_; }
@@ -47,13 +49,15 @@ class HeadReplica {
   };
   // Takes the next entry. Returns DATA_LOSS if it does not follow the last one, and
   // INVALID_ARGUMENT if it has a form that this release does not know; then nothing changes.
-  absl::StatusOr<Folded> Fold(const LoggedEntry& entry);
+  absl::Status Fold(const LoggedEntry& entry);
 
-  // Returns the outcome of one of the last entries, or nullopt.
+  // Returns the outcome of an entry since ForgetOutcomes(), or of one of the last kRemembered
+  // before; or nullopt.
   std::optional<MergeOutcome> Find(const std::string& session, int64_t episode) const;
-  // Returns the last entries, oldest first.
+  // Returns these entries, oldest first.
   const std::deque<Folded>& last() const { return last_; }
-  // Returns true if this replica remembers that it was at `position`.
+  void ForgetOutcomes();
+  // Returns true if this fold remembers that it was at `position`.
   bool HasPassed(const HeadPosition& position) const;
 
   // Converts everything but the position to a binary form.
@@ -62,10 +66,13 @@ class HeadReplica {
   // policy; then nothing changes.
   absl::Status Restore(const HeadPosition& position, const std::string& bytes);
   // Becomes equal to `other`.
-  void TakeOver(const HeadReplica& other);
+  void TakeOver(const HeadFold& other);
 
  private:
   MergeOutcome Apply(const HeadEntry& entry, const LoggedEntry& logged);
+  std::deque<Folded>::const_iterator FirstRemembered() const {
+    return last_.end() - std::min(std::ssize(last_), kRemembered);
+  }
   void Remember(const HeadPosition& position);
 
   const std::shared_ptr<TenantHeads> heads_;
@@ -77,4 +84,4 @@ class HeadReplica {
 
 }  // namespace spikeserve
 
-#endif  // SERVER_HEADS_HEAD_REPLICA_H_
+#endif  // CORE_FLEET_HEAD_FOLD_H_

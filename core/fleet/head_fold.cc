@@ -1,8 +1,6 @@
-#include "server/heads/head_replica.h"
+#include "core/fleet/head_fold.h"
 
 #include <algorithm>
-#include <concepts>
-#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -28,7 +26,7 @@ struct StoredHead {
 struct StoredHeads {
   bool paused = false;
   std::vector<StoredHead> heads;
-  std::vector<HeadReplica::Folded> last;
+  std::vector<HeadFold::Folded> last;
 };
 
 // Returns the time at which Redis has made the entry.
@@ -99,7 +97,7 @@ void VisitFields(T& outcome, Visitor&& visit) {
   visit("watched_return", outcome.watched_return);
 }
 
-template <Is<HeadReplica::Folded> T, typename Visitor>
+template <Is<HeadFold::Folded> T, typename Visitor>
 void VisitFields(T& folded, Visitor&& visit) {
   visit("position", folded.position);
   visit("session", folded.session);
@@ -124,7 +122,7 @@ void VisitFields(T& heads, Visitor&& visit) {
 
 }  // namespace
 
-absl::StatusOr<HeadReplica::Folded> HeadReplica::Fold(const LoggedEntry& entry) {
+absl::Status HeadFold::Fold(const LoggedEntry& entry) {
   if (entry.position.number != position_.number + 1 ||
       entry.position.digest != NextDigest(position_.digest, entry)) {
     return absl::DataLossError(absl::StrCat("expected the entry after ", position_.number,
@@ -143,11 +141,10 @@ absl::StatusOr<HeadReplica::Folded> HeadReplica::Fold(const LoggedEntry& entry) 
                    .session = parsed.session,
                    .episode = parsed.episode,
                    .outcome = Apply(parsed, entry)});
-  if (last_.size() > kRemembered) last_.pop_front();
-  return last_.back();
+  return absl::OkStatus();
 }
 
-MergeOutcome HeadReplica::Apply(const HeadEntry& entry, const LoggedEntry& logged) {
+MergeOutcome HeadFold::Apply(const HeadEntry& entry, const LoggedEntry& logged) {
   MergeOutcome outcome;
   switch (entry.kind) {
     case HeadEntry::Kind::kPause:
@@ -178,7 +175,7 @@ MergeOutcome HeadReplica::Apply(const HeadEntry& entry, const LoggedEntry& logge
   return outcome;
 }
 
-std::optional<MergeOutcome> HeadReplica::Find(const std::string& session, int64_t episode) const {
+std::optional<MergeOutcome> HeadFold::Find(const std::string& session, int64_t episode) const {
   const auto found = std::find_if(last_.begin(), last_.end(), [&](const Folded& folded) {
     return folded.session == session && folded.episode == episode;
   });
@@ -186,19 +183,21 @@ std::optional<MergeOutcome> HeadReplica::Find(const std::string& session, int64_
   return found->outcome;
 }
 
-bool HeadReplica::HasPassed(const HeadPosition& position) const {
+void HeadFold::ForgetOutcomes() { last_.erase(last_.begin(), FirstRemembered()); }
+
+bool HeadFold::HasPassed(const HeadPosition& position) const {
   if (position.number == 0) return true;
   const auto found = passed_.find(position.number);
   return found != passed_.end() && found->second == position.digest;
 }
 
-void HeadReplica::Remember(const HeadPosition& position) {
+void HeadFold::Remember(const HeadPosition& position) {
   passed_.insert_or_assign(position.number, position.digest);
   if (passed_.size() > kDigestsRemembered) passed_.erase(passed_.begin());
 }
 
-std::string HeadReplica::Serialize() const {
-  StoredHeads stored = {.paused = paused_, .heads = {}, .last = {last_.begin(), last_.end()}};
+std::string HeadFold::Serialize() const {
+  StoredHeads stored = {.paused = paused_, .heads = {}, .last = {FirstRemembered(), last_.end()}};
   for (const std::string& tenant : heads_->Tenants()) {
     stored.heads.push_back({.tenant = tenant, .state = heads_->Of(tenant)->state()});
   }
@@ -209,7 +208,7 @@ std::string HeadReplica::Serialize() const {
   return bytes;
 }
 
-absl::Status HeadReplica::Restore(const HeadPosition& position, const std::string& bytes) {
+absl::Status HeadFold::Restore(const HeadPosition& position, const std::string& bytes) {
   ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "heads", kHeadsFormat));
   StoredHeads stored;
   codec::Reader reader;
@@ -219,9 +218,8 @@ absl::Status HeadReplica::Restore(const HeadPosition& position, const std::strin
   for (const StoredHead& head : stored.heads) {
     if (!any.IsPossible(head.state)) {
       return absl::InvalidArgumentError(
-          absl::StrCat("heads: expected a head of the policy as that "
-                       "of tenant ",
-                       head.tenant, ", received another one"));
+          absl::StrCat("heads: expected a head of the policy as that of tenant ", head.tenant,
+                       ", received another one"));
     }
   }
   for (const StoredHead& head : stored.heads) heads_->Of(head.tenant)->Restore(head.state);
@@ -234,7 +232,7 @@ absl::Status HeadReplica::Restore(const HeadPosition& position, const std::strin
   return absl::OkStatus();
 }
 
-void HeadReplica::TakeOver(const HeadReplica& other) {
+void HeadFold::TakeOver(const HeadFold& other) {
   // Heads that the other one does not have become like new.
   for (const std::string& tenant : heads_->Tenants()) other.heads_->Of(tenant);
   for (const std::string& tenant : other.heads_->Tenants()) {

@@ -1,4 +1,4 @@
-#include "server/heads/head_replica.h"
+#include "core/fleet/head_fold.h"
 
 #include <gtest/gtest.h>
 
@@ -23,7 +23,7 @@ std::shared_ptr<const Policy> TestPolicy() {
   return std::make_shared<const Policy>(std::move(policy));
 }
 
-HeadReplica NewReplica() { return HeadReplica(std::make_shared<TenantHeads>(TestPolicy())); }
+HeadFold NewFold() { return HeadFold(std::make_shared<TenantHeads>(TestPolicy())); }
 
 // Returns what episode `i` of seven sessions of two tenants contributes.
 HeadEntry Contribution(int i) {
@@ -59,9 +59,9 @@ class Log {
   }
   int64_t size() const { return static_cast<int64_t>(entries_.size()); }
 
-  void FoldInto(HeadReplica& replica, int64_t last) const {
-    for (int64_t n = replica.position().number + 1; n <= last; ++n) {
-      ASSERT_TRUE(replica.Fold(entry(n)).ok()) << n;
+  void FoldInto(HeadFold& fold, int64_t last) const {
+    for (int64_t n = fold.position().number + 1; n <= last; ++n) {
+      ASSERT_TRUE(fold.Fold(entry(n)).ok()) << n;
     }
   }
 
@@ -84,14 +84,14 @@ Log FullLog() {
   return log;
 }
 
-TEST(HeadReplicaTest, AReplicaThatJoinsAtAnyPlaceBecomesEqual) {
+TEST(HeadFoldTest, AFoldThatJoinsAtAnyPlaceBecomesEqual) {
   const Log log = FullLog();
-  HeadReplica first = NewReplica();
+  HeadFold first = NewFold();
   for (int64_t joined = 0; joined <= log.size(); joined += 17) {
     log.FoldInto(first, joined);
-    HeadReplica second = NewReplica();
+    HeadFold second = NewFold();
     ASSERT_TRUE(second.Restore(first.position(), first.Serialize()).ok());
-    HeadReplica whole = NewReplica();
+    HeadFold whole = NewFold();
     log.FoldInto(whole, log.size());
     log.FoldInto(second, log.size());
     EXPECT_EQ(second.Serialize(), whole.Serialize());
@@ -100,42 +100,42 @@ TEST(HeadReplicaTest, AReplicaThatJoinsAtAnyPlaceBecomesEqual) {
   EXPECT_GT(first.heads()->Of("")->Read()->rollbacks, 1);  // one by the guard
 }
 
-TEST(HeadReplicaTest, WhatDoesNotFollowChangesNothing) {
+TEST(HeadFoldTest, WhatDoesNotFollowChangesNothing) {
   const Log log = FullLog();
-  HeadReplica replica = NewReplica();
-  log.FoldInto(replica, 10);
-  const std::string before = replica.Serialize();
-  EXPECT_TRUE(absl::IsDataLoss(replica.Fold(log.entry(12)).status()));  // a gap
-  EXPECT_TRUE(absl::IsDataLoss(replica.Fold(log.entry(10)).status()));  // a repetition
+  HeadFold fold = NewFold();
+  log.FoldInto(fold, 10);
+  const std::string before = fold.Serialize();
+  EXPECT_TRUE(absl::IsDataLoss(fold.Fold(log.entry(12))));  // a gap
+  EXPECT_TRUE(absl::IsDataLoss(fold.Fold(log.entry(10))));  // a repetition
   LoggedEntry changed = log.entry(11);
   changed.members = 9;
-  EXPECT_TRUE(absl::IsDataLoss(replica.Fold(changed).status()));
+  EXPECT_TRUE(absl::IsDataLoss(fold.Fold(changed)));
   LoggedEntry unknown = log.entry(11);
   unknown.bytes = std::string("of a later release");
-  unknown.position.digest = NextDigest(replica.position().digest, unknown);
-  EXPECT_TRUE(absl::IsInvalidArgument(replica.Fold(unknown).status()));
-  EXPECT_EQ(replica.Serialize(), before);
-  EXPECT_TRUE(replica.Fold(log.entry(11)).ok());
+  unknown.position.digest = NextDigest(fold.position().digest, unknown);
+  EXPECT_TRUE(absl::IsInvalidArgument(fold.Fold(unknown)));
+  EXPECT_EQ(fold.Serialize(), before);
+  EXPECT_TRUE(fold.Fold(log.entry(11)).ok());
 }
 
-TEST(HeadReplicaTest, OutcomesAreRemembered) {
+TEST(HeadFoldTest, OutcomesAreRemembered) {
   const Log log = FullLog();
-  HeadReplica replica = NewReplica();
-  log.FoldInto(replica, log.size());
-  const auto paused = replica.Find("session5", 8);  // contribution 61
+  HeadFold fold = NewFold();
+  log.FoldInto(fold, log.size());
+  const auto paused = fold.Find("session5", 8);  // contribution 61
   ASSERT_TRUE(paused.has_value());
   EXPECT_TRUE(paused->paused);
-  EXPECT_FALSE(replica.Find("session5", 7)->paused);
-  EXPECT_FALSE(replica.Find("session5", 700).has_value());
-  EXPECT_TRUE(replica.HasPassed(log.entry(20).position));
+  EXPECT_FALSE(fold.Find("session5", 7)->paused);
+  EXPECT_FALSE(fold.Find("session5", 700).has_value());
+  EXPECT_TRUE(fold.HasPassed(log.entry(20).position));
   HeadPosition other = log.entry(20).position;
   other.digest += "0";
-  EXPECT_FALSE(replica.HasPassed(other));
+  EXPECT_FALSE(fold.HasPassed(other));
 }
 
-TEST(HeadReplicaTest, TakesOverAnOlderState) {
+TEST(HeadFoldTest, TakesOverAnOlderState) {
   const Log log = FullLog();
-  HeadReplica ahead = NewReplica(), behind = NewReplica();
+  HeadFold ahead = NewFold(), behind = NewFold();
   log.FoldInto(ahead, 90);
   log.FoldInto(behind, 1);
   ahead.TakeOver(behind);
@@ -145,15 +145,14 @@ TEST(HeadReplicaTest, TakesOverAnOlderState) {
   EXPECT_EQ(ahead.Serialize(), behind.Serialize());
 }
 
-TEST(HeadReplicaTest, HeadsOfAnotherPolicyAreRefused) {
+TEST(HeadFoldTest, HeadsOfAnotherPolicyAreRefused) {
   const Log log = FullLog();
-  HeadReplica replica = NewReplica();
-  log.FoldInto(replica, 3);
+  HeadFold fold = NewFold();
+  log.FoldInto(fold, 3);
   Policy larger = *TestPolicy();
   larger.weights.head.weight = {.shape = {2, 4}, .values = std::vector<float>(8, 1.0f)};
-  HeadReplica other(
-      std::make_shared<TenantHeads>(std::make_shared<const Policy>(std::move(larger))));
-  const auto refused = other.Restore(replica.position(), replica.Serialize());
+  HeadFold other(std::make_shared<TenantHeads>(std::make_shared<const Policy>(std::move(larger))));
+  const auto refused = other.Restore(fold.position(), fold.Serialize());
   EXPECT_TRUE(absl::IsInvalidArgument(refused)) << refused;
   EXPECT_EQ(other.position(), HeadPosition());
 }
