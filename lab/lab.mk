@@ -3,7 +3,7 @@ LAB := build/release
 LAB_PYTHON = PYTHONPATH=$$(ls -td $(LAB)/tests/python_client-* | head -1):$(LAB)/python:lab/recipes build/venv/bin/python
 LAB_CLIENT = ctest --test-dir $(LAB) --output-on-failure --tests-regex '^python_client_install$$'
 
-.PHONY: lab lab-test lab-study lab-train lab-bench lab-beats lab-parts
+.PHONY: lab lab-test lab-study lab-train lab-bench lab-beats lab-parts lab-chips
 
 lab:
 	$(SETUP) server build
@@ -52,3 +52,10 @@ lab-parts: lab
 	build/venv/bin/python lab/bench/trace_costs.py --server=$(LAB)/bin/spikeserve
 	$(LAB_PYTHON) lab/bench/binding_bench.py --bin=$(LAB)/bin
 	python3 lab/bench/adapt_sweep.py --bin=$(LAB)/bin $(ADAPT_FLAGS)
+
+# Measures what policies, dense twins and perceptrons cost on emulated microcontrollers: docs/evidence/microcontrollers.md.
+lab-chips: lab
+	$(SETUP) microcontrollers
+	cmake --build $(LAB) --target chip_stream
+	SPIKECTL_PROGRAM=$(LAB)/bin/spikectl CHIP_STREAM_PROGRAM=$(LAB)/tests/chip_stream DENSE_TWIN_PROGRAM=$(LAB)/bin/dense_twin \
+	  build/venv/bin/python lab/microcontrollers/costs.py

@@ -8,7 +8,9 @@ import pytest
 
 LAB = pathlib.Path(__file__).parents[1]
 ROOT = LAB.parent
-sys.path[:0] = [str(LAB / folder) for folder in ("study", "report", "recipes", "bench")] + [str(ROOT / "tests/python" / folder) for folder in ("", "train")]
+sys.path[:0] = [str(LAB / folder) for folder in ("study", "report", "recipes", "bench")] + [
+    str(ROOT / "tests" / folder) for folder in ("python", "python/train", "microcontroller")
+]
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@
 
 #define HIDDEN 64
 
-static const int8_t first[HIDDEN][SPIKE_OBSERVATIONS] = {{1, -2, 3}},
+static const int8_t first[HIDDEN][SPIKE_OBSERVATIONS] = {{1, -2}},
                     second[HIDDEN][HIDDEN] = {{-1, 2, -3}},
                     third[SPIKE_ACTIONS][HIDDEN] = {{3, -2, 1}};
 static const int32_t first_bias[HIDDEN] = {1}, second_bias[HIDDEN] = {1},
@@ -25,7 +25,7 @@ static void layer(const int8_t* weight, const int32_t* bias, const int8_t* input
 
 int main(void) {
   int8_t input[SPIKE_OBSERVATIONS], a[HIDDEN], b[HIDDEN], output[SPIKE_ACTIONS];
-  char text[] = "0 00000000 \n";
+  char text[] = "0 00000000 00000000 00000000\n";
   uint32_t clock;
   int i;
   port_open();
@@ -36,7 +36,10 @@ int main(void) {
   layer(&third[0][0], third_bias, b, HIDDEN, SPIKE_ACTIONS, output);
   observation[0] = output[0];
   clock = port_since(clock);
-  for (i = 0; i < 8; ++i) text[2 + i] = "0123456789abcdef"[(clock >> (28 - 4 * i)) & 15];
+  for (i = 0; i < 8; ++i) {
+    text[2 + i] = text[11 + i] = "0123456789abcdef"[(clock >> (28 - 4 * i)) & 15];
+    text[20 + i] = "0123456789abcdef"[(port_stack() >> (28 - 4 * i)) & 15];
+  }
   port_print(text);
   port_exit(0);
   return 0;
