@@ -77,12 +77,12 @@ test-arm64-short:
 	cmake --build build/release --target spikeserve
 	python3 tests/arm64/short.py
 
-# Runs three policies on an emulated Cortex-M0+, Cortex-M4 and RV32, as the C that `spikectl emit-c` writes. The slow tests run
-# all policies on more processors.
+# Runs three policies on an emulated Cortex-M0+, Cortex-M4 and RV32, as the C that `spikectl emit-c` writes, moves a session
+# between a server and a chip, and follows the page. The slow tests run all policies on more processors.
 test-chips: configure
 	$(SETUP) microcontrollers
-	cmake --build $(BUILD) --target chip_stream spikectl
-	ctest --test-dir $(BUILD) --tests-regex '^test_(emitted_c|chips|page)$$' --no-tests=error --output-on-failure
+	cmake --build $(BUILD) --target chip_stream spikectl spikeserve spiketrain spikeserve_python_engine
+	ctest --test-dir $(BUILD) --tests-regex '^test_(emitted_c|emulated|moves|page)$$' --no-tests=error --output-on-failure
 
 # Rewrites the hashes of the shipped policies' answers in tests/golden and prints which changed.
 golden: configure

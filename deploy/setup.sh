@@ -49,7 +49,9 @@ packages_collector=(golang-go)
 packages_ros=(python3 python3-venv)
 packages_microcontrollers=(
   gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm gcc-riscv64-unknown-elf picolibc-riscv64-unknown-elf qemu-system-misc
-  gcc-multilib  # -m32
+  # Processors of 32 bits and of the other byte order. gcc-multilib is not installable beside cross compilers.
+  gcc-i686-linux-gnu libc6-dev-i386-cross gcc-powerpc-linux-gnu libc6-dev-powerpc-cross qemu-user-static
+  python3-venv  # the page "On a microcontroller" makes an environment
 )
 packages_playground=(emscripten cmake ninja-build ccache dpkg-dev libeigen3-dev nlohmann-json3-dev)
 # Other sources of Node.js bring npm along, and conflict with Debian's.

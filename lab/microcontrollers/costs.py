@@ -17,8 +17,8 @@ HERE = pathlib.Path(__file__).parent
 ROOT = HERE.parents[1]
 sys.path[:0] = [str(ROOT / "tests/microcontroller")]
 
-from emitted import emit, name_of, run, shipped  # noqa: E402
-from emulated import CHIPS  # noqa: E402
+from emitted import emit, name_of, run, shipped
+from emulated import CHIPS
 
 DECISIONS = 30
 PICOJOULES_A_CYCLE = 300
@@ -29,25 +29,25 @@ RUNS = (("cortex-m0plus", "-Os"), ("cortex-m4", "-Os"), ("cortex-m4", "-O3"))
 FLASH, RAM = 512 << 10, 256 << 10  # of the M7 of which the page says what fits
 TEXT = """# Policies on microcontrollers
 
-**On a processor spiking does not pay.** A multiplication costs these processors no more than the addition that a spike needs, and
-finding the spikes costs branches. Compiled by the same compiler, `cartpole-small` needs {instructions:,} instructions for a decision on a
-Cortex-M4 and {flash:,} bytes of flash; a dense int8 transformer of the same size {dense:,} and {dense_flash:,}, and a perceptron with two
-hidden layers of 64 in int8, which plays CartPole as well, {perceptron:,} and {perceptron_flash:,}; even a line is enough
-([what it costs](cost.md)). Over the shipped policies a spiking decision takes {least:.1f} to {most:.1f} times the instructions of its dense twin.
-What spikes save is operations and bytes in a circuit that is built for them: the last two columns, which leave the processor out.
+**On a processor, spiking does not pay where something small is enough.** A perceptron with two hidden layers of 64 in int8, which plays
+CartPole at 500 as well, needs {tiny} instructions for a decision on a Cortex-M4 and {tiny_flash} bytes of flash; `cartpole-small` needs
+{small} and {small_flash}, and the policies of MountainCar and Pendulum {larger} times the instructions of the perceptron, which returns as
+much there. A line plays CartPole, too ([what it costs](cost.md)). **Beside a dense int8 transformer of the same size** a spiking policy
+needs {plain_ratios} times the instructions if both are plain loops, and {pairs_ratios} times if the dense one uses the processor's
+instructions for two products: {dearer}. In a circuit the account has {circuit_ratios} of the dense one's energy, and {memory_ratios} with memory.
 
-`make lab-chips` writes this page: the first {decisions} decisions of an episode, in QEMU, whose answers are compared bit for bit with the
-engine's. The policies are the C of [emit-c](../guides/microcontroller.md). `dense` has the sizes of the policy above it, random
-weights, which do not change its cost, and plain loops as the policies have
-([dense.c](../../lab/microcontrollers/dense.c)), without the code of a session and without a table of timesteps. Neither uses the processors'
-multiplications of pairs, with which a dense model would need fewer instructions still.
+`make lab-chips` writes this page: the first {decisions} decisions of an episode in QEMU, compared bit for bit with the engine's. The policies
+are the C of [emit-c](../guides/microcontroller.md), with a session that moves, learned heads and all counts. `dense` has the sizes of the
+policy above it, random weights, which do not change its cost, and neither a session nor a table of timesteps
+([dense.c](../../lab/microcontrollers/dense.c)); libraries of hand-written kernels would need fewer instructions for it than `pairs`.
 
 ## Costs
 
-Flash (code, tables, and the compiler's library), RAM (state) and stack, which was painted, are of a Cortex-M4 with `-Os`. Instructions
-are those of a decision, mean of {decisions}. QEMU counts instructions and no cycles: Arm's manuals give one cycle for most instructions of a
-Cortex-M0+ and M4, and two or three for loads and taken branches, so that a decision takes one to two cycles for each instruction. At 100 µA/MHz and 3 V (data sheet of the STM32L476) a cycle is {cycle} pJ: the column in µJ has one and two
-cycles for each instruction on M4 with `-Os`. Beside it is the account of the operations, and with memory
+Flash (code, tables, and the compiler's library), RAM (state) and stack, which was painted, are of a Cortex-M4 with `-Os`. Instructions are
+those of a decision, mean of {decisions}, by QEMU's own count. It counts no cycles: by Arm's manuals most instructions of a
+Cortex-M0+ and M4 take one, loads and taken branches two or three, so that a decision takes one to two cycles for each instruction. At
+100 µA/MHz and 3 V (data sheet of the STM32L476) a cycle is {cycle} pJ: the column in µJ has one and two cycles for each
+instruction on M4 with `-Os`. Beside it is the account of the operations, which leaves the processor out, and the same with memory
 ([energy](../reference/energy.md)).
 
 | model | flash | RAM | stack | M0+ `-Os` | M4 `-Os` | M4 `-O3` | µJ on M4 | nJ by `int_45nm` | `int_sram_45nm` |
@@ -58,26 +58,27 @@ The energy of a perceptron's operations is in [the laboratory](../../lab/evidenc
 
 ## What fits
 
-A Cortex-M7 with 512 KB of flash and 256 KB of RAM: {fits}
+A Cortex-M7 with 512 KB of flash and 256 KB of RAM: {fits}.
 """
 
 
 @dataclass
 class Costs:
-    """What a model costs. `energies` are the two columns in nJ."""
+    """What a model costs. `energies`, in picojoules, are by int_45nm and int_sram_45nm; of a perceptron none."""
 
     name: str
     flash: int
     state: int
     stack: int
     instructions: list
-    energies: str
+    energies: list
 
     def row(self):
         mean = self.instructions[1]
         joules = f"{mean * PICOJOULES_A_CYCLE / 1e6:,.1f} to {2 * mean * PICOJOULES_A_CYCLE / 1e6:,.1f}"
         counts = " | ".join(f"{count:,}" for count in self.instructions)
-        return f"| {self.name} | {self.flash:,} | {self.state:,} | {self.stack:,} | {counts} | {joules} | {self.energies} |"
+        energies = " | ".join(f"{picojoules / 1e3:,.2f}" for picojoules in self.energies) or " | "
+        return f"| {self.name} | {self.flash:,} | {self.state:,} | {self.stack:,} | {counts} | {joules} | {energies} |"
 
 
 def measure(emitted, program):
@@ -94,9 +95,8 @@ def measure(emitted, program):
 
 def spiking(name, emitted):
     instructions, answer = measure(emitted, "chip_play.c")
-    energies = " | ".join(f"{picojoules / 1e3:,.2f}" for picojoules in answer[4:6])
     flash = CHIPS["cortex-m4"].flash(emitted, "calls_all.c")
-    return Costs(f"`{name}`", flash, emitted.sizes["state_bytes"], answer[3], instructions, energies)
+    return Costs(f"`{name}`", flash, emitted.sizes["state_bytes"], answer[3], instructions, answer[4:6])
 
 
 def make_dense(file, emitted):
@@ -109,15 +109,14 @@ def make_dense(file, emitted):
 def dense(emitted, energies, name, source):
     instructions, answer = measure(emitted, HERE / source)
     flash = CHIPS["cortex-m4"].flash(emitted, HERE / source)
-    numbers = " | ".join(f"{picojoules / 1e3:,.2f}" for picojoules in energies)
-    return Costs(name, flash, answer[4], answer[3], instructions, numbers)
+    return Costs(name, flash, answer[4], answer[3], instructions, energies)
 
 
 def perceptron(emitted):
     """`emitted` has the sizes of the task."""
     instructions, answer = measure(replace(emitted, hash=None), HERE / "perceptron.c")
     flash = CHIPS["cortex-m4"].flash(emitted, HERE / "perceptron.c")
-    return Costs("perceptron", flash, 0, answer[3], instructions, " | ")
+    return Costs("perceptron", flash, 0, answer[3], instructions, [])
 
 
 def missing(emitted):
@@ -145,20 +144,34 @@ def models_of(file):
         return models, [f"`{name}` does not, {lack}" for lack in missing(emitted)]
 
 
+def ratios(numbers):
+    return f"{min(numbers):.2g} to {max(numbers):.2g}"
+
+
+def sentences(measured):
+    """Returns what the page says of all models."""
+    small, _, _, tiny = measured[0]
+    values = {"decisions": DECISIONS, "cycle": PICOJOULES_A_CYCLE}
+    for name, model in (("small", small), ("tiny", tiny)):
+        values |= {name: f"{model.instructions[1]:,}", f"{name}_flash": f"{model.flash:,}"}
+    by_pairs = {models[0].name: models[0].instructions[1] / models[2].instructions[1] for models in measured}
+    dearer = [name for name, ratio in by_pairs.items() if ratio > 1]
+    return values | {
+        "larger": ratios([models[0].instructions[1] / models[3].instructions[1] for models in measured[1:] if len(models) > 3]),
+        "plain_ratios": ratios([models[0].instructions[1] / models[1].instructions[1] for models in measured]),
+        "pairs_ratios": ratios(by_pairs.values()),
+        "dearer": f"{', '.join(dearer) or 'none'} {'needs' if len(dearer) == 1 else 'need'} more",
+        "circuit_ratios": ratios([models[0].energies[0] / models[1].energies[0] for models in measured]),
+        "memory_ratios": ratios([models[0].energies[1] / models[1].energies[1] for models in measured]),
+    }
+
+
 def main():
     with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
-        measured = list(pool.map(models_of, shipped()))
-    small, plain, pairs, tiny = measured[0][0]
-    ratios = [[models[0].instructions[1] / models[i].instructions[1] for models, _ in measured] for i in (1, 2)]
-    lacks = [lack for _, policy in measured for lack in policy]
-    fits = "; ".join(lacks) if lacks else f"all {len(measured)} shipped policies fit, linked with all seven functions"
-    values = {"decisions": DECISIONS, "cycle": PICOJOULES_A_CYCLE, "fits": fits}
-    for name, model in (("small", small), ("plain", plain), ("pairs", pairs), ("tiny", tiny)):
-        values |= {name: f"{model.instructions[1]:,}", f"{name}_flash": f"{model.flash:,}"}
-    for name, ratio in zip(("plain", "pairs"), ratios, strict=True):
-        values[f"{name}_ratios"] = f"{min(ratio):.2f} to {max(ratio):.2f}"
-    rows = "\n".join(model.row() for models, _ in measured for model in models)
-    PAGE.write_text(TEXT.format(**values, rows=rows))
+        measured, lacks = zip(*pool.map(models_of, shipped()), strict=True)
+    fits = "; ".join(lack for policy in lacks for lack in policy) or f"all {len(measured)} shipped policies fit, linked with all seven functions"
+    rows = "\n".join(model.row() for models in measured for model in models)
+    PAGE.write_text(TEXT.format(**sentences(measured), fits=fits, rows=rows))
 
 
 if __name__ == "__main__":

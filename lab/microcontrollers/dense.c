@@ -1,6 +1,6 @@
-/* A dense decision transformer in int8, as core/engine/dense/integer_dense_pass.cc computes it, with
-   the tables of dense_twin.cc. Prints in hexadecimal: the hash of the logits, the mean and the most
-   instructions of a decision, the bytes of the stack, and those of the state. */
+/* A dense decision transformer in int8, as core/engine/dense/integer_dense_pass.cc computes it,
+   with the tables of dense_twin.cc. Prints in hexadecimal: the hash of the logits, the mean and the
+   most instructions of a decision, the bytes of the stack, and those of the state. */
 #ifndef DENSE_PAIRS
 #define DENSE_PAIRS 0 /* dense_pairs.c has 1 */
 #endif
@@ -106,8 +106,7 @@ static void apply(const dense_map* map, int exponent) {
   int k;
   for (k = 0; k < map->outputs; ++k) {
     const int32_t sum = dot_of(map->weight + k * map->inputs, state.block, map->inputs);
-    state.y[k] =
-        limit(round_shift(sum, map->shift[k] - exponent) + map->bias[k], -32767, 32767);
+    state.y[k] = limit(round_shift(sum, map->shift[k] - exponent) + map->bias[k], -32767, 32767);
   }
 }
 
@@ -180,9 +179,8 @@ static void attend(int layer, int kind) {
     for (i = 0; i < n; ++i) {
       const dense_heads* key = &state.keys[layer][(3 * first + (uint32_t)i) % SLOTS];
       const int32_t dot = dot_of(query, key->numbers + h * DENSE_HEAD_SIZE, DENSE_HEAD_SIZE);
-      state.weights[i] =
-          round_shift(dot * DENSE_SCALE,
-                      2 * DENSE_FRACTION + 2 - state.query.exponent[h] - key->exponent[h]);
+      state.weights[i] = round_shift(
+          dot * DENSE_SCALE, 2 * DENSE_FRACTION + 2 - state.query.exponent[h] - key->exponent[h]);
       if (state.weights[i] > best) best = state.weights[i];
     }
     for (k = 0; k < DENSE_HEAD_SIZE; ++k) sums[k] = 0;

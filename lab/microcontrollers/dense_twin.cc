@@ -111,9 +111,10 @@ class Tables {
     std::vector<int> table;
     for (int i = 0; i < 128; ++i) {
       const float x = static_cast<float>(i) / 32.0f;
-      const float gelu = 0.5f * x * (1.0f + Tanh(0.7978845608028654f * (x + 0.044715f * x * x * x)));
-      table.push_back(static_cast<int>(
-          std::nearbyint(std::ldexp(x - gelu, config_.residual_fraction))));
+      const float gelu =
+          0.5f * x * (1.0f + Tanh(0.7978845608028654f * (x + 0.044715f * x * x * x)));
+      table.push_back(
+          static_cast<int>(std::nearbyint(std::ldexp(x - gelu, config_.residual_fraction))));
     }
     Array("int16_t", "gelu", table);
   }
@@ -152,7 +153,9 @@ class Tables {
 class Player {
  public:
   Player(std::shared_ptr<const Policy> policy, const std::string& path)
-      : policy_(policy), engine_(MakeEngine(policy)), context_(engine_->NewContext()),
+      : policy_(policy),
+        engine_(MakeEngine(policy)),
+        context_(engine_->NewContext()),
         stream_(path, std::ios::binary) {}
 
   void Decide(uint64_t decision) {
@@ -162,8 +165,7 @@ class Player {
       engine_->AppendAction(*context_, action);
     }
     const std::vector<float> target = Numbers(decision, 2, 1, 2.0f);
-    const std::vector<float> observation =
-        Numbers(decision, 3, policy_->observation_size(), 4.0f);
+    const std::vector<float> observation = Numbers(decision, 3, policy_->observation_size(), 4.0f);
     Engine::Output output;
     engine_->Decide(*context_, target[0], observation, &output);
     const Linear& head = policy_->weights.head;

@@ -52,7 +52,7 @@ def emit(file, folder, decisions):
     return Emitted(Path(folder), sizes, stream, answers.strip().zfill(16))
 
 
-def play(emitted, program):
-    """Returns the hash of what a program of this machine answers to the stream."""
+def play(emitted, program, emulator=()):
+    """Returns the hash of what a program answers to the stream."""
     with open(emitted.stream, "rb") as stream:
-        return subprocess.run([program], stdin=stream, check=True, capture_output=True, text=True).stdout.split()[0]
+        return run(*emulator, program, stdin=stream).split()[0]

@@ -50,11 +50,14 @@ class Chip:
         linked = self.link(emitted, "-Os", program=program)
         return sum(map(int, run(self.prefix + "size", linked).splitlines()[1].split()[:2]))
 
-    def run(self, emitted, level, **sources):
-        """Returns the hash, and what else chip_play.c prints, in hexadecimal."""
-        program = self.link(emitted, level, **sources)
-        command = [*self.machine, "-display", "none", "-serial", "none", "-monitor", "none", "-icount", "shift=0"]
-        command += ["-semihosting-config", "enable=on,target=native", "-kernel", program.name]
+    def command(self, program, *options):
+        """Returns what emulates a program, in the folder that has its stream."""
+        command = [*self.machine, "-display", "none", "-serial", "none", "-monitor", "none", *options]
+        return [*command, "-semihosting-config", "enable=on,target=native", "-kernel", program.name]
+
+    def run(self, emitted, level, counts=True, **sources):
+        """Returns the hash, and what else chip_play.c prints, in hexadecimal. Instructions are counted at half the speed."""
+        command = self.command(self.link(emitted, level, **sources), *(["-icount", "shift=0"] if counts else []))
         done = subprocess.run(command, cwd=emitted.folder, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stderr.split() or done.stdout.split()
@@ -92,5 +95,12 @@ CHIPS = {
         clock=1_000_000_000,
         memory=(0x80000000, 4 << 20, 0x80400000, 4 << 20),
     ),
+}
+# Compilers, and the emulator of what they make, of processors with an operating system: undefined behaviour is found, words have
+# 32 bits, and the most significant byte comes first, which QEMU's Cortex-M cannot.
+HOSTS = {
+    "undefined": (["gcc", "-O1", "-fsanitize=undefined", "-fno-sanitize-recover=all"], []),
+    "32-bits": (["i686-linux-gnu-gcc", "-O2", "-msse2", "-mfpmath=sse", "-static"], []),
+    "big-endian": (["powerpc-linux-gnu-gcc", "-O2", "-static"], ["qemu-ppc-static"]),
 }
 MICROBIT = arm("cortex-m0plus", "microbit", clock=16_000_000, memory=(0, 256 << 10, 0x20000000, 16 << 10))

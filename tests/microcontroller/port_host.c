@@ -12,7 +12,10 @@ void port_read(void* to, size_t size) {
   exit(2);
 }
 
-void port_print(const char* text) { fputs(text, stdout); }
+void port_print(const char* text) {
+  fputs(text, stdout);
+  fflush(stdout); /* the caller may wait for it */
+}
 
 void port_exit(int status) { exit(status); }
 

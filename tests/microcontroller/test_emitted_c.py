@@ -1,10 +1,12 @@
 """The C of every shipped policy, and of random ones, decides on this machine as the server does, bit for bit."""
 
+import re
 import subprocess
 
 import pytest
 from emitted import C99, CHIP_STREAM, ROOT, SPIKECTL, emit, name_of, play, run, shipped
 
+FORMAT = b"\x82\x75spikeserve.session.v1"
 SANITIZED = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 
@@ -29,12 +31,56 @@ def test_a_thousand_moves(tmp_path):
     assert play(emitted, emitted.compile(["gcc"], "-O2")) == emitted.hash
 
 
+def values_of(stream):
+    """Returns where the values that are imported begin and end."""
+    for found in re.finditer(re.escape(FORMAT), stream):
+        at = found.start()
+        yield at, at + int.from_bytes(stream[at - 4 : at], "little")
+
+
+def checksum(value):
+    hashed = 0xCBF29CE484222325
+    for byte in value:
+        hashed = (hashed ^ byte) * 0x100000001B3 % (1 << 64)
+    return hashed.to_bytes(8, "little")
+
+
+def with_more(value, more, items=1):
+    """Returns a session's value with more items behind the 17 that every server writes."""
+    count = bytes([0x80 + 17 + items]) if 17 + items < 24 else bytes([0x98, 17 + items])
+    value = FORMAT + count + value[len(FORMAT) + 1 : -8] + more
+    return value + checksum(value)
+
+
+# {"wiring": [1, -2, 1.5, 0.5, null, true, []]}, with 1.5 as a float32 and 0.5 as a float64
+LATER = bytes.fromhex("a1 66 776972696e67 87 01 21 fa3fc00000 fb3fe0000000000000 f6 f5 80")
+
+
+def test_values_of_later_servers(tmp_path):
+    """What the C does not know it skips, and decides the same."""
+    emitted = emit(shipped()[0], tmp_path, decisions=400)
+    stream, longer, end = emitted.stream.read_bytes(), b"", 0
+    for first, last in values_of(stream):
+        value = with_more(stream[first:last], LATER)
+        longer += stream[end : first - 4] + len(value).to_bytes(4, "little") + value
+        end = last
+    emitted.stream.write_bytes(longer + stream[end:])
+    program = emitted.compile(["gcc"], *SANITIZED)
+    assert play(emitted, program) == emitted.hash
+    # An item that is cut off, one that has no end, and more of them than a value may have.
+    for more, items in ((LATER[:-1], 1), (bytes.fromhex("9bffffffffffffffff"), 1), (b"\xf6" * 16, 16)):
+        value = with_more(stream[first:last], more, items)
+        emitted.stream.write_bytes(b"I" + len(value).to_bytes(4, "little") + value)
+        with pytest.raises(subprocess.CalledProcessError) as refused:
+            play(emitted, program)
+        assert refused.value.stdout == "spike_import\n"
+
+
 def test_damaged_values(tmp_path):
     emitted = emit(shipped()[0], tmp_path, decisions=400)
     stream = emitted.stream.read_bytes()
-    at = stream.rindex(b"spikeserve.session.v1") - 2
-    size = int.from_bytes(stream[at - 4 : at], "little")
-    (tmp_path / "value").write_bytes(stream[at : at + size])
+    *_, (first, last) = values_of(stream)
+    (tmp_path / "value").write_bytes(with_more(stream[first:last], LATER))
     program = emitted.compile(["gcc"], *SANITIZED, program="value_fuzz.c", port=None, out="fuzz")
     print(run(program, tmp_path / "value"))
 

@@ -241,12 +241,12 @@ static void take_history(spike_reader* r, uint32_t step, spike_state* s) {
 
 static void take_session(spike_reader* r, spike_state* s) {
   const uint8_t* from;
-  uint32_t end_bytes = 0;
+  uint32_t end_bytes = 0, items;
   uint64_t numbers[3], step, episode;
   double reals[5];
   take_array(r, 2, 2);
   if (!take_text(r, "spikeserve.session.v1")) fail(r, SPIKE_DAMAGED);
-  take_array(r, 17, 17);
+  items = take_array(r, 17, 17 + 15);
   take_options(r, s);
   episode = take_unsigned(r, INT32_MAX);
   step = take_unsigned(r, INT32_MAX);
@@ -275,6 +275,7 @@ static void take_session(spike_reader* r, spike_state* s) {
   reals[4] = take_double(r);
   if (r->error == SPIKE_OK && !take_if(r, 0xf6)) fail(r, SPIKE_LEARNS);
   if (r->error == SPIKE_OK && !take_if(r, 0xf6)) fail(r, SPIKE_LEARNS);
+  while (items-- > 17) skip(r); /* what servers keep beside the session, for no decision */
   if (r->error == SPIKE_OK && r->at != r->end) fail(r, SPIKE_DAMAGED);
   if (s == NULL || r->error != SPIKE_OK) return;
   s->episode = (uint32_t)episode;

@@ -1,8 +1,10 @@
-"""Three policies on emulated microcontrollers and with -m32 decide as the server does, bit for bit."""
+"""Three policies on emulated microcontrollers and other processors decide as the server does, bit for bit."""
+
+from dataclasses import replace
 
 import pytest
 from emitted import emit, name_of, play, shipped
-from emulated import CHIPS, MICROBIT
+from emulated import CHIPS, HOSTS, MICROBIT
 
 FILES = {name_of(file): file for file in shipped()}
 NAMES = ("cartpole-small-1", "pendulum-delay-1", "lunar-lander-1")
@@ -19,8 +21,17 @@ def test_equal_hashes(chip, level, emitted):
     assert CHIPS[chip].run(emitted, level)[0] == emitted.hash
 
 
-def test_32_bits(emitted):
-    assert play(emitted, emitted.compile(["gcc", "-m32", "-msse2", "-mfpmath=sse"], "-O2")) == emitted.hash
+@pytest.mark.parametrize("host", HOSTS)
+def test_equal_hashes_on_hosts(host, emitted):
+    compiler, emulator = HOSTS[host]
+    assert play(emitted, emitted.compile(compiler), emulator) == emitted.hash
+
+
+@pytest.mark.parametrize("file", shipped(), ids=name_of)
+def test_every_policy_fits_a_large_chip(file, tmp_path):
+    """A Cortex-M7 of 512 KB of flash and 256 KB of RAM, with all seven functions and 16 KB of stack."""
+    chip = replace(CHIPS["cortex-m7"], memory=(0, 512 << 10, 0x20000000, (256 - 16) << 10))
+    chip.link(emit(file, tmp_path, decisions=1), "-Os", program="calls_all.c")
 
 
 def test_memory_of_the_smallest(tmp_path):
