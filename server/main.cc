@@ -44,9 +44,9 @@ void AddLimitFlags(Command program, TransportLimits* limits) {
            "Connections of one IPv4 address or IPv6 /64")
       .Add("max_connections_per_network", "N", &limits->max_connections_per_network,
            "Connections of one IPv4 /24 or IPv6 /48")
-      .Add("max_idle_strangers", "N", &limits->max_idle_strangers,
+      .Add("max_idle_unauthenticated", "N", &limits->max_idle_unauthenticated,
            "Connections that have made no call yet")
-      .Add("max_stranger_bytes", "BYTES", &limits->max_stranger_bytes,
+      .Add("max_unauthenticated_bytes", "BYTES", &limits->max_unauthenticated_bytes,
            "Memory of connections and calls without a valid token")
       .Add("first_request_timeout", "DURATION", &limits->first_request_timeout,
            "Time to the first call of a connection")

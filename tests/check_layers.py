@@ -155,15 +155,15 @@ def check_modules(includes):
 
 
 def check_map(layers):
-    """Returns complaints about folders that CONTRIBUTING.md's map of the rooms does not name, and about rooms without one.
+    """Returns complaints about components that CONTRIBUTING.md's map does not name, and about folders that are none.
 
-    A room may be absent from `layers` because an option leaves it out of this build.
+    A component may be absent from `layers` because an option leaves it out of this build.
     """
-    rooms = set(re.findall(r"^\| `([^`]+)` \|", read("CONTRIBUTING.md"), re.MULTILINE))
+    components = set(re.findall(r"^\| `([^`]+)` \|", read("CONTRIBUTING.md"), re.MULTILINE))
     folders = {entry["folder"] for entry in layers if not entry["folder"].startswith(("tests", "lab"))}
-    absent = [room for room in sorted(rooms - folders) if not tracked(f"{room}/CMakeLists.txt")]
-    return [f"CONTRIBUTING.md: the map of the rooms does not name {folder}" for folder in sorted(folders - rooms)] + [
-        f"CONTRIBUTING.md: the map of the rooms names {room}, which is none" for room in absent
+    absent = [component for component in sorted(components - folders) if not tracked(f"{component}/CMakeLists.txt")]
+    return [f"CONTRIBUTING.md: the map of the components does not name {folder}" for folder in sorted(folders - components)] + [
+        f"CONTRIBUTING.md: the map of the components names {component}, which is none" for component in absent
     ]
 
 

@@ -13,7 +13,7 @@
 #include "client/src/attempts.h"
 #include "client/src/diagnosis.h"
 #include "client/src/item_status.h"
-#include "client/src/pilot/crew.h"
+#include "client/src/pilot/background_thread.h"
 #include "client/src/replicas.h"
 #include "client/src/steady_time.h"
 #include "spikeserve/status.h"
@@ -118,7 +118,7 @@ absl::StatusOr<std::unique_ptr<Client>> Client::Connect(const std::string& serve
 Client::Client(std::unique_ptr<Replicas> replicas, ClientOptions options)
     : replicas_(std::move(replicas)),
       options_(std::move(options)),
-      crew_(std::make_unique<piloting::Crew>()) {}
+      background_(std::make_unique<piloting::BackgroundThread>()) {}
 
 Client::~Client() = default;
 

@@ -1,4 +1,5 @@
-// Parses CBOR (RFC 8949) from files, stores and strangers, within limits. No function throws.
+// Parses CBOR (RFC 8949) from files, stores and unauthenticated clients, within limits. No function
+// throws.
 //
 // All functions are pure and thread-safe.
 #ifndef CORE_BASE_CBOR_H_

@@ -146,7 +146,7 @@ double SramPrice(double bytes) {
   return (bytes <= 32 * kKilobyte ? 20.0 : 100.0) / 8.0;
 }
 
-ModelConfig DenseTwin(const ModelConfig& config) {
+ModelConfig DenseBaseline(const ModelConfig& config) {
   ModelConfig twin = config;
   twin.mode = Mode::kDense;
   twin.norm = NormKind::kLayer;
@@ -154,7 +154,7 @@ ModelConfig DenseTwin(const ModelConfig& config) {
   return twin;
 }
 
-Counts DenseTwinCounts(const ModelConfig& config, int inputs, int actions) {
+Counts DenseBaselineCounts(const ModelConfig& config, int inputs, int actions) {
   const auto size = [](int value) { return static_cast<uint64_t>(value); };
   const uint64_t d = size(config.hidden_size);
   const uint64_t layers = size(config.layers);

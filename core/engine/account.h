@@ -51,12 +51,12 @@ double SramPrice(double bytes);
 
 // Returns the configuration of the dense policy in integer arithmetic that has the sizes of
 // `config`.
-ModelConfig DenseTwin(const ModelConfig& config);
+ModelConfig DenseBaseline(const ModelConfig& config);
 
-// Returns what a decision of DenseTwin(config) costs with three new tokens and a full window, if no
-// activation and no weight is zero. `inputs` is the number of inputs of the state embedding,
+// Returns what a decision of DenseBaseline(config) costs with three new tokens and a full window,
+// if no activation and no weight is zero. `inputs` is the number of inputs of the state embedding,
 // `actions` that of outputs of the head.
-Counts DenseTwinCounts(const ModelConfig& config, int inputs, int actions);
+Counts DenseBaselineCounts(const ModelConfig& config, int inputs, int actions);
 
 }  // namespace spikeserve
 

@@ -62,9 +62,9 @@ std::vector<std::string> ElementNames(int size) {
 std::optional<double> DenseEnergy(EnergyModel model, const Policy& policy) {
   const ModelConfig& config = policy.config;
   if (config.is_dense()) return std::nullopt;
-  const Counts counts = DenseTwinCounts(config, config.state_inputs(policy.observation_size()),
-                                        policy.action_space.size());
-  return EstimateEnergy(model, counts, DenseTwin(config));
+  const Counts counts = DenseBaselineCounts(config, config.state_inputs(policy.observation_size()),
+                                            policy.action_space.size());
+  return EstimateEnergy(model, counts, DenseBaseline(config));
 }
 
 prometheus::Labels With(const prometheus::Labels& labels, const char* label,

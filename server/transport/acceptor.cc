@@ -57,7 +57,7 @@ void Acceptor::Stop() {
 }
 
 void Acceptor::OnReady(uint32_t /*events*/) {
-  StrangerQueue& queue = first_.stranger_queue();
+  UnauthenticatedQueue& queue = first_.unauthenticated_queue();
   if (queue.MayRun()) return OnTurn();
   first_.events().ChangeWatch(listener_.get(), 0, this);
   queue.Wait(this);
@@ -67,7 +67,7 @@ void Acceptor::OnTurn() {
   first_.events().thread().AssertCurrent();
   if (!listener_.valid()) return;  // stopped meanwhile
   first_.events().ChangeWatch(listener_.get(), EPOLLIN, this);
-  first_.stranger_queue().Run([this] { AcceptSome(); });
+  first_.unauthenticated_queue().Run([this] { AcceptSome(); });
 }
 
 void Acceptor::AcceptSome() {
@@ -111,7 +111,7 @@ void Acceptor::Take(FileDescriptor fd, const ClientOrigin& origin) {
 }
 
 void Acceptor::RefuseOne() {
-  options_.connections->DropStrangers(ConnectionLimit::kFileDescriptors, 1);
+  options_.connections->DropUnauthenticated(ConnectionLimit::kFileDescriptors, 1);
   options_.connections->CountRefused(ConnectionLimit::kFileDescriptors);
   LogWarning("connection refused", {{"limit", ToString(ConnectionLimit::kFileDescriptors)}});
   reserve_.Close();

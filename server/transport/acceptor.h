@@ -16,11 +16,11 @@
 #include "server/transport/connection_host.h"
 #include "server/transport/connection_table.h"
 #include "server/transport/event_loop.h"
-#include "server/transport/stranger_queue.h"
+#include "server/transport/unauthenticated_queue.h"
 
 namespace spikeserve {
 
-class Acceptor final : public EventLoop::Source, public StrangerQueue::Waiter {
+class Acceptor final : public EventLoop::Source, public UnauthenticatedQueue::Waiter {
  public:
   // The hosts take turns. All pointers must outlive the acceptor.
   struct Options {
@@ -44,8 +44,8 @@ class Acceptor final : public EventLoop::Source, public StrangerQueue::Waiter {
   // Serves a connection or refuses it.
   void Take(FileDescriptor fd, const ClientOrigin& origin);
   // Accepts one connection although the process may open no more files, and closes it, so that its
-  // client fails now instead of waiting, and the listener does not stay ready for ever. Closes a
-  // stranger, too, so that the next client finds a file descriptor.
+  // client fails now instead of waiting, and the listener does not stay ready for ever. Closes an
+  // unauthenticated one, too, so that the next client finds a file descriptor.
   void RefuseOne();
 
   FileDescriptor listener_;

@@ -35,8 +35,9 @@ constexpr int64_t kStoredAnswers = 1 << 20;
 constexpr int64_t kAnswersWhenScarce = 64 << 10;
 constexpr int64_t kScarceFraction = 4;
 
-// What a stranger may store on one connection: requests of methods that need no token are short.
-constexpr int64_t kStrangerBytes = 1 << 20;
+// What an unauthenticated client may store on one connection: requests of methods that need no
+// token are short.
+constexpr int64_t kUnauthenticatedBytes = 1 << 20;
 
 constexpr char kResetLimit[] = "--max_resets_per_second";
 constexpr char kControlLimit[] = "--max_control_frames_per_second";
@@ -99,15 +100,15 @@ void Connection::OnReady(uint32_t events) {
 
 void Connection::ReadWhenDue() {
   if (slot_->is_known()) return ReadAll();
-  if (shared_->stranger_queue.MayRun()) return OnTurn();
+  if (shared_->unauthenticated_queue.MayRun()) return OnTurn();
   waits_for_turn_ = true;
   UpdateWatch();
-  shared_->stranger_queue.Wait(this);
+  shared_->unauthenticated_queue.Wait(this);
 }
 
 void Connection::OnTurn() {
   waits_for_turn_ = false;
-  shared_->stranger_queue.Run([this] {
+  shared_->unauthenticated_queue.Run([this] {
     ReadStored();
     if (!is_closing()) ReadAll();
   });
@@ -362,7 +363,7 @@ void Connection::Close() {
   loop().Unwatch(socket_->fd());
   CloseStreams();
   if (continues_) std::erase(shared_->to_continue, this);
-  if (waits_for_turn_) shared_->stranger_queue.Remove(this);
+  if (waits_for_turn_) shared_->unauthenticated_queue.Remove(this);
   slot_->MarkFreed();
   if (!slot_->is_known()) CountOverhead(-1);
   shared_->closed(this);
@@ -384,14 +385,15 @@ bool Connection::CountBytes(int64_t bytes) {
   return bytes <= 0 || bytes_ <= shared_->limits->max_connection_bytes;
 }
 
-bool Connection::CountStrangerBytes(int64_t bytes) {
-  stranger_bytes_ += bytes;
-  ByteBudget& strangers = shared_->budgets->strangers;
-  const int64_t limit = shared_->limits->max_stranger_bytes;
-  if (!strangers.Count(bytes, limit)) {
-    slot_->table().DropStrangers(ConnectionLimit::kStrangerBytes, strangers.used() - limit);
+bool Connection::CountUnauthenticatedBytes(int64_t bytes) {
+  unauthenticated_bytes_ += bytes;
+  ByteBudget& budget = shared_->budgets->unauthenticated;
+  const int64_t limit = shared_->limits->max_unauthenticated_bytes;
+  if (!budget.Count(bytes, limit)) {
+    slot_->table().DropUnauthenticated(ConnectionLimit::kUnauthenticatedBytes,
+                                       budget.used() - limit);
   }
-  return bytes <= 0 || stranger_bytes_ <= kStrangerBytes;
+  return bytes <= 0 || unauthenticated_bytes_ <= kUnauthenticatedBytes;
 }
 
 bool Connection::CountProcessBytes(int64_t bytes) {
@@ -399,7 +401,7 @@ bool Connection::CountProcessBytes(int64_t bytes) {
 }
 
 void Connection::CountOverhead(int sign) {
-  CountStrangerBytes(sign * (kConnectionBytes + socket_->overhead()));
+  CountUnauthenticatedBytes(sign * (kConnectionBytes + socket_->overhead()));
 }
 
 void Connection::MarkKnown(const std::shared_ptr<ByteBudget>& tenant) {

@@ -23,13 +23,13 @@
 #include "server/transport/grpc_stream.h"
 #include "server/transport/limits.h"
 #include "server/transport/socket.h"
-#include "server/transport/stranger_queue.h"
 #include "server/transport/transport_budgets.h"
+#include "server/transport/unauthenticated_queue.h"
 
 namespace spikeserve {
 
 class Connection final : public EventLoop::Source,
-                         public StrangerQueue::Waiter,
+                         public UnauthenticatedQueue::Waiter,
                          public GrpcStream::Owner {
  public:
   // A connection only moves on to a later state, and may skip some.
@@ -49,7 +49,7 @@ class Connection final : public EventLoop::Source,
     const TransportLimits* limits;
     TransportBudgets* budgets;
     std::function<void(Connection*)> closed;  // destroys the connection at the end of the turn
-    StrangerQueue stranger_queue;
+    UnauthenticatedQueue unauthenticated_queue;
     std::vector<Connection*> to_flush = {};     // have something to send at the end of the turn
     std::vector<Connection*> to_continue = {};  // have something to read in the next turn
   };
@@ -64,7 +64,7 @@ class Connection final : public EventLoop::Source,
   // EventLoop::Source
   void OnReady(uint32_t events) override;
 
-  // StrangerQueue::Waiter
+  // UnauthenticatedQueue::Waiter
   void OnTurn() override;
 
   // Reads what earlier turns of the loop have left.
@@ -95,7 +95,7 @@ class Connection final : public EventLoop::Source,
   CallRouter& router() override { return *shared_->router; }
   const TransportLimits& limits() const override { return *shared_->limits; }
   bool CountBytes(int64_t bytes) override;
-  bool CountStrangerBytes(int64_t bytes) override;
+  bool CountUnauthenticatedBytes(int64_t bytes) override;
   bool CountProcessBytes(int64_t bytes) override;
   void CountAnswers(int64_t bytes) override { answer_bytes_ += bytes; }
   void WantFlush() override;
@@ -115,7 +115,7 @@ class Connection final : public EventLoop::Source,
   void Enter(State next);
   bool is_closing() const { return state_ >= State::kClosing; }
   bool is_closed() const { return state_ == State::kClosed; }
-  // Reads what is there; a stranger may have to wait for its turn.
+  // Reads what is there; an unauthenticated one may have to wait for its turn.
   void ReadWhenDue();
   void ReadAll();
   // Passes on what streams have stored, for as long as a step may take.
@@ -139,7 +139,7 @@ class Connection final : public EventLoop::Source,
   void DropInput();
   // Cancels all calls.
   void CloseStreams();
-  // Counts what a connection of a stranger occupies, apart from its streams; -1: no longer.
+  // Counts what a unauthenticated connection occupies, apart from its streams; -1: no longer.
   void CountOverhead(int sign);
   // Sends GOAWAY with nghttp2's `error`, then closes in order.
   void Abort(uint32_t error);
@@ -170,8 +170,8 @@ class Connection final : public EventLoop::Source,
   FrameBudget control_frames_;
   int64_t bytes_ = 0;                   // that streams store
   int64_t answer_bytes_ = 0;            // those that are answers
-  int64_t stranger_bytes_ = 0;          // those of a stranger
-  std::shared_ptr<ByteBudget> tenant_;  // whose call was admitted last; null: a stranger
+  int64_t unauthenticated_bytes_ = 0;   // while unauthenticated
+  std::shared_ptr<ByteBudget> tenant_;  // whose call was admitted last; null: unauthenticated
   FrameMemory frame_memory_;
   std::unique_ptr<nghttp2_session, FreeSession> session_;
   absl::flat_hash_map<int32_t, std::unique_ptr<GrpcStream>> streams_;
@@ -180,7 +180,7 @@ class Connection final : public EventLoop::Source,
   std::string unsent_;  // frames, not yet written
   size_t written_ = 0;  // bytes of `unsent_` that were written
   bool has_buffers_ = true;
-  bool waits_for_turn_ = false;  // in the queue of strangers
+  bool waits_for_turn_ = false;  // in the unauthenticated queue
   uint32_t watched_ = 0;         // events
   State state_ = State::kOpen;
   absl::Duration closing_since_;  // when it entered kClosing, of the loop's clock

@@ -9,7 +9,7 @@
 #include "server/transport/connection_table.h"
 #include "server/transport/event_loop.h"
 #include "server/transport/socket.h"
-#include "server/transport/stranger_queue.h"
+#include "server/transport/unauthenticated_queue.h"
 
 namespace spikeserve {
 
@@ -17,7 +17,7 @@ class ConnectionHost : public ConnectionCloser {
  public:
   // Returns the loop that calls the host. Its Post() may be called from any thread.
   virtual EventLoop& events() = 0;
-  virtual StrangerQueue& stranger_queue() = 0;
+  virtual UnauthenticatedQueue& unauthenticated_queue() = 0;
 
   // Serves a new connection.
   virtual void Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) = 0;

@@ -12,12 +12,12 @@
 namespace spikeserve {
 
 // Returns, read from `transport`:
-//   spikeserve_connections{state}: open ones, by state: known or stranger
+//   spikeserve_connections{state}: open ones, by state: known or unauthenticated
 //   spikeserve_connections_limit
 //   spikeserve_connections_refused_total{limit}: new ones that met a limit
-//   spikeserve_connections_dropped_total{limit}: those of strangers that made room for others
+//   spikeserve_connections_dropped_total{limit}: unauthenticated ones that made room for others
 //   spikeserve_bytes_in_flight{of}: what calls of all callers, and connections and calls of
-//     strangers, occupy
+//     unauthenticated clients, occupy
 std::vector<prometheus::MetricFamily> CollectConnections(const Transport& transport);
 
 }  // namespace spikeserve

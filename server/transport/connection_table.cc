@@ -28,10 +28,10 @@ absl::string_view ToString(ConnectionLimit limit) {
       return "max_connections_per_network";
     case ConnectionLimit::kReserve:
       return "reserve";
-    case ConnectionLimit::kIdleStrangers:
-      return "max_idle_strangers";
-    case ConnectionLimit::kStrangerBytes:
-      return "max_stranger_bytes";
+    case ConnectionLimit::kIdleUnauthenticated:
+      return "max_idle_unauthenticated";
+    case ConnectionLimit::kUnauthenticatedBytes:
+      return "max_unauthenticated_bytes";
     case ConnectionLimit::kFileDescriptors:
       return "open_files";
   }
@@ -56,22 +56,22 @@ std::unique_ptr<ConnectionSlot> ConnectionTable::Admit(const ClientOrigin& origi
 
 std::optional<ConnectionLimit> ConnectionTable::MakeRoom(const ClientOrigin& origin) {
   if (CountOf(by_host_, origin.host) >= limits_.per_address &&
-      !Drop(strangers_.FirstOfHost(origin.host), ConnectionLimit::kPerAddress)) {
+      !Drop(unauthenticated_.FirstOfHost(origin.host), ConnectionLimit::kPerAddress)) {
     return ConnectionLimit::kPerAddress;
   }
   if (CountOf(by_network_, origin.network) >= limits_.per_network &&
-      !Drop(strangers_.FirstOfNetwork(origin.network), ConnectionLimit::kPerNetwork)) {
+      !Drop(unauthenticated_.FirstOfNetwork(origin.network), ConnectionLimit::kPerNetwork)) {
     return ConnectionLimit::kPerNetwork;
   }
   if (counts_.open >= limits_.connections &&
-      !Drop(strangers_.FirstOfLargestNetwork(), ConnectionLimit::kConnections)) {
+      !Drop(unauthenticated_.FirstOfLargestNetwork(), ConnectionLimit::kConnections)) {
     return ConnectionLimit::kConnections;
   }
-  if (strangers_.size() >= max_strangers_) {
-    Drop(strangers_.FirstOfLargestNetwork(), ConnectionLimit::kReserve);
+  if (unauthenticated_.size() >= max_unauthenticated_) {
+    Drop(unauthenticated_.FirstOfLargestNetwork(), ConnectionLimit::kReserve);
   }
-  if (idle_strangers_.size() >= limits_.idle_strangers) {
-    Drop(idle_strangers_.FirstOfLargestNetwork(), ConnectionLimit::kIdleStrangers);
+  if (idle_unauthenticated_.size() >= limits_.idle_unauthenticated) {
+    Drop(idle_unauthenticated_.FirstOfLargestNetwork(), ConnectionLimit::kIdleUnauthenticated);
   }
   return std::nullopt;
 }
@@ -83,15 +83,16 @@ bool ConnectionTable::Drop(ConnectionSlot* slot, ConnectionLimit reason) {
   slot->will_free_ = true;
   ++dropping_;
   ++counts_.dropped[static_cast<size_t>(reason)];
-  LogWarning("connection of a stranger dropped",
+  LogWarning("unauthenticated connection dropped",
              {{"client", slot->origin_.address}, {"limit", ToString(reason)}});
   slot->closer_->CloseSoon(slot->number_);
   return true;
 }
 
-void ConnectionTable::DropStrangers(ConnectionLimit reason, int64_t bytes) {
+void ConnectionTable::DropUnauthenticated(ConnectionLimit reason, int64_t bytes) {
   absl::MutexLock lock(&mutex_);
-  while (dropping_ * kConnectionBytes < bytes && Drop(strangers_.FirstOfLargestNetwork(), reason)) {
+  while (dropping_ * kConnectionBytes < bytes &&
+         Drop(unauthenticated_.FirstOfLargestNetwork(), reason)) {
   }
 }
 
@@ -103,22 +104,22 @@ void ConnectionTable::CountRefused(ConnectionLimit reason) {
 ConnectionTable::Counts ConnectionTable::counts() const {
   absl::MutexLock lock(&mutex_);
   Counts counts = counts_;
-  counts.strangers = strangers_.size();
+  counts.unauthenticated = unauthenticated_.size();
   return counts;
 }
 
 void ConnectionTable::Index(ConnectionSlot* slot, bool has_called) {
   slot->rank_ = {has_called, slot->number_};
-  strangers_.Add(slot, slot->origin_, *slot->rank_);
-  if (!has_called) idle_strangers_.Add(slot, slot->origin_, *slot->rank_);
+  unauthenticated_.Add(slot, slot->origin_, *slot->rank_);
+  if (!has_called) idle_unauthenticated_.Add(slot, slot->origin_, *slot->rank_);
 }
 
 void ConnectionTable::Unindex(ConnectionSlot* slot) {
   const auto rank = std::exchange(slot->rank_, std::nullopt);
   if (!rank.has_value()) return;
-  strangers_.Remove(slot->origin_, *rank);
+  unauthenticated_.Remove(slot->origin_, *rank);
   const bool has_called = rank->first;
-  if (!has_called) idle_strangers_.Remove(slot->origin_, *rank);
+  if (!has_called) idle_unauthenticated_.Remove(slot->origin_, *rank);
 }
 
 void ConnectionTable::Leave(ConnectionSlot* slot) {

@@ -1,10 +1,10 @@
 // Bounds how many connections the process, each client and each network may have, and decides which
 // connection is closed to make room for another.
 //
-// A stranger is a connection none of whose calls was admitted yet. Strangers cannot hold the places
-// of others: a new connection that meets a limit takes the place of a stranger of the same host or
-// network, or else of the network that has the most of them; strangers without a call go first,
-// then the oldest. A part of all places is kept for connections that are known.
+// A connection is unauthenticated until one of its calls was admitted. Such connections cannot hold
+// the places of others: a new connection that meets a limit takes the place of an unauthenticated
+// one of the same host or network, or else of the network that has the most of them; those without
+// a call go first, then the oldest. A part of all places is kept for connections that are known.
 //
 //   auto slot = table.Admit(origin, &host);
 //   if (slot == nullptr) return Refuse();
@@ -27,7 +27,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
 #include "server/transport/client_origin.h"
-#include "server/transport/stranger_index.h"
+#include "server/transport/unauthenticated_index.h"
 
 namespace spikeserve {
 
@@ -35,13 +35,13 @@ class ConnectionSlot;
 
 // Why a connection was refused, or dropped in favour of others.
 enum class ConnectionLimit {
-  kConnections,      // of the process
-  kPerAddress,       // of a host
-  kPerNetwork,       // of a network
-  kReserve,          // the places that are kept for connections that are known
-  kIdleStrangers,    // strangers without a call
-  kStrangerBytes,    // what strangers store
-  kFileDescriptors,  // the process may open no more files
+  kConnections,           // of the process
+  kPerAddress,            // of a host
+  kPerNetwork,            // of a network
+  kReserve,               // the places that are kept for connections that are known
+  kIdleUnauthenticated,   // unauthenticated connections without a call
+  kUnauthenticatedBytes,  // what unauthenticated connections store
+  kFileDescriptors,       // the process may open no more files
 };
 inline constexpr size_t kConnectionLimits = 7;
 
@@ -69,27 +69,28 @@ class ConnectionTable {
     int64_t connections;
     int64_t per_address;
     int64_t per_network;
-    int64_t idle_strangers;
+    int64_t idle_unauthenticated;
   };
   using CountByLimit = std::array<int64_t, kConnectionLimits>;
   struct Counts {
     int64_t open = 0;
-    int64_t strangers = 0;  // of these
-    int64_t closed = 0;     // so far
+    int64_t unauthenticated = 0;  // of these
+    int64_t closed = 0;           // so far
     CountByLimit refused = {};
     CountByLimit dropped = {};
   };
 
   explicit ConnectionTable(const Limits& limits)
-      : limits_(limits), max_strangers_(limits.connections - limits.connections / kReservedShare) {}
+      : limits_(limits),
+        max_unauthenticated_(limits.connections - limits.connections / kReservedShare) {}
 
-  // Returns the place of a new connection, a stranger's at first; null if there is none, which is
-  // logged. `closer`, which must outlive the slot, closes the connection if its place is needed.
+  // Returns the place of a new connection, unauthenticated at first; null if there is none, which
+  // is logged. `closer`, which must outlive the slot, closes the connection if its place is needed.
   std::unique_ptr<ConnectionSlot> Admit(const ClientOrigin& origin, ConnectionCloser* closer);
 
-  // Closes the strangers that have to go first, as far as there are some, until `bytes` are freed
-  // with those that are about to be closed: each frees at least kConnectionBytes.
-  void DropStrangers(ConnectionLimit reason, int64_t bytes);
+  // Closes the unauthenticated connections that have to go first, as far as there are some, until
+  // `bytes` are freed with those that are about to be closed: each frees at least kConnectionBytes.
+  void DropUnauthenticated(ConnectionLimit reason, int64_t bytes);
   // Counts a connection that was refused for another reason than the limits of Admit().
   void CountRefused(ConnectionLimit reason);
 
@@ -102,14 +103,15 @@ class ConnectionTable {
   // A quarter of all places is kept for connections that are known.
   static constexpr int64_t kReservedShare = 4;
 
-  // Returns the limit that `origin` meets, after strangers have made room for it.
+  // Returns the limit that `origin` meets, after unauthenticated connections have made room for it.
   std::optional<ConnectionLimit> MakeRoom(const ClientOrigin& origin)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Closes a connection, whose place is free at once. Returns false if `slot` is null.
   bool Drop(ConnectionSlot* slot, ConnectionLimit reason) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Makes the place of `slot` free.
   void Leave(ConnectionSlot* slot) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
-  // Adds `slot` to the indices of strangers, or removes it from those in which it is.
+  // Adds `slot` to the indices of unauthenticated connections, or removes it from those in which it
+  // is.
   void Index(ConnectionSlot* slot, bool has_called) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void Unindex(ConnectionSlot* slot) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
@@ -122,13 +124,14 @@ class ConnectionTable {
   void StopExpecting(ConnectionSlot* slot) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   const Limits limits_;
-  const int64_t max_strangers_;
+  const int64_t max_unauthenticated_;
   mutable absl::Mutex mutex_;
   Counts counts_ ABSL_GUARDED_BY(mutex_);
   int64_t dropping_ ABSL_GUARDED_BY(mutex_) = 0;  // dropped, and will free bytes
   uint64_t next_number_ ABSL_GUARDED_BY(mutex_) = 0;
-  StrangerIndex strangers_ ABSL_GUARDED_BY(mutex_);
-  StrangerIndex idle_strangers_ ABSL_GUARDED_BY(mutex_);  // those of them without a call
+  UnauthenticatedIndex unauthenticated_ ABSL_GUARDED_BY(mutex_);
+  UnauthenticatedIndex idle_unauthenticated_
+      ABSL_GUARDED_BY(mutex_);  // those of them without a call
   absl::flat_hash_map<std::string, int64_t> by_host_ ABSL_GUARDED_BY(mutex_);
   absl::flat_hash_map<std::string, int64_t> by_network_ ABSL_GUARDED_BY(mutex_);
 };
@@ -147,12 +150,12 @@ class ConnectionSlot {
   void MarkCaller() {
     if (!std::exchange(has_called_, true)) table_->MarkCaller(this);
   }
-  // A call of the connection was admitted: it is no stranger any more, see also MarkFreed().
+  // A call of the connection was admitted: it is authenticated, see also MarkFreed().
   void MarkKnown() {
     if (!std::exchange(is_known_, true)) table_->MarkKnown(this);
   }
-  // The bytes of a stranger are about to be freed. If it were called after that, DropStrangers()
-  // could expect bytes that are no longer used, and drop too few.
+  // The bytes of an unauthenticated connection are about to be freed. If it were called after that,
+  // DropUnauthenticated() could expect bytes that are no longer used, and drop too few.
   void MarkFreed() { table_->MarkFreed(this); }
   bool has_called() const { return has_called_; }
   bool is_known() const { return is_known_; }
@@ -170,7 +173,7 @@ class ConnectionSlot {
   bool has_called_ = false;
   bool is_known_ = false;
   // Of the table, under its mutex.
-  std::optional<StrangerIndex::Rank> rank_;  // in its indices; empty: in none
+  std::optional<UnauthenticatedIndex::Rank> rank_;  // in its indices; empty: in none
   bool was_dropped_ = false;
   bool will_free_ = false;  // it was dropped, and counts in dropping_
 };

@@ -244,7 +244,7 @@ void GrpcStream::Consume(size_t bytes) {
 }
 
 bool GrpcStream::Count(int64_t bytes) {
-  within_group_ = tenant_ == nullptr ? owner_->CountStrangerBytes(bytes)
+  within_group_ = tenant_ == nullptr ? owner_->CountUnauthenticatedBytes(bytes)
                                      : tenant_->Count(bytes, owner_->limits().max_tenant_bytes);
   return owner_->CountProcessBytes(bytes) && within_group_;
 }

@@ -32,20 +32,20 @@ class GrpcStream final : public Call {
     virtual CallRouter& router() = 0;
     virtual const TransportLimits& limits() const = 0;
     // Count bytes that the stream stores, or stores no longer if `bytes` is negative: of the
-    // connection, of the process, and of strangers. Return false if the limit is exceeded; the
-    // bytes are counted in any case.
+    // connection, of the process, and of unauthenticated clients. Return false if the limit is
+    // exceeded; the bytes are counted in any case.
     virtual bool CountBytes(int64_t bytes) = 0;
     virtual bool CountProcessBytes(int64_t bytes) = 0;
-    virtual bool CountStrangerBytes(int64_t bytes) = 0;
+    virtual bool CountUnauthenticatedBytes(int64_t bytes) = 0;
     // Counts those of these bytes that are answers.
     virtual void CountAnswers(int64_t bytes) = 0;
     // The connection has something to send at the end of the turn.
     virtual void WantFlush() = 0;
     // Returns false while the connection stores so many answers that its streams must not read on.
     virtual bool MayRead() const = 0;
-    // A call was admitted: the client is no stranger any more.
+    // A call was admitted: the client is authenticated.
     virtual void MarkKnown(const std::shared_ptr<ByteBudget>& tenant) = 0;
-    // Returns the tenant whose call was admitted last; null: the client is a stranger.
+    // Returns the tenant whose call was admitted last; null: the client is unauthenticated.
     virtual const std::shared_ptr<ByteBudget>& tenant() const = 0;
     // Calls ReadOn() of stream `id`, if it still exists, once MayRead() returns true.
     virtual void ReadOnLater(int32_t id) = 0;
@@ -126,8 +126,8 @@ class GrpcStream final : public Call {
   // limit is exceeded.
   void BoundRequest();
   void RefuseForBytes();
-  // Counts `bytes`, which the stream stores or, below 0, has freed, of its tenant or of strangers,
-  // and of the process. Returns false if one of these exceeds its limit.
+  // Counts `bytes`, which the stream stores or, below 0, has freed, of its tenant or of
+  // unauthenticated clients, and of the process. Returns false if one of these exceeds its limit.
   bool Count(int64_t bytes);
   // Frees the answers, which were sent completely.
   void FreeAnswers();
@@ -165,7 +165,7 @@ class GrpcStream final : public Call {
   int64_t header_bytes_to_count_ = 0;  // when they reach this number, they are counted again
   int64_t headers_ = 0;
   std::shared_ptr<CallHandler> handler_;
-  std::shared_ptr<ByteBudget> tenant_;  // null: a stranger
+  std::shared_ptr<ByteBudget> tenant_;  // null: unauthenticated
   bool within_group_ = true;            // what was counted last fits the limit of these
   int64_t held_ = 0;                    // bytes of the handler
   EventLoop::Timer deadline_timer_;

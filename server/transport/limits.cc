@@ -32,8 +32,8 @@ absl::Status TransportLimits::Validate() const {
   status.Update(CheckAtLeastOne("--max_connections", max_connections));
   status.Update(CheckAtLeastOne("--max_connections_per_address", max_connections_per_address));
   status.Update(CheckAtLeastOne("--max_connections_per_network", max_connections_per_network));
-  status.Update(CheckAtLeastOne("--max_idle_strangers", max_idle_strangers));
-  status.Update(CheckAtLeastOne("--max_stranger_bytes", max_stranger_bytes));
+  status.Update(CheckAtLeastOne("--max_idle_unauthenticated", max_idle_unauthenticated));
+  status.Update(CheckAtLeastOne("--max_unauthenticated_bytes", max_unauthenticated_bytes));
   status.Update(CheckPositive("--first_request_timeout", first_request_timeout));
   status.Update(CheckPositive("--request_timeout", request_timeout));
   status.Update(CheckPositive("--idle_timeout", idle_timeout));

@@ -9,8 +9,8 @@
 
 namespace spikeserve {
 
-// Plain data, safe to read from many threads. The defaults are safe for a port that strangers
-// reach.
+// Plain data, safe to read from many threads. The defaults are safe for a port that anybody
+// can reach.
 struct TransportLimits {
   // Of one connection. A client that exceeds one of the rates loses its connection
   // (ENHANCE_YOUR_CALM).
@@ -27,11 +27,11 @@ struct TransportLimits {
   int64_t max_tenant_bytes = 128 << 20;     // as above, of one tenant
   int64_t max_bytes_in_flight = 256 << 20;  // of requests that wait and answers not yet sent
   int64_t max_connections = 10'000;
-  int64_t max_connections_per_address = 1'000;  // of one IPv4 address or IPv6 /64
-  int64_t max_connections_per_network = 2'500;  // of one IPv4 /24 or IPv6 /48
-  int64_t max_idle_strangers = 500;             // connections that have not made a call yet
-  int64_t max_stranger_bytes = 128 << 20;  // of connections none of whose calls was admitted, and
-                                           // of calls without a token
+  int64_t max_connections_per_address = 1'000;    // of one IPv4 address or IPv6 /64
+  int64_t max_connections_per_network = 2'500;    // of one IPv4 /24 or IPv6 /48
+  int64_t max_idle_unauthenticated = 500;         // connections that have not made a call yet
+  int64_t max_unauthenticated_bytes = 128 << 20;  // of connections none of whose calls was
+                                                  // admitted, and of calls without a token
 
   absl::Duration first_request_timeout = absl::Seconds(10);  // from connect to the first call
   absl::Duration request_timeout = absl::Seconds(30);  // of one message that arrives in pieces

@@ -50,7 +50,7 @@ Transport::Transport(const TransportOptions& options)
       connections_({.connections = ConnectionsThatFit(options.limits.max_connections),
                     .per_address = options.limits.max_connections_per_address,
                     .per_network = options.limits.max_connections_per_network,
-                    .idle_strangers = options.limits.max_idle_strangers}) {}
+                    .idle_unauthenticated = options.limits.max_idle_unauthenticated}) {}
 
 absl::StatusOr<std::unique_ptr<Transport>> Transport::Create(const TransportOptions& options) {
   auto transport = std::unique_ptr<Transport>(new Transport(options));

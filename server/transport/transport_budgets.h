@@ -8,8 +8,9 @@ namespace spikeserve {
 
 // Thread-safe.
 struct TransportBudgets {
-  ByteBudget all;        // TransportLimits::max_bytes_in_flight
-  ByteBudget strangers;  // TransportLimits::max_stranger_bytes; their calls count above, too
+  ByteBudget all;  // TransportLimits::max_bytes_in_flight
+  ByteBudget
+      unauthenticated;  // TransportLimits::max_unauthenticated_bytes; their calls count above, too
 };
 
 }  // namespace spikeserve

@@ -31,7 +31,7 @@ TransportLoop::TransportLoop(const TransportLimits* limits, TransportBudgets* bu
                      auto node = connections_.extract(connection->number());
                      if (!node.empty()) events_->DeleteLater(std::move(node.mapped()));
                    },
-               .stranger_queue = StrangerQueue(events_.get(), clock)}) {}
+               .unauthenticated_queue = UnauthenticatedQueue(events_.get(), clock)}) {}
 
 TransportLoop::~TransportLoop() { Join(); }
 

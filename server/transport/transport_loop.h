@@ -35,7 +35,7 @@ class TransportLoop final : public ConnectionHost {
 
   // ConnectionHost
   EventLoop& events() override { return *events_; }
-  StrangerQueue& stranger_queue() override { return shared_.stranger_queue; }
+  UnauthenticatedQueue& unauthenticated_queue() override { return shared_.unauthenticated_queue; }
   void Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) override;
   void CloseSoon(uint64_t number) override;
 

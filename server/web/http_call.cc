@@ -133,9 +133,9 @@ class HttpCalls::HttpCall final : public Call {
   bool Count(int64_t bytes) {
     TransportBudgets& budgets = owner_.parts_.transport->budgets();
     const TransportLimits& limits = owner_.parts_.limits;
-    const bool within_group = tenant_ == nullptr
-                                  ? budgets.strangers.Count(bytes, limits.max_stranger_bytes)
-                                  : tenant_->Count(bytes, limits.max_tenant_bytes);
+    const bool within_group =
+        tenant_ == nullptr ? budgets.unauthenticated.Count(bytes, limits.max_unauthenticated_bytes)
+                           : tenant_->Count(bytes, limits.max_tenant_bytes);
     return budgets.all.Count(bytes, limits.max_bytes_in_flight) && within_group;
   }
 
@@ -146,7 +146,7 @@ class HttpCalls::HttpCall final : public Call {
   const std::shared_ptr<Waiting> waiting_;
   EventLoop::Timer deadline_timer_;
   std::shared_ptr<CallHandler> handler_;
-  std::shared_ptr<ByteBudget> tenant_;  // null: a stranger
+  std::shared_ptr<ByteBudget> tenant_;  // null: unauthenticated
   std::string response_;
   bool finished_ = false;
   bool dropped_ = false;  // the caller was refused, and learns it after a delay

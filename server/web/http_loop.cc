@@ -10,7 +10,7 @@
 namespace spikeserve {
 namespace {
 
-// All are strangers, so three quarters of these may be open; see ConnectionTable.
+// All are unauthenticated, so three quarters of these may be open; see ConnectionTable.
 constexpr int64_t kMaxConnections = 320;
 constexpr int64_t kMaxWaiting = 200;  // connections whose request is incomplete
 
@@ -26,11 +26,11 @@ HttpLoop::HttpLoop(std::unique_ptr<EventLoop> events, const HttpServer::Options&
     : events_(std::move(events)),
       options_(options),
       page_(std::move(page)),
-      stranger_queue_(events_.get(), options.clock),
+      unauthenticated_queue_(events_.get(), options.clock),
       table_({.connections = kMaxConnections,
               .per_address = kMaxConnections,
               .per_network = kMaxConnections,
-              .idle_strangers = kMaxWaiting}) {}
+              .idle_unauthenticated = kMaxWaiting}) {}
 
 HttpLoop::~HttpLoop() { Stop(absl::ZeroDuration()); }
 

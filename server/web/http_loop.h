@@ -18,7 +18,7 @@
 #include "server/transport/connection_host.h"
 #include "server/transport/connection_table.h"
 #include "server/transport/event_loop.h"
-#include "server/transport/stranger_queue.h"
+#include "server/transport/unauthenticated_queue.h"
 #include "server/web/http_connection.h"
 #include "server/web/http_server.h"
 
@@ -41,7 +41,7 @@ class HttpLoop final : public ConnectionHost, public HttpConnection::Owner {
 
   // ConnectionHost
   EventLoop& events() override { return *events_; }
-  StrangerQueue& stranger_queue() override { return stranger_queue_; }
+  UnauthenticatedQueue& unauthenticated_queue() override { return unauthenticated_queue_; }
   void Adopt(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot) override;
   void CloseSoon(uint64_t number) override;
 
@@ -57,7 +57,7 @@ class HttpLoop final : public ConnectionHost, public HttpConnection::Owner {
   const std::shared_ptr<EventLoop> events_;
   const HttpServer::Options options_;
   const HttpServer::Page page_;
-  StrangerQueue stranger_queue_;
+  UnauthenticatedQueue unauthenticated_queue_;
   ConnectionTable table_;
   std::map<uint64_t, std::unique_ptr<HttpConnection>> connections_;  // by their numbers
   std::vector<std::unique_ptr<Acceptor>> acceptors_;

@@ -15,7 +15,7 @@ from tests.attacks import (
 )
 
 
-STRANGERS = 128  # megabytes: --max_stranger_bytes
+UNAUTHENTICATEDS = 128  # megabytes: --max_unauthenticated_bytes
 TENANT = 128  # megabytes: --max_tenant_bytes
 
 
@@ -66,7 +66,7 @@ ATTACKS = {
         Attack(slow_attacks.silent_connections, descriptors=1024),
         Attack(slow_attacks.idle_connections, descriptors=1024),
         Attack(slow_attacks.connections_that_come_and_go),
-        Attack(tenant_attacks.connections_of_many_addresses, budget=STRANGERS),
+        Attack(tenant_attacks.connections_of_many_addresses, budget=UNAUTHENTICATEDS),
         Attack(tenant_attacks.batches_of_empty_items, budget=TENANT),
         Attack(tenant_attacks.batches_of_short_items, budget=TENANT),
         Attack(tenant_attacks.batches_that_nobody_reads, budget=TENANT),

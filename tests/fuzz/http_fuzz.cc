@@ -56,7 +56,7 @@ void FuzzOne(absl::string_view input) {
   const FakeClock clock;
   const auto loop = *EventLoop::Create(&clock);
   ConnectionTable table(
-      {.connections = 1, .per_address = 1, .per_network = 1, .idle_strangers = 1});
+      {.connections = 1, .per_address = 1, .per_network = 1, .idle_unauthenticated = 1});
   NoCloser closer;
   std::string answer;
   Owner owner(loop.get());

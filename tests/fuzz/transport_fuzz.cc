@@ -72,7 +72,7 @@ void FuzzOne(absl::string_view input) {
   const auto loop = *EventLoop::Create(&clock);
   const TransportLimits limits;
   ConnectionTable table(
-      {.connections = 1, .per_address = 1, .per_network = 1, .idle_strangers = 1});
+      {.connections = 1, .per_address = 1, .per_network = 1, .idle_unauthenticated = 1});
   TransportBudgets budgets;
   NoCloser closer;
   Router router;
@@ -84,7 +84,7 @@ void FuzzOne(absl::string_view input) {
                                .limits = &limits,
                                .budgets = &budgets,
                                .closed = [&](Connection*) { closed = true; },
-                               .stranger_queue = StrangerQueue(loop.get(), &clock)};
+                               .unauthenticated_queue = UnauthenticatedQueue(loop.get(), &clock)};
   {
     Connection connection(std::make_unique<MemorySocket>(reader.rest(), piece, &answer),
                           table.Admit(OneClient(), &closer), &shared);
@@ -97,7 +97,7 @@ void FuzzOne(absl::string_view input) {
   }
   FUZZ_CHECK(router.open() == 0);
   FUZZ_CHECK(budgets.all.used() == 0);
-  FUZZ_CHECK(budgets.strangers.used() == 0);
+  FUZZ_CHECK(budgets.unauthenticated.used() == 0);
 }
 
 std::vector<std::string> Seeds() {

@@ -1,5 +1,5 @@
 // Reads a dataset in a child process of its own, for libraries that cannot be trusted with the
-// bytes of strangers.
+// bytes of untrusted files.
 #ifndef TRAIN_DATA_CHILD_READER_H_
 #define TRAIN_DATA_CHILD_READER_H_
 

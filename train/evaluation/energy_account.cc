@@ -94,13 +94,13 @@ absl::StatusOr<EnergyAccount> AccountOf(const Policy& policy, const Evaluation& 
   if (!config.is_integer()) {
     return absl::InvalidArgumentError("arithmetic: expected integer, received float32");
   }
-  const Counts dense = DenseTwinCounts(config, config.state_inputs(policy.observation_size()),
-                                       policy.action_space.size());
+  const Counts dense = DenseBaselineCounts(config, config.state_inputs(policy.observation_size()),
+                                           policy.action_space.size());
   return EnergyAccount{
       .environment = evaluation.environment,
       .decisions = evaluation.decisions,
       .policy = CostOf(evaluation.counts, static_cast<double>(evaluation.decisions), config),
-      .dense = CostOf(dense, 1.0, DenseTwin(config))};
+      .dense = CostOf(dense, 1.0, DenseBaseline(config))};
 }
 
 absl::Status SetDense(const Policy& dense, const Evaluation& evaluation, EnergyAccount* account) {

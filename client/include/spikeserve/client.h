@@ -54,7 +54,7 @@ std::shared_ptr<Route> MakeRoute();
 class Attempts;
 class Replicas;
 namespace piloting {
-class Crew;
+class BackgroundThread;
 }
 struct Line;
 struct Replica;
@@ -180,7 +180,7 @@ class Client {
 
   const std::unique_ptr<Replicas> replicas_;
   const ClientOptions options_;
-  const std::unique_ptr<piloting::Crew> crew_;  // the background thread of pilots
+  const std::unique_ptr<piloting::BackgroundThread> background_;  // the background thread of pilots
 };
 
 }  // namespace spikeserve

@@ -102,12 +102,12 @@ class Pilot {
   void Close();
 
  private:
-  class Cockpit;
+  class Controller;
 
-  Pilot(std::unique_ptr<Cockpit> cockpit, FeatureOrder order);
+  Pilot(std::unique_ptr<Controller> controller, FeatureOrder order);
 
   FeatureOrder order_;  // of the robot's elements, if the request names them
-  const std::unique_ptr<Cockpit> cockpit_;
+  const std::unique_ptr<Controller> controller_;
 };
 
 }  // namespace spikeserve

@@ -19,7 +19,7 @@ namespace spikeserve {
 // Writes a line of a pilot to the standard error.
 void LogPilotToStderr(absl::string_view line);
 
-// How a pilot finds the action of a beat. The rungs of the ladder, from the best to the last one:
+// How a pilot finds the action of a beat. The fallback order, from the best to the last one:
 //
 //   source | action                                             | setting
 //   fresh  | an answer of the server, at most `max_age` old     | max_age
@@ -55,8 +55,8 @@ struct PilotOptions {
   int kept_beats = 8192;
   // How long Close waits for the ends of episodes that the server does not have.
   absl::Duration close_timeout = absl::Seconds(5);
-  // Receives a line when a rung is entered or something fails, on the background thread, for which
-  // the other pilots of the client wait. Must not throw. Null: the lines are lost.
+  // Receives a line when a source is entered or something fails, on the background thread, for
+  // which the other pilots of the client wait. Must not throw. Null: the lines are lost.
   std::function<void(absl::string_view)> log = LogPilotToStderr;
 
   // Returns INVALID_ARGUMENT that names the field, the expected and the received value.

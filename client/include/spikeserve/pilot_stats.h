@@ -12,7 +12,7 @@
 
 namespace spikeserve {
 
-// Who chose an action: the rungs of the ladder in PilotOptions.
+// Who chose an action: the fallback order in PilotOptions.
 enum class ActionSource { kFresh, kHeld, kLocal, kSafe };
 inline constexpr size_t kActionSources = 4;
 
@@ -25,7 +25,7 @@ struct PilotStats {
 
   uint64_t beats = 0;
   BySource by_source = {};       // beats, by ActionSource
-  BySource entries = {};         // how often each rung was entered, by ActionSource
+  BySource entries = {};         // how often each source was entered, by ActionSource
   uint64_t stale = 0;            // answers that came too late, and were not executed
   uint64_t late_answers = 0;     // answers that took longer than a period; they may be fresh still
   uint64_t cancelled_calls = 0;  // requests that failed, or were given up with their stream

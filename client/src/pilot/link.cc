@@ -39,23 +39,24 @@ absl::Status LostEpisode(absl::string_view reason) {
   return absl::UnavailableError(absl::StrCat("the server has not learned the end: ", reason));
 }
 
-Link::Link(Replicas* replicas, Crew* crew, Route* route, v1::OpenSessionRequest opening,
-           const v1::OpenSessionResponse& opened, const PilotOptions* options, Facts* facts)
+Link::Link(Replicas* replicas, BackgroundThread* background, Route* route,
+           v1::OpenSessionRequest opening, const v1::OpenSessionResponse& opened,
+           const PilotOptions* options, SharedState* state)
     : replicas_(replicas),
       route_(route),
       options_(*options),
-      facts_(facts),
-      own_crew_(options->local == nullptr ? nullptr : std::make_unique<Crew>()),
-      crew_(own_crew_ == nullptr ? crew : own_crew_.get()),
+      state_(state),
+      own_background_(options->local == nullptr ? nullptr : std::make_unique<BackgroundThread>()),
+      background_(own_background_ == nullptr ? background : own_background_.get()),
       opening_(std::move(opening)),
       local_(options->local),
       wants_export_(options->local != nullptr),
       pause_(kFirstPause) {
-  facts_->crew = crew_;
-  facts_->worker = this;
-  absl::MutexLock lock(&facts_->mutex);
-  facts_->shares_head = opening_.learning().scope() == v1::LearningConfig::FLEET;
-  facts_->window = options_.most_in_flight();
+  state_->background = background_;
+  state_->worker = this;
+  absl::MutexLock lock(&state_->mutex);
+  state_->shares_head = opening_.learning().scope() == v1::LearningConfig::FLEET;
+  state_->window = options_.most_in_flight();
   TakeOpened(opened);
 }
 
@@ -63,26 +64,26 @@ Link::~Link() { Close(absl::ZeroDuration()); }
 
 absl::Status Link::Resume(const v1::ExportSessionResponse& exported) {
   if (absl::Status status = local_.policy()->Resume(exported); !status.ok()) return status;
-  absl::MutexLock lock(&facts_->mutex);
-  const absl::Status status = local_.Resumed(exported, facts_->log);
-  facts_->has_local = status.ok();
+  absl::MutexLock lock(&state_->mutex);
+  const absl::Status status = local_.Resumed(exported, state_->log);
+  state_->has_local = status.ok();
   wants_export_ = !status.ok();
   return status;
 }
 
 void Link::Start() {
   is_started_ = true;
-  crew_->Add(this);
+  background_->Add(this);
 }
 
 void Link::Close(absl::Duration timeout) {
   if (!std::exchange(is_started_, false)) return;
   {
-    absl::MutexLock lock(&facts_->mutex);
-    facts_->closes_at = SteadyNow() + timeout;
-    facts_->NotifyWork();
+    absl::MutexLock lock(&state_->mutex);
+    state_->closes_at = SteadyNow() + timeout;
+    state_->NotifyWork();
   }
-  crew_->AwaitEnd(this);
+  background_->AwaitEnd(this);
   Stop();
 }
 
@@ -91,7 +92,7 @@ std::optional<absl::Duration> Link::Work() {
     Step step = nullptr;
     absl::Duration until;
     {
-      absl::MutexLock lock(&facts_->mutex);
+      absl::MutexLock lock(&state_->mutex);
       step = Plan(SteadyNow(), &until);
     }
     if (step == nullptr) return until;
@@ -102,23 +103,23 @@ std::optional<absl::Duration> Link::Work() {
 
 Link::Step Link::Plan(absl::Duration now, absl::Duration* until) {
   *until = now + kLongestLinkWait;
-  if (facts_->log.is_too_long()) lost_ = "the server has missed too many beats";
+  if (state_->log.is_too_long()) lost_ = "the server has missed too many beats";
   if (lost_.has_value()) return &Link::Lose;
   if (!settled_.empty()) return &Link::CompleteSettled;
-  if (facts_->closes_at.has_value()) {
-    if (now >= *facts_->closes_at || !facts_->log.oldest().ending.has_value()) return &Link::Stop;
-    *until = std::min(*until, *facts_->closes_at);
+  if (state_->closes_at.has_value()) {
+    if (now >= *state_->closes_at || !state_->log.oldest().ending.has_value()) return &Link::Stop;
+    *until = std::min(*until, *state_->closes_at);
   }
-  if (!lines_.empty() || facts_->ladder.has_change() || facts_->replaced != logged_) {
+  if (!lines_.empty() || state_->fallback.has_change() || state_->replaced != logged_) {
     return &Link::WriteLog;
   }
   if (call_done_) return &Link::TakeCall;
-  if (stream_ != nullptr && !facts_->is_connected) return &Link::DropStream;
-  const bool asks = facts_->queued.has_value() && facts_->log.is_current() &&
-                    facts_->under_way.size() < facts_->window;
+  if (stream_ != nullptr && !state_->is_connected) return &Link::DropStream;
+  const bool asks = state_->queued.has_value() && state_->log.is_current() &&
+                    state_->under_way.size() < state_->window;
   if (asks || MaySendEnd(now)) return &Link::SendRequest;
   if (local_.is_ready()) {
-    if (local_.Prepare(facts_->log)) return &Link::CatchUp;
+    if (local_.Prepare(state_->log)) return &Link::CatchUp;
     if (!local_.is_ready()) StopLocal();
   }
   return PlanCalls(now, until);
@@ -131,38 +132,38 @@ Link::Step Link::PlanCalls(absl::Duration now, absl::Duration* until) {
   if (stream_ == nullptr) {
     if (may_try) return &Link::OpenStream;
   } else {
-    if (now < facts_->paused_until) *until = std::min(*until, facts_->paused_until);
+    if (now < state_->paused_until) *until = std::min(*until, state_->paused_until);
     *until = std::min(*until, Doubt(now));
   }
   if (may_try && call_ == nullptr) {
     if (wants_export_) return &Link::ExportSession;
-    if (!facts_->ends_on_stream && facts_->log.is_complete()) return &Link::EndEpisode;
+    if (!state_->ends_on_stream && state_->log.is_complete()) return &Link::EndEpisode;
   }
   return nullptr;
 }
 
 bool Link::MaySendEnd(absl::Duration now) {
-  const bool has_ended = facts_->log.oldest().ending.has_value() && !facts_->log.is_ending();
-  if (!facts_->is_connected || !has_ended || now < facts_->paused_until) return false;
+  const bool has_ended = state_->log.oldest().ending.has_value() && !state_->log.is_ending();
+  if (!state_->is_connected || !has_ended || now < state_->paused_until) return false;
   if (call_ != nullptr && call_kind_ == Kind::kEnd) return false;
-  if (!facts_->ends_on_stream) return facts_->under_way.empty() && !facts_->log.is_complete();
-  return facts_->under_way.empty() ||
-         (facts_->log.FitsOne() && facts_->under_way.size() < facts_->window);
+  if (!state_->ends_on_stream) return state_->under_way.empty() && !state_->log.is_complete();
+  return state_->under_way.empty() ||
+         (state_->log.FitsOne() && state_->under_way.size() < state_->window);
 }
 
 void Link::CompleteSettled() {
   std::vector<std::pair<Ending, v1::EndEpisodeResponse>> settled;
   {
-    absl::MutexLock lock(&facts_->mutex);
+    absl::MutexLock lock(&state_->mutex);
     settled.swap(settled_);
-    wants_export_ = wants_export_ || (facts_->has_local && facts_->shares_head);
+    wants_export_ = wants_export_ || (state_->has_local && state_->shares_head);
   }
   for (auto& [ending, summary] : settled) ending.summary.set_value(std::move(summary));
 }
 
 absl::Duration Link::Doubt(absl::Duration now) {
-  if (facts_->under_way.empty()) return absl::InfiniteDuration();
-  const absl::Duration since = std::max(facts_->under_way.front().sent, replied_at_);
+  if (state_->under_way.empty()) return absl::InfiniteDuration();
+  const absl::Duration since = std::max(state_->under_way.front().sent, replied_at_);
   if (now - since >= kGiveUp && replicas_->MayMove(*route_)) {
     ReplicaFailed();
     EndStream();
@@ -181,20 +182,20 @@ void Link::Lose() {
   std::vector<Ending> endings;
   std::string reason;
   {
-    absl::MutexLock lock(&facts_->mutex);
+    absl::MutexLock lock(&state_->mutex);
     reason = *std::exchange(lost_, std::nullopt);
     Log(absl::StrCat("the session is lost, and a new one is opened: ", reason));
     EndStream();
     StopLocal();
     is_open_ = false;
-    facts_->answer.is_there = facts_->local.is_there = false;
-    endings = facts_->log.BeginAgain(std::exchange(keeps_beats_, true));
+    state_->answer.is_there = state_->local.is_there = false;
+    endings = state_->log.BeginAgain(std::exchange(keeps_beats_, true));
   }
   stream_.reset();
   if (call_kind_ != Kind::kOpen) call_.reset();
   {
     // A call that was under way may have ended before it was removed.
-    absl::MutexLock lock(&facts_->mutex);
+    absl::MutexLock lock(&state_->mutex);
     stream_end_.reset();
     if (call_ == nullptr) call_done_ = false;
   }
@@ -206,12 +207,12 @@ void Link::Stop() {
   bool is_open = false;
   v1::CloseSessionRequest request;
   {
-    absl::MutexLock lock(&facts_->mutex);
+    absl::MutexLock lock(&state_->mutex);
     EndStream();
-    facts_->has_local = false;
+    state_->has_local = false;
     is_open = is_open_;
-    request.set_session_id(facts_->session_id);
-    endings = facts_->log.BeginAgain();
+    request.set_session_id(state_->session_id);
+    endings = state_->log.BeginAgain();
   }
   stream_.reset();
   call_.reset();
@@ -227,16 +228,16 @@ void Link::Stop() {
 void Link::WriteLog() {
   std::vector<std::string> lines;
   {
-    absl::MutexLock lock(&facts_->mutex);
+    absl::MutexLock lock(&state_->mutex);
     for (size_t i = 0; i < kReplaced; ++i) {
-      if (facts_->replaced[i] == logged_[i]) continue;
+      if (state_->replaced[i] == logged_[i]) continue;
       logged_[i] = true;
       lines_.push_back(
           static_cast<Replaced>(i) == Replaced::kObservation
-              ? absl::StrCat(facts_->blindness.ToString(), " (logged once)")
+              ? absl::StrCat(state_->blindness.ToString(), " (logged once)")
               : absl::StrCat(kReplacedNames[i], ", received another one (logged once)"));
     }
-    while (const auto change = facts_->ladder.TakeChange()) {
+    while (const auto change = state_->fallback.TakeChange()) {
       lines_.push_back(absl::StrCat(ActionSourceName(change->to), " after ", change->beats,
                                     " beats ", ActionSourceName(change->from)));
     }
@@ -248,7 +249,7 @@ void Link::WriteLog() {
 
 void Link::CatchUp() {
   const absl::Status status = local_.Play();
-  absl::MutexLock lock(&facts_->mutex);
+  absl::MutexLock lock(&state_->mutex);
   if (!status.ok()) {
     Log(absl::StrCat("the engine on the robot failed: ", status.ToString()));
     StopLocal();
@@ -257,18 +258,18 @@ void Link::CatchUp() {
   }
   const auto number = local_.Commit();
   if (!number.has_value()) return;
-  facts_->local.is_there = true;
-  facts_->local.number = *number;
-  facts_->local.action.Assign(local_.action());
-  facts_->has_decision.notify_all();
+  state_->local.is_there = true;
+  state_->local.number = *number;
+  state_->local.action.Assign(local_.action());
+  state_->has_decision.notify_all();
 }
 
 ServerCall& Link::NewCall(Kind kind, absl::Duration timeout) {
   call_kind_ = kind;
   call_ = std::make_unique<ServerCall>(replicas_, route_, timeout, [this] {
-    absl::MutexLock lock(&facts_->mutex);
+    absl::MutexLock lock(&state_->mutex);
     call_done_ = true;
-    facts_->NotifyWork();
+    state_->NotifyWork();
   });
   return *call_;
 }
@@ -282,8 +283,8 @@ void Link::OpenSession() {
 void Link::ExportSession() {
   v1::ExportSessionRequest request;
   {
-    absl::MutexLock lock(&facts_->mutex);
-    request.set_session_id(facts_->session_id);
+    absl::MutexLock lock(&state_->mutex);
+    request.set_session_id(state_->session_id);
   }
   request.set_include_policy(local_.policy()->NeedsPolicyFile());
   NewCall(Kind::kExport, kCallTimeout).Begin(request);
@@ -292,9 +293,9 @@ void Link::ExportSession() {
 void Link::EndEpisode() {
   v1::EndEpisodeRequest request;
   {
-    absl::MutexLock lock(&facts_->mutex);
-    request.set_session_id(facts_->session_id);
-    facts_->log.FillEnd(&request);
+    absl::MutexLock lock(&state_->mutex);
+    request.set_session_id(state_->session_id);
+    state_->log.FillEnd(&request);
   }
   NewCall(Kind::kEnd, kCallTimeout).Begin(request);
 }
@@ -309,7 +310,7 @@ void Link::TakeCall() {
   std::optional<Ending> ended;
   v1::EndEpisodeResponse summary;
   {
-    absl::MutexLock lock(&facts_->mutex);
+    absl::MutexLock lock(&state_->mutex);
     call_done_ = false;
     if (!resumed.ok()) {
       CallFailed(kind, call->replica(), resumed);
@@ -322,10 +323,10 @@ void Link::TakeCall() {
         return;
       }
       TakeOpened(call->opened());
-      ++facts_->counters.counts().reopened;
+      ++state_->counters.counts().reopened;
     } else if (kind == Kind::kExport) {
-      const absl::Status followed = local_.Resumed(call->exported(), facts_->log);
-      facts_->has_local = followed.ok();
+      const absl::Status followed = local_.Resumed(call->exported(), state_->log);
+      state_->has_local = followed.ok();
       wants_export_ = !followed.ok();
       if (!followed.ok()) {
         LogFailure(followed);
@@ -335,7 +336,7 @@ void Link::TakeCall() {
     } else {
       summary = call->ended();
       ended = Settle(&summary);
-      wants_export_ = wants_export_ || (facts_->has_local && facts_->shares_head);
+      wants_export_ = wants_export_ || (state_->has_local && state_->shares_head);
     }
     Succeeded();
   }
@@ -350,7 +351,7 @@ void Link::CallFailed(Kind kind, const Replica* replica, const absl::Status& err
   }
   const auto expected = ExpectedDecision(error);
   const bool is_kept =
-      expected.has_value() && facts_->log.Rewind(*expected, ExpectedEpisode(error));
+      expected.has_value() && state_->log.Rewind(*expected, ExpectedEpisode(error));
   const bool is_elsewhere = absl::IsNotFound(error) && MayBeElsewhere(replica);
   if (is_open_ && IsLost(error) && !is_kept && !is_elsewhere) {
     GiveUp(error);
@@ -367,18 +368,18 @@ void Link::TakeOpened(const v1::OpenSessionResponse& opened) {
   is_stored_ = is_stored;
   without_.clear();
   denied_since_.reset();
-  waits_for_merge_ = is_stored && facts_->shares_head;
+  waits_for_merge_ = is_stored && state_->shares_head;
   opening_.clear_session_id();  // the next session is another one
-  facts_->session_id = opened.session_id();
-  facts_->log.set_history_limit(opened.history_limit());
+  state_->session_id = opened.session_id();
+  state_->log.set_history_limit(opened.history_limit());
   is_open_ = true;
 }
 
 void Link::StopLocal() {
   local_.Stop();
-  facts_->has_local = false;
+  state_->has_local = false;
   wants_export_ = local_.policy() != nullptr;
-  facts_->has_decision.notify_all();
+  state_->has_decision.notify_all();
 }
 
 void Link::ReplicaFailed() {
@@ -406,8 +407,8 @@ void Link::GiveUp(const absl::Status& error) {
 }
 
 Ending Link::Settle(v1::EndEpisodeResponse* summary) {
-  summary->set_lost_steps(static_cast<int64_t>(facts_->log.oldest().lost_steps));
-  return facts_->log.Settle(is_stored_);
+  summary->set_lost_steps(static_cast<int64_t>(state_->log.oldest().lost_steps));
+  return state_->log.Settle(is_stored_);
 }
 
 void Link::Succeeded() {
@@ -419,7 +420,7 @@ void Link::Succeeded() {
 
 void Link::Log(std::string line) {
   lines_.push_back(std::move(line));
-  facts_->NotifyWork();
+  state_->NotifyWork();
 }
 
 void Link::LogFailure(const absl::Status& error) {

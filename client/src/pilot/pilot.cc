@@ -4,7 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "client/src/pilot/cockpit.h"
+#include "client/src/pilot/controller.h"
 #include "client/src/replicas.h"
 #include "spikeserve/retry.h"
 
@@ -71,19 +71,19 @@ absl::StatusOr<std::unique_ptr<Pilot>> Pilot::Create(Client* client, v1::OpenSes
   if (!neutral.ok()) return close_after(neutral.status());
   options.fallback = Ordered(std::move(options.fallback), order);
   LocalPolicy* const local = options.local.get();
-  auto cockpit =
-      std::make_unique<Cockpit>(client->replicas_.get(), client->crew_.get(), route,
-                                std::move(request), *opened, *neutral, std::move(options));
+  auto controller =
+      std::make_unique<Controller>(client->replicas_.get(), client->background_.get(), route,
+                                   std::move(request), *opened, *neutral, std::move(options));
   if (local != nullptr) {
-    const absl::Status status = ResumeLocal(client, id, route, local, &cockpit->link());
+    const absl::Status status = ResumeLocal(client, id, route, local, &controller->link());
     if (!status.ok()) return close_after(status);
   }
-  cockpit->link().Start();
-  return std::unique_ptr<Pilot>(new Pilot(std::move(cockpit), order));
+  controller->link().Start();
+  return std::unique_ptr<Pilot>(new Pilot(std::move(controller), order));
 }
 
-Pilot::Pilot(std::unique_ptr<Cockpit> cockpit, FeatureOrder order)
-    : order_(std::move(order)), cockpit_(std::move(cockpit)) {}
+Pilot::Pilot(std::unique_ptr<Controller> controller, FeatureOrder order)
+    : order_(std::move(order)), controller_(std::move(controller)) {}
 
 Pilot::~Pilot() { Close(); }
 
@@ -94,7 +94,7 @@ PilotAction Pilot::Beat(absl::Span<const float> observation, double reward,
     ordered.emplace(
         ActionView{order_.Action(executed->discrete), order_.Action(executed->continuous)});
   }
-  PilotAction action = cockpit_->Beat(order_.Observation(observation), reward, ordered);
+  PilotAction action = controller_->Beat(order_.Observation(observation), reward, ordered);
   action.value = {order_.RobotAction(action.value.discrete),
                   order_.RobotAction(action.value.continuous)};
   return action;
@@ -105,15 +105,15 @@ std::future<Pilot::Summary> Pilot::EndEpisode(const EpisodeOutcome& outcome) {
   const auto observation = order_.Observation(outcome.observation);
   ordered.observation.assign(observation.begin(), observation.end());
   if (ordered.executed_action.has_value()) order_.ToPolicy(&*ordered.executed_action);
-  return cockpit_->EndEpisode(std::move(ordered));
+  return controller_->EndEpisode(std::move(ordered));
 }
 
-bool Pilot::WaitReady(absl::Duration timeout) { return cockpit_->WaitReady(timeout); }
+bool Pilot::WaitReady(absl::Duration timeout) { return controller_->WaitReady(timeout); }
 
-PilotStats Pilot::Stats() const { return cockpit_->Stats(); }
+PilotStats Pilot::Stats() const { return controller_->Stats(); }
 
-std::string Pilot::session_id() const { return cockpit_->session_id(); }
+std::string Pilot::session_id() const { return controller_->session_id(); }
 
-void Pilot::Close() { cockpit_->link().Close(cockpit_->options().close_timeout); }
+void Pilot::Close() { controller_->link().Close(controller_->options().close_timeout); }
 
 }  // namespace spikeserve

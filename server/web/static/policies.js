@@ -62,7 +62,7 @@ export class Policies {
       {key: 'energy', label: 'Energy per decision', value: (row) => row.energy, text: (row) => si(row.energy, 'J'),
        share: (row) => Math.min(row.energy / row.dense, 1), update: (cell, row) => {
         setText(cell, si(row.energy, 'J'));
-        cell.title = `dense twin: ${si(row.dense, 'J')}`;
+        cell.title = `dense baseline: ${si(row.dense, 'J')}`;
       }},
       numberColumn('spikes_per_decision', 'Spikes per decision', fixed),
       numberColumn('decisions_per_second', 'Decisions per second', fixed),

@@ -88,7 +88,7 @@ def test_the_engine_on_the_robot_plays_the_same_session(client, link, fly):
 
 
 def test_no_beat_allocates_memory(client, link, fly):
-    """On every rung: fresh, held, from the engine, and safe."""
+    """On every source: fresh, held, from the engine, and safe."""
     for local in (None, False):
         with fly(client, local=local) as flight:
             flight.until("fresh")

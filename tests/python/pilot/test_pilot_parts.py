@@ -1,4 +1,4 @@
-"""The parts of a pilot that wait for nothing: the ladder, the log of beats, the doubt of a connection."""
+"""The parts of a pilot that wait for nothing: the fallback order, the log of beats, the doubt of a connection."""
 
 import itertools
 import time
@@ -9,75 +9,75 @@ import spikeserve
 from spikeserve.distance import Arrivals, Distance, neutral_action
 from spikeserve.lines import MISSES, SILENCE_SECONDS, Doubt
 from spikeserve.piloting.beat_log import Beat, BeatLog, Ending
-from spikeserve.piloting.ladder import Ladder
+from spikeserve.piloting.fallback_order import FallbackOrder
 from spikeserve.piloting.pilot_stats import Ages
 
 BOX = spikeserve.Box((-2.0, -1.0), (2.0, 1.0))
 OBSERVATION = np.zeros(3, np.float32)
 
 
-def make_ladder(space=BOX, neutral=(0.0, 0.0), **options):
+def make_order(space=BOX, neutral=(0.0, 0.0), **options):
     options = spikeserve.PilotOptions(period=0.05, **options)
-    ladder = Ladder(options, space, neutral, began_at=0)
-    ladder.begin_episode()
-    return ladder
+    fallback = FallbackOrder(options, space, neutral, began_at=0)
+    fallback.begin_episode()
+    return fallback
 
 
-def choose(ladder, fresh=None, local=None):
-    chosen = ladder.choose(None if fresh is None else (np.float32(fresh), 7), lambda: local, OBSERVATION, 9)
+def choose(fallback, fresh=None, local=None):
+    chosen = fallback.choose(None if fresh is None else (np.float32(fresh), 7), lambda: local, OBSERVATION, 9)
     return chosen.source, np.asarray(chosen.action).tolist(), chosen.observed_at
 
 
 def test_the_rungs_follow_each_other():
-    ladder = make_ladder(hold_beats=2, ramp_beats=4)
-    assert choose(ladder) == ("safe", [0.0, 0.0], 0)
-    assert choose(ladder, fresh=[1.0, 1.0]) == ("fresh", [1.0, 1.0], 7)
-    assert [choose(ladder) for _ in range(2)] == [("held", [1.0, 1.0], 7)] * 2
-    assert choose(ladder, local=np.float32([0.8, -0.4])) == ("local", [np.float32(0.8), np.float32(-0.4)], 9)
-    ramp = [choose(ladder)[1] for _ in range(6)]
+    fallback = make_order(hold_beats=2, ramp_beats=4)
+    assert choose(fallback) == ("safe", [0.0, 0.0], 0)
+    assert choose(fallback, fresh=[1.0, 1.0]) == ("fresh", [1.0, 1.0], 7)
+    assert [choose(fallback) for _ in range(2)] == [("held", [1.0, 1.0], 7)] * 2
+    assert choose(fallback, local=np.float32([0.8, -0.4])) == ("local", [np.float32(0.8), np.float32(-0.4)], 9)
+    ramp = [choose(fallback)[1] for _ in range(6)]
     assert np.allclose(ramp, np.outer([0.75, 0.5, 0.25, 0, 0, 0], [0.8, -0.4]))
-    assert choose(ladder, local=np.float32([0.5, 0.5]))[0] == "local"
-    assert choose(ladder, fresh=[1.0, 0.0])[0] == "fresh"
-    assert ladder.entries == {"fresh": 2, "held": 1, "local": 2, "safe": 2}
+    assert choose(fallback, local=np.float32([0.5, 0.5]))[0] == "local"
+    assert choose(fallback, fresh=[1.0, 0.0])[0] == "fresh"
+    assert fallback.entries == {"fresh": 2, "held": 1, "local": 2, "safe": 2}
 
 
 def test_a_held_action_is_what_the_robot_executed():
-    ladder = make_ladder()
-    choose(ladder, fresh=[1.0, 1.0])
-    ladder.executed(np.float32([0.5, 0.25]))
-    assert choose(ladder) == ("held", [0.5, 0.25], 7)
+    fallback = make_order()
+    choose(fallback, fresh=[1.0, 1.0])
+    fallback.executed(np.float32([0.5, 0.25]))
+    assert choose(fallback) == ("held", [0.5, 0.25], 7)
 
 
 def test_nothing_is_held_over_the_end_of_an_episode():
-    ladder = make_ladder()
-    choose(ladder, fresh=[1.0, 1.0])
-    ladder.begin_episode()
-    assert choose(ladder)[:2] == ("safe", [0.0, 0.0])
+    fallback = make_order()
+    choose(fallback, fresh=[1.0, 1.0])
+    fallback.begin_episode()
+    assert choose(fallback)[:2] == ("safe", [0.0, 0.0])
 
 
 def test_the_fall_back_of_the_robot_follows_the_ramp():
     answers = iter([[9.0, 0.5], "wrong", [1.0], [0.25, 0.25]])
-    ladder = make_ladder(hold_beats=0, ramp_beats=1, neutral=(0.5, 0.0), fallback=lambda _: next(answers))
-    choose(ladder, fresh=[1.0, 1.0])
-    actions = [choose(ladder)[1] for _ in range(5)]
+    fallback = make_order(hold_beats=0, ramp_beats=1, neutral=(0.5, 0.0), fallback=lambda _: next(answers))
+    choose(fallback, fresh=[1.0, 1.0])
+    actions = [choose(fallback)[1] for _ in range(5)]
     assert actions == [[0.5, 0.0], [2.0, 0.5], [0.5, 0.0], [0.5, 0.0], [0.25, 0.25]]
-    assert ladder.fallback_failures == 2
+    assert fallback.fallback_failures == 2
 
 
 def test_an_action_is_not_held_for_longer_than_its_beats_take():
     """A robot's computer that was suspended has an old action, and few beats since."""
-    ladder = make_ladder(hold_beats=2, max_age=1.0)
-    choose(ladder, fresh=[1.0, 1.0])
+    fallback = make_order(hold_beats=2, max_age=1.0)
+    choose(fallback, fresh=[1.0, 1.0])
     limit = 7 + int(1.1e9)  # max_age and two periods after the observation
-    assert ladder.choose(None, lambda: None, OBSERVATION, limit).source == "held"
-    assert ladder.choose(None, lambda: None, OBSERVATION, limit + 1).source == "safe"
+    assert fallback.choose(None, lambda: None, OBSERVATION, limit).source == "held"
+    assert fallback.choose(None, lambda: None, OBSERVATION, limit + 1).source == "safe"
 
 
 def test_an_index_has_no_ramp():
-    ladder = make_ladder(spikeserve.Discrete(3), neutral=2, hold_beats=1)
-    assert choose(ladder) == ("safe", 2, 0)
-    ladder.choose((1, 7), lambda: None, OBSERVATION, 9)
-    assert [choose(ladder)[:2] for _ in range(2)] == [("held", 1), ("safe", 2)]
+    fallback = make_order(spikeserve.Discrete(3), neutral=2, hold_beats=1)
+    assert choose(fallback) == ("safe", 2, 0)
+    fallback.choose((1, 7), lambda: None, OBSERVATION, 9)
+    assert [choose(fallback)[:2] for _ in range(2)] == [("held", 1), ("safe", 2)]
 
 
 class Robot:

@@ -121,12 +121,12 @@ def test_strangers_hold_no_place_that_a_client_needs(small, log):
             with strangers(small.grpc, hosts(8, 3 * MOST)):
                 agent.Act(session_id=session, step=1, observation=OBSERVATION)
             assert metric(small, 'spikeserve_connections{state="known"}') == 1
-            assert metric(small, 'spikeserve_connections{state="stranger"}') <= 3 * MOST / 4
+            assert metric(small, 'spikeserve_connections{state="unauthenticated"}') <= 3 * MOST / 4
             assert metric(small, "spikeserve_connections_limit") == MOST
             dropped = metric(small, 'spikeserve_connections_dropped_total{limit="reserve"}')
             assert dropped >= 2 * MOST
         assert not all(stranger.is_open() for stranger in crowd)
-    assert 'connection of a stranger dropped client="127.0.' in pathlib.Path(log.name).read_text()
+    assert 'unauthenticated connection dropped client="127.0.' in pathlib.Path(log.name).read_text()
 
 
 def test_a_crowd_of_one_network_makes_room_for_strangers_of_others(small):
@@ -155,9 +155,9 @@ def test_a_network_has_a_share(tokens):
 
 def test_the_memory_of_strangers_is_bounded(tokens):
     budget = 4 << 20
-    flags = [f"--tokens={tokens}", f"--max_stranger_bytes={budget}"]
+    flags = [f"--tokens={tokens}", f"--max_unauthenticated_bytes={budget}"]
     with running_server(flags=flags) as addresses, strangers(addresses.grpc, hosts(7, 1000)) as crowd:
-        until(lambda: metric(addresses, 'spikeserve_bytes_in_flight{of="strangers"}') <= budget)
+        until(lambda: metric(addresses, 'spikeserve_bytes_in_flight{of="unauthenticated"}') <= budget)
         assert sum(stranger.is_open() for stranger in crowd) < 400
         with service_with(addresses, "agent") as agent:
             assert code_of(agent.ListPolicies) == grpc.StatusCode.OK

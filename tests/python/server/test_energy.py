@@ -72,7 +72,7 @@ def test_the_metrics_have_the_same_figures_and_no_others(addresses, stats, polic
             assert series[model] == pytest.approx(sum(getattr(s, field) for s in stats[policy]))
 
 
-def test_a_policy_has_the_energy_of_its_dense_twin_beside_it(addresses, stats):
+def test_a_policy_has_the_energy_of_its_dense_baseline_beside_it(addresses, stats):
     """A dense policy with the same sizes is played, in float32, until its window is full."""
     assert set(stats) >= {"integers", "floats"}, "policies that were played"
     with grpc.insecure_channel(addresses.grpc) as channel:

@@ -94,7 +94,7 @@ def test_energy_stands_beside_that_of_a_dense_policy(page, server):
         const cell = document.querySelector("#policies-table td[data-label='Energy per decision']");
         return [cell.title, parseFloat(cell.style.getPropertyValue('--share'))];
     })()""")
-    assert cell[0] == f"dense twin: {dense * 1e6:.3g} µJ"
+    assert cell[0] == f"dense baseline: {dense * 1e6:.3g} µJ"
     assert cell[1] == pytest.approx(100 * float(energy.removesuffix(" µJ")) * 1e-6 / dense, rel=0.2)
 
 

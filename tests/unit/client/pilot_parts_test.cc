@@ -1,10 +1,10 @@
-// The parts of a pilot that wait for nothing: the ladder, the log of beats, the ages.
+// The parts of a pilot that wait for nothing: the fallback order, the log of beats, the ages.
 #include <cmath>
 #include <vector>
 
 #include "client/src/pilot/beat_log.h"
 #include "client/src/pilot/counters.h"
-#include "client/src/pilot/ladder.h"
+#include "client/src/pilot/fallback_order.h"
 #include "client/src/pilot/sight.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
@@ -25,61 +25,61 @@ ActionShape Box() {
 
 ActionValue Values(float first, float second) { return {0, {first, second}}; }
 
-TEST(LadderTest, TheRungsFollowEachOther) {
-  Ladder ladder(Box(), Values(0, 0), /*hold_beats=*/2, /*oldest_held=*/absl::Seconds(1),
-                /*ramp_beats=*/4, absl::ZeroDuration());
+TEST(FallbackOrderTest, TheSourcesFollowEachOther) {
+  FallbackOrder fallback(Box(), Values(0, 0), /*hold_beats=*/2, /*oldest_held=*/absl::Seconds(1),
+                         /*ramp_beats=*/4, absl::ZeroDuration());
   const absl::Duration now = absl::Seconds(8);
-  EXPECT_FALSE(ladder.Hold(now));  // there is nothing to hold
-  EXPECT_FALSE(ladder.Ramp());
-  ladder.TakeSafe(ladder.neutral().view());
+  EXPECT_FALSE(fallback.Hold(now));  // there is nothing to hold
+  EXPECT_FALSE(fallback.Ramp());
+  fallback.TakeSafe(fallback.neutral().view());
   const ActionValue answer = Values(1, 1);
-  ladder.TakeFresh(answer.view(), absl::Seconds(7));
-  EXPECT_TRUE(ladder.Hold(now) && ladder.Hold(now));
-  EXPECT_FALSE(ladder.Hold(now));
-  EXPECT_THAT(ladder.action().continuous, ElementsAre(1.0f, 1.0f));
-  EXPECT_EQ(ladder.observed_at(), absl::Seconds(7));
+  fallback.TakeFresh(answer.view(), absl::Seconds(7));
+  EXPECT_TRUE(fallback.Hold(now) && fallback.Hold(now));
+  EXPECT_FALSE(fallback.Hold(now));
+  EXPECT_THAT(fallback.action().continuous, ElementsAre(1.0f, 1.0f));
+  EXPECT_EQ(fallback.observed_at(), absl::Seconds(7));
   const ActionValue own = Values(0.5f, -0.5f);
-  ladder.TakeLocal(own.view(), absl::Seconds(9));
-  EXPECT_FALSE(ladder.Hold(now));
-  EXPECT_TRUE(ladder.Ramp());
-  EXPECT_THAT(ladder.action().continuous, ElementsAre(0.375f, -0.375f));
-  EXPECT_TRUE(ladder.Ramp() && ladder.Ramp() && ladder.Ramp());
-  EXPECT_THAT(ladder.action().continuous, ElementsAre(0.0f, 0.0f));
-  EXPECT_FALSE(ladder.Ramp());
-  EXPECT_EQ(ladder.entries(), (PilotStats::BySource{1, 1, 1, 2}));
+  fallback.TakeLocal(own.view(), absl::Seconds(9));
+  EXPECT_FALSE(fallback.Hold(now));
+  EXPECT_TRUE(fallback.Ramp());
+  EXPECT_THAT(fallback.action().continuous, ElementsAre(0.375f, -0.375f));
+  EXPECT_TRUE(fallback.Ramp() && fallback.Ramp() && fallback.Ramp());
+  EXPECT_THAT(fallback.action().continuous, ElementsAre(0.0f, 0.0f));
+  EXPECT_FALSE(fallback.Ramp());
+  EXPECT_EQ(fallback.entries(), (PilotStats::BySource{1, 1, 1, 2}));
 }
 
-TEST(LadderTest, NothingIsHeldOverTheEndOfAnEpisode) {
-  Ladder ladder(Box(), Values(0, 0), 3, absl::Seconds(1), 4, absl::ZeroDuration());
+TEST(FallbackOrderTest, NothingIsHeldOverTheEndOfAnEpisode) {
+  FallbackOrder fallback(Box(), Values(0, 0), 3, absl::Seconds(1), 4, absl::ZeroDuration());
   const ActionValue answer = Values(1, 1);
-  ladder.TakeFresh(answer.view(), absl::ZeroDuration());
-  ladder.BeginEpisode();
-  EXPECT_FALSE(ladder.Hold(absl::ZeroDuration()));
+  fallback.TakeFresh(answer.view(), absl::ZeroDuration());
+  fallback.BeginEpisode();
+  EXPECT_FALSE(fallback.Hold(absl::ZeroDuration()));
 }
 
 // A robot's computer that was suspended has an old action, and few beats since.
-TEST(LadderTest, AnActionIsNotHeldForLongerThanItsBeatsTake) {
-  Ladder ladder(Box(), Values(0, 0), 3, absl::Seconds(1), 4, absl::ZeroDuration());
+TEST(FallbackOrderTest, AnActionIsNotHeldForLongerThanItsBeatsTake) {
+  FallbackOrder fallback(Box(), Values(0, 0), 3, absl::Seconds(1), 4, absl::ZeroDuration());
   const ActionValue answer = Values(1, 1);
-  ladder.TakeFresh(answer.view(), absl::Seconds(7));
-  EXPECT_TRUE(ladder.Hold(absl::Seconds(8)));
-  EXPECT_FALSE(ladder.Hold(absl::Seconds(8) + absl::Nanoseconds(1)));
+  fallback.TakeFresh(answer.view(), absl::Seconds(7));
+  EXPECT_TRUE(fallback.Hold(absl::Seconds(8)));
+  EXPECT_FALSE(fallback.Hold(absl::Seconds(8) + absl::Nanoseconds(1)));
 }
 
-TEST(LadderTest, ChangesAreToldOnceAndOnlyThoseThatMatter) {
-  Ladder ladder(Box(), Values(0, 0), 1, absl::Seconds(1), 0, absl::ZeroDuration());
+TEST(FallbackOrderTest, ChangesAreToldOnceAndOnlyThoseThatMatter) {
+  FallbackOrder fallback(Box(), Values(0, 0), 1, absl::Seconds(1), 0, absl::ZeroDuration());
   const ActionValue answer = Values(1, 1);
   for (int i = 0; i < 3; ++i) {
-    ladder.TakeFresh(answer.view(), absl::ZeroDuration());
-    ladder.Hold(absl::ZeroDuration());
+    fallback.TakeFresh(answer.view(), absl::ZeroDuration());
+    fallback.Hold(absl::ZeroDuration());
   }
-  EXPECT_FALSE(ladder.has_change());
-  ladder.TakeSafe(answer.view());
-  ladder.TakeSafe(answer.view());
-  const auto change = ladder.TakeChange();
+  EXPECT_FALSE(fallback.has_change());
+  fallback.TakeSafe(answer.view());
+  fallback.TakeSafe(answer.view());
+  const auto change = fallback.TakeChange();
   EXPECT_EQ(change->to, ActionSource::kSafe);
   EXPECT_EQ(change->beats, 1);
-  EXPECT_FALSE(ladder.TakeChange().has_value());
+  EXPECT_FALSE(fallback.TakeChange().has_value());
 }
 
 // Adds beats to a log, and does with its requests what the server does.

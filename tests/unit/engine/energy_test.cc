@@ -123,7 +123,7 @@ TEST(EnergyTest, ADecisionOfThePapersSizeUpdates55040Membranes) {
 }
 
 // A played dense policy skips zeros, but what depends on sizes alone is that of the twin.
-TEST(EnergyTest, TheDenseTwinIsWhatADensePolicyOfTheSameSizesDoesInAFullWindow) {
+TEST(EnergyTest, TheDenseBaselineIsWhatADensePolicyOfTheSameSizesDoesInAFullWindow) {
   const auto policy =
       std::make_shared<const Policy>(*QuantizeToInteger(SmallPolicy(SmallConfig(Mode::kDense))));
   const auto engine = MakeEngine(policy);
@@ -133,7 +133,7 @@ TEST(EnergyTest, TheDenseTwinIsWhatADensePolicyOfTheSameSizesDoesInAFullWindow) 
     if (step > 0) engine->AppendAction(*context, {1.0f, 0.0f});
     engine->Decide(*context, 1.0f, {1.0f, 2.0f, -3.0f, 4.0f}, &output);
   }
-  const Counts twin = DenseTwinCounts(SmallConfig(), 4, 2);
+  const Counts twin = DenseBaselineCounts(SmallConfig(), 4, 2);
   EXPECT_EQ(output.counts.layer_norm_elements, twin.layer_norm_elements);
   EXPECT_EQ(output.counts.softmax_terms, twin.softmax_terms);
   EXPECT_EQ(output.counts.weight_bytes, twin.weight_bytes);
@@ -150,8 +150,8 @@ TEST(EnergyTest, TheDenseTwinIsWhatADensePolicyOfTheSameSizesDoesInAFullWindow) 
 }
 
 // 853,120 multiply-accumulates and 60,416 products of attention.
-TEST(EnergyTest, TheDenseTwinAtThePapersSize) {
-  const Counts twin = DenseTwinCounts(ModelConfig(), 4, 2);
+TEST(EnergyTest, TheDenseBaselineAtThePapersSize) {
+  const Counts twin = DenseBaselineCounts(ModelConfig(), 4, 2);
   EXPECT_EQ(twin.multiply_accumulates, 853'120u);
   EXPECT_EQ(twin.attention_products, 60'416u);
   EXPECT_EQ(twin.softmax_terms, 944u);

@@ -216,7 +216,7 @@ class ConnectionFixture : public testing::Test, protected CallRouter, private Co
                  .limits = &limits_,
                  .budgets = &budgets_,
                  .closed = [this](Connection*) { ++times_closed_; },
-                 .stranger_queue = StrangerQueue(loop_.get(), &clock_)}) {
+                 .unauthenticated_queue = UnauthenticatedQueue(loop_.get(), &clock_)}) {
     limits_.max_control_frames_per_second = 10;
     const ClientOrigin origin = {
         .address = "192.0.2.1", .host = "192.0.2.1", .network = "192.0.2.0/24"};
@@ -278,7 +278,7 @@ class ConnectionFixture : public testing::Test, protected CallRouter, private Co
   TransportLimits limits_;
   TransportBudgets budgets_;
   ConnectionTable table_{
-      {.connections = 1, .per_address = 1, .per_network = 1, .idle_strangers = 1}};
+      {.connections = 1, .per_address = 1, .per_network = 1, .idle_unauthenticated = 1}};
   const std::unique_ptr<EventLoop> loop_;
   Connection::Shared shared_;
   std::vector<std::shared_ptr<RecordingHandler>> handlers_;

@@ -83,7 +83,7 @@ class ConnectionTableTest : public testing::Test {
 
 TEST_F(ConnectionTableTest, BoundsKnownConnectionsOfAllOfAHostAndOfANetwork) {
   ConnectionTable table(
-      {.connections = 5, .per_address = 2, .per_network = 3, .idle_strangers = 9});
+      {.connections = 5, .per_address = 2, .per_network = 3, .idle_unauthenticated = 9});
   ConnectKnown(table, "2001:db8:0:1::1");
   ConnectKnown(table, "2001:db8:0:1:ffff::2");
   EXPECT_FALSE(Connect(table, "2001:db8:0:1::3"));  // the same /64
@@ -105,7 +105,7 @@ TEST_F(ConnectionTableTest, BoundsKnownConnectionsOfAllOfAHostAndOfANetwork) {
 
 TEST_F(ConnectionTableTest, AStrangerOfTheSameHostOrNetworkMakesRoom) {
   ConnectionTable table(
-      {.connections = 99, .per_address = 2, .per_network = 3, .idle_strangers = 9});
+      {.connections = 99, .per_address = 2, .per_network = 3, .idle_unauthenticated = 9});
   ASSERT_TRUE(Connect(table, "192.0.2.1"));  // 0
   slots_.back()->MarkCaller();
   ASSERT_TRUE(Connect(table, "192.0.2.1"));     // 1, without a call
@@ -122,19 +122,19 @@ TEST_F(ConnectionTableTest, AStrangerOfTheSameHostOrNetworkMakesRoom) {
 
 TEST_F(ConnectionTableTest, TheLargestCrowdMakesRoomForOthers) {
   ConnectionTable table(
-      {.connections = 8, .per_address = 8, .per_network = 8, .idle_strangers = 8});
+      {.connections = 8, .per_address = 8, .per_network = 8, .idle_unauthenticated = 8});
   ASSERT_TRUE(Connect(table, "198.51.100.1"));  // 0, the oldest of all, but alone
   for (int i = 1; i <= 5; ++i) {
     ASSERT_TRUE(Connect(table, absl::StrCat("192.0.2.", i)));
     slots_.back()->MarkCaller();  // refused calls do not make a stranger known
   }
-  EXPECT_EQ(table.counts().strangers, 6);
+  EXPECT_EQ(table.counts().unauthenticated, 6);
   EXPECT_THAT(closer_.closed, IsEmpty());
   ASSERT_TRUE(Connect(table, "203.0.113.1"));  // 6: a quarter of the places is kept
   EXPECT_THAT(closer_.closed, ElementsAre(1));
   EXPECT_EQ(Dropped(table, ConnectionLimit::kReserve), 1);
   for (int i = 0; i < 8; ++i) ConnectKnown(table, "203.0.113.9");
-  EXPECT_EQ(table.counts().strangers, 0);
+  EXPECT_EQ(table.counts().unauthenticated, 0);
   EXPECT_EQ(table.counts().open, 8);
   EXPECT_FALSE(Connect(table, "203.0.113.77"));
   slots_.clear();
@@ -142,7 +142,7 @@ TEST_F(ConnectionTableTest, TheLargestCrowdMakesRoomForOthers) {
 
 TEST_F(ConnectionTableTest, BoundsStrangersWithoutACall) {
   ConnectionTable table(
-      {.connections = 99, .per_address = 9, .per_network = 9, .idle_strangers = 2});
+      {.connections = 99, .per_address = 9, .per_network = 9, .idle_unauthenticated = 2});
   ASSERT_TRUE(Connect(table, "192.0.2.1"));
   ASSERT_TRUE(Connect(table, "192.0.2.2"));
   slots_.front()->MarkCaller();
@@ -154,32 +154,33 @@ TEST_F(ConnectionTableTest, BoundsStrangersWithoutACall) {
   slots_[1]->MarkKnown();
   slots_.clear();
   EXPECT_EQ(table.counts().open, 0);
-  EXPECT_EQ(table.counts().strangers, 0);
+  EXPECT_EQ(table.counts().unauthenticated, 0);
 }
 
 TEST_F(ConnectionTableTest, DropsAsManyStrangersAsFreeTheBytes) {
   ConnectionTable table(
-      {.connections = 99, .per_address = 9, .per_network = 9, .idle_strangers = 9});
-  table.DropStrangers(ConnectionLimit::kStrangerBytes, 1);
+      {.connections = 99, .per_address = 9, .per_network = 9, .idle_unauthenticated = 9});
+  table.DropUnauthenticated(ConnectionLimit::kUnauthenticatedBytes, 1);
   for (int i = 0; i < 5; ++i) ASSERT_TRUE(Connect(table, "192.0.2.1"));
-  table.DropStrangers(ConnectionLimit::kStrangerBytes, 1);
-  table.DropStrangers(ConnectionLimit::kStrangerBytes, kConnectionBytes);  // is about to be freed
+  table.DropUnauthenticated(ConnectionLimit::kUnauthenticatedBytes, 1);
+  table.DropUnauthenticated(ConnectionLimit::kUnauthenticatedBytes,
+                            kConnectionBytes);  // is about to be freed
   EXPECT_THAT(closer_.closed, ElementsAre(0));
   slots_.erase(slots_.begin());
-  table.DropStrangers(ConnectionLimit::kStrangerBytes, 2 * kConnectionBytes);
+  table.DropUnauthenticated(ConnectionLimit::kUnauthenticatedBytes, 2 * kConnectionBytes);
   EXPECT_THAT(closer_.closed, ElementsAre(0, 1, 2));
   slots_.clear();
 }
 
 TEST_F(ConnectionTableTest, ExpectsNoBytesOfDroppedConnectionsThatFreedThem) {
   ConnectionTable table(
-      {.connections = 99, .per_address = 9, .per_network = 9, .idle_strangers = 9});
+      {.connections = 99, .per_address = 9, .per_network = 9, .idle_unauthenticated = 9});
   for (int i = 0; i < 5; ++i) ASSERT_TRUE(Connect(table, "192.0.2.1"));
-  table.DropStrangers(ConnectionLimit::kStrangerBytes, 2 * kConnectionBytes);
+  table.DropUnauthenticated(ConnectionLimit::kUnauthenticatedBytes, 2 * kConnectionBytes);
   EXPECT_THAT(closer_.closed, ElementsAre(0, 1));
   slots_[0]->MarkFreed();  // it is not removed yet
   slots_[1]->MarkKnown();
-  table.DropStrangers(ConnectionLimit::kStrangerBytes, 1);
+  table.DropUnauthenticated(ConnectionLimit::kUnauthenticatedBytes, 1);
   EXPECT_THAT(closer_.closed, ElementsAre(0, 1, 2));
   slots_.clear();
   EXPECT_EQ(table.counts().open, 0);

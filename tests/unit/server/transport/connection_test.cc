@@ -210,9 +210,9 @@ TEST_F(BrokenConnectionTest, IsUsedByAnotherThreadThanThatOfItsLoop) {
 }
 
 TEST_F(BrokenConnectionTest, WaitsTwiceForItsTurn) {
-  shared_.stranger_queue.Wait(connection_.get());
-  EXPECT_DEATH(shared_.stranger_queue.Wait(connection_.get()), "stranger_queue.cc");
-  shared_.stranger_queue.Remove(connection_.get());
+  shared_.unauthenticated_queue.Wait(connection_.get());
+  EXPECT_DEATH(shared_.unauthenticated_queue.Wait(connection_.get()), "unauthenticated_queue.cc");
+  shared_.unauthenticated_queue.Remove(connection_.get());
 }
 
 }  // namespace

@@ -1,6 +1,6 @@
 """`Link`: brings the beats of a robot to the server, and the answers back.
 
-One background thread does everything that may take time. It looks at the facts (is there a session,
+One background thread does everything that may take time. It looks at the state (is there a session,
 a stream, an episode that has ended?) and does the first thing that is missing, again and again, so
 that no event can be lost:
 
@@ -15,7 +15,7 @@ that no event can be lost:
     idle        wait until a fact changes
 
 Beats and ends of episodes send their requests by themselves, while there is a stream. What fails
-changes the facts: the end of a stream is "no stream", a lost session "no session", a server that
+changes the state: the end of a stream is "no stream", a lost session "no session", a server that
 has lost beats, or the ends of episodes, misses them again.
 """
 
@@ -380,7 +380,7 @@ class Link:
                 self._pause_tries()
             self.changed.notify_all()
 
-    # The facts, with `changed` held.
+    # The state, with `changed` held.
 
     def _may_send(self, now: float) -> bool:
         return self._call is not None and self.session.is_open and now >= self._paused_until

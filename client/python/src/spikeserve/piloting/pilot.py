@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from spikeserve.connection import Connection
 from spikeserve.piloting import robot_clock
 from spikeserve.piloting.beat_log import Beat, Ending
-from spikeserve.piloting.ladder import Chosen, Ladder
+from spikeserve.piloting.fallback_order import Chosen, FallbackOrder
 from spikeserve.piloting.link import Link
 from spikeserve.piloting.pilot_options import PilotAction, PilotOptions
 from spikeserve.piloting.pilot_stats import PilotStats
@@ -57,12 +57,12 @@ class Pilot:
         self._has_seen = False  # whether there was a valid observation
         self._last_invalid = ""  # what was wrong with the last one that was not
         began_at = robot_clock.now_ns()
-        ladder_options = self._options
-        if ladder_options.fallback is not None:
-            fallback = self._order.around(ladder_options.fallback)
-            ladder_options = replace(ladder_options, fallback=fallback)
-        self._ladder = Ladder(ladder_options, opening.action_space, neutral, began_at)
-        self._ladder.begin_episode()
+        order_options = self._options
+        if order_options.fallback is not None:
+            fallback = self._order.around(order_options.fallback)
+            order_options = replace(order_options, fallback=fallback)
+        self._fallback = FallbackOrder(order_options, opening.action_space, neutral, began_at)
+        self._fallback.begin_episode()
         self._link = Link(client, self._options, self._session)
         self._executed_step = -1  # of `_executed_in`: the newest answer that was executed
         self._executed_in = self._link.log.running
@@ -114,7 +114,7 @@ class Pilot:
             with self._link.changed:
                 self._link.counters.count(failures=1)
             self._beats += 1
-            neutral = self._order.action(self._ladder.neutral)
+            neutral = self._order.action(self._fallback.neutral)
             return PilotAction(neutral, "safe", 0.0, self._beats - 1)
 
     def end_episode(
@@ -143,7 +143,7 @@ class Pilot:
                 return ending.summary
             self._link.end_episode(ending)
         self._ending, self._is_new_episode, self._executed_step = ending, True, -1
-        self._ladder.begin_episode()
+        self._fallback.begin_episode()
         return ending.summary
 
     def wait_ready(self, timeout: float) -> bool:
@@ -169,7 +169,7 @@ class Pilot:
         """Returns what the pilot has done so far."""
         with self._link.changed:
             return self._link.counters.snapshot(
-                entries=dict(self._ladder.entries),
+                entries=dict(self._fallback.entries),
                 dropped=self._link.log.dropped,
                 lost_episodes=self._link.log.lost_episodes,
                 last_invalid_observation=self._last_invalid,
@@ -214,9 +214,9 @@ class Pilot:
             if observation is not None:
                 fresh = self._await_answer(began + self._options.wait)
         if observation is None:  # nothing is decided without one
-            chosen = self._ladder.choose(None, lambda: None, self._no_observation, now_ns)
+            chosen = self._fallback.choose(None, lambda: None, self._no_observation, now_ns)
         else:
-            chosen = self._ladder.choose(
+            chosen = self._fallback.choose(
                 fresh, self._ask_local, observation, now_ns, self._is_miswired
             )
         with link.changed:
@@ -277,11 +277,11 @@ class Pilot:
         if executed is None or self._is_new_episode:
             return
         try:
-            action = self._ladder.fitted(self._order.executed(executed))
+            action = self._fallback.fitted(self._order.executed(executed))
         except (TypeError, ValueError) as error:
             self._not_valid("executed_action", f"executed_action: {error}")
             return
-        self._ladder.executed(action)
+        self._fallback.executed(action)
         self._log_executed(action)
 
     def _last_observation(self, given: ArrayLike) -> NDArray[np.float32] | None:

@@ -21,7 +21,7 @@ LEAST_AGE = 0.25  # seconds: half of a slow round trip's worth of answers is no 
 class PilotOptions:
     """How a pilot finds the action of a beat. ValueError if a field is out of its range.
 
-    The rungs of the ladder, from the best to the last one:
+    The fallback order, from the best to the last one:
 
     | source  | action                                               | setting                    |
     | ------- | ---------------------------------------------------- | -------------------------- |

@@ -22,7 +22,7 @@ class PilotStats:
     held: int = 0
     local: int = 0
     safe: int = 0
-    entries: dict[str, int] | None = None  # how often each rung was entered
+    entries: dict[str, int] | None = None  # how often each source was entered
     stale: int = 0  # answers that came too late, and were not executed
     late_answers: int = 0  # answers that took longer than a period; they may be fresh still
     cancelled_calls: int = 0  # requests that failed, or were given up with their stream

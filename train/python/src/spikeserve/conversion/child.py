@@ -1,4 +1,4 @@
-"""Reads files of strangers in a child process with limits, as `spiketrain` reads Minari's.
+"""Reads untrusted files in a child process with limits, as `spiketrain` reads Minari's.
 
 A file that makes a library crash, run without end or take all memory is an error, too. The child
 returns JSON and arrays, nothing that could run as code.

@@ -49,7 +49,7 @@ def read(
     """Reads a file or folder. `form` is one of FORMATS; None: as its names tell.
 
     ValueError, which names the file, the column or topic, the expected and the received. A child
-    process with limits reads, because files of strangers may crash or bloat it.
+    process with limits reads, because untrusted files may crash or bloat it.
     """
     path, selection = pathlib.Path(source), selection or Selection()
     check(path.exists(), "source", "a file or folder", f"{source}, which does not exist")

@@ -1,6 +1,6 @@
 // State shared by the robot's thread and the pilot's background thread.
-#ifndef CLIENT_SRC_PILOT_FACTS_H_
-#define CLIENT_SRC_PILOT_FACTS_H_
+#ifndef CLIENT_SRC_PILOT_SHARED_STATE_H_
+#define CLIENT_SRC_PILOT_SHARED_STATE_H_
 
 #include <array>
 #include <condition_variable>
@@ -13,10 +13,10 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "client/src/pilot/action_shape.h"
+#include "client/src/pilot/background_thread.h"
 #include "client/src/pilot/beat_log.h"
 #include "client/src/pilot/counters.h"
-#include "client/src/pilot/crew.h"
-#include "client/src/pilot/ladder.h"
+#include "client/src/pilot/fallback_order.h"
 #include "client/src/pilot/sight.h"
 #include "client/src/steady_time.h"
 
@@ -68,12 +68,13 @@ class UnderWay {
 enum class Replaced { kObservation, kReward, kExecuted, kFallback };
 inline constexpr size_t kReplaced = 4;
 
-struct Facts {
-  // The arguments are those of BeatLog and Ladder.
-  Facts(size_t kept, size_t observation_size, const ActionShape& shape, const ActionValue& neutral,
-        int hold_beats, absl::Duration oldest_held, int ramp_beats)
+struct SharedState {
+  // The arguments are those of BeatLog and FallbackOrder.
+  SharedState(size_t kept, size_t observation_size, const ActionShape& shape,
+              const ActionValue& neutral, int hold_beats, absl::Duration oldest_held,
+              int ramp_beats)
       : log(kept, observation_size, shape),
-        ladder(shape, neutral, hold_beats, oldest_held, ramp_beats, RobotNow()),
+        fallback(shape, neutral, hold_beats, oldest_held, ramp_beats, RobotNow()),
         counters(SteadyNow()) {}
 
   mutable absl::Mutex mutex;
@@ -81,12 +82,12 @@ struct Facts {
   // time of day.
   std::condition_variable_any has_decision;
   // Wakes the background thread. Set by the link before any other thread knows of this.
-  Crew* crew = nullptr;
-  Crew::Member* worker = nullptr;
-  void NotifyWork() { crew->Wake(worker); }
+  BackgroundThread* background = nullptr;
+  BackgroundThread::Worker* worker = nullptr;
+  void NotifyWork() { background->Wake(worker); }
 
   BeatLog log ABSL_GUARDED_BY(mutex);
-  Ladder ladder ABSL_GUARDED_BY(mutex);
+  FallbackOrder fallback ABSL_GUARDED_BY(mutex);
   Counters counters ABSL_GUARDED_BY(mutex);
   std::array<bool, kReplaced> replaced ABSL_GUARDED_BY(mutex) = {};
   Blindness blindness ABSL_GUARDED_BY(mutex);  // why the last invalid observation was not valid
@@ -111,4 +112,4 @@ struct Facts {
 
 }  // namespace spikeserve::piloting
 
-#endif  // CLIENT_SRC_PILOT_FACTS_H_
+#endif  // CLIENT_SRC_PILOT_SHARED_STATE_H_

@@ -1,4 +1,4 @@
-#include "client/src/pilot/ladder.h"
+#include "client/src/pilot/fallback_order.h"
 
 #include <algorithm>
 #include <utility>
@@ -13,8 +13,8 @@ bool IsServers(ActionSource source) {
 
 }  // namespace
 
-Ladder::Ladder(ActionShape shape, const ActionValue& neutral, int hold_beats,
-               absl::Duration oldest_held, int ramp_beats, absl::Duration now)
+FallbackOrder::FallbackOrder(ActionShape shape, const ActionValue& neutral, int hold_beats,
+                             absl::Duration oldest_held, int ramp_beats, absl::Duration now)
     : shape_(std::move(shape)),
       neutral_(neutral),
       hold_beats_(hold_beats),
@@ -26,13 +26,13 @@ Ladder::Ladder(ActionShape shape, const ActionValue& neutral, int hold_beats,
   BeginEpisode();
 }
 
-void Ladder::BeginEpisode() {
+void FallbackOrder::BeginEpisode() {
   last_.Assign(neutral_.view());
   can_hold_ = false;
   ramped_ = ramp_beats_;
 }
 
-void Ladder::TakeFresh(const ActionView& action, absl::Duration observed_at) {
+void FallbackOrder::TakeFresh(const ActionView& action, absl::Duration observed_at) {
   last_.Assign(action);
   observed_at_ = observed_at;
   held_ = 0;
@@ -40,7 +40,7 @@ void Ladder::TakeFresh(const ActionView& action, absl::Duration observed_at) {
   Enter(ActionSource::kFresh);
 }
 
-bool Ladder::Hold(absl::Duration now) {
+bool FallbackOrder::Hold(absl::Duration now) {
   if (!can_hold_ || held_ >= hold_beats_ || now - observed_at_ > oldest_held_) {
     can_hold_ = false;
     return false;
@@ -50,14 +50,14 @@ bool Ladder::Hold(absl::Duration now) {
   return true;
 }
 
-void Ladder::TakeLocal(const ActionView& action, absl::Duration observed_at) {
+void FallbackOrder::TakeLocal(const ActionView& action, absl::Duration observed_at) {
   last_.Assign(action);
   observed_at_ = observed_at;
   Enter(ActionSource::kLocal);
 }
 
-bool Ladder::Ramp() {
-  if (rung_ != ActionSource::kSafe) ramp_from_.Assign(last_.view());
+bool FallbackOrder::Ramp() {
+  if (source_ != ActionSource::kSafe) ramp_from_.Assign(last_.view());
   ramped_ = std::min(ramped_, ramp_beats_) + 1;
   if (ramped_ > ramp_beats_ || !shape_.is_box()) return false;
   const float share = static_cast<float>(ramped_) / static_cast<float>(ramp_beats_);
@@ -69,25 +69,25 @@ bool Ladder::Ramp() {
   return true;
 }
 
-void Ladder::TakeSafe(const ActionView& action) {
+void FallbackOrder::TakeSafe(const ActionView& action) {
   last_.Assign(action);
   Enter(ActionSource::kSafe);
 }
 
-void Ladder::Enter(ActionSource source) {
+void FallbackOrder::Enter(ActionSource source) {
   if (source != ActionSource::kSafe) ramped_ = 0;
-  if (rung_ != source) {
+  if (source_ != source) {
     ++entries_[static_cast<size_t>(source)];
-    if (rung_.has_value() && !(IsServers(*rung_) && IsServers(source))) {
-      changes_[noted_++ % changes_.size()] = {*rung_, source, rung_beats_};
+    if (source_.has_value() && !(IsServers(*source_) && IsServers(source))) {
+      changes_[noted_++ % changes_.size()] = {*source_, source, source_beats_};
     }
-    rung_ = source;
-    rung_beats_ = 0;
+    source_ = source;
+    source_beats_ = 0;
   }
-  ++rung_beats_;
+  ++source_beats_;
 }
 
-std::optional<RungChange> Ladder::TakeChange() {
+std::optional<SourceChange> FallbackOrder::TakeChange() {
   if (!has_change()) return std::nullopt;
   if (noted_ - taken_ > changes_.size()) taken_ = noted_ - changes_.size();
   return changes_[taken_++ % changes_.size()];

@@ -1,13 +1,13 @@
-// Shares the time of a loop between strangers and callers who are known.
+// Shares the time of a loop between unauthenticated and authenticated clients.
 //
-// Strangers are connections without a call that was admitted. They may connect, negotiate TLS,
+// Unauthenticated connections have no call that was admitted. They may connect, negotiate TLS,
 // which takes up to a millisecond of processor time, and make calls that need no token, as often as
 // they like. All of them together get at most half of the loop's time; those that would exceed it
 // wait in turn.
 //
 // Confined to the thread of its loop.
-#ifndef SERVER_TRANSPORT_STRANGER_QUEUE_H_
-#define SERVER_TRANSPORT_STRANGER_QUEUE_H_
+#ifndef SERVER_TRANSPORT_UNAUTHENTICATED_QUEUE_H_
+#define SERVER_TRANSPORT_UNAUTHENTICATED_QUEUE_H_
 
 #include <deque>
 
@@ -17,9 +17,9 @@
 
 namespace spikeserve {
 
-class StrangerQueue {
+class UnauthenticatedQueue {
  public:
-  // What works for a stranger.
+  // What works for an unauthenticated connection.
   class Waiter {
    public:
     // It is the waiter's turn: it takes one step, of about a millisecond at most, with Run().
@@ -30,7 +30,7 @@ class StrangerQueue {
   };
 
   // `loop` and `clock` must outlive the queue.
-  StrangerQueue(EventLoop* loop, const Clock* clock) : loop_(loop), clock_(clock) {}
+  UnauthenticatedQueue(EventLoop* loop, const Clock* clock) : loop_(loop), clock_(clock) {}
 
   // Returns true if a step may run now, false if it has to wait.
   bool MayRun() const { return waiting_.empty() && IsDue(); }
@@ -63,4 +63,4 @@ class StrangerQueue {
 
 }  // namespace spikeserve
 
-#endif  // SERVER_TRANSPORT_STRANGER_QUEUE_H_
+#endif  // SERVER_TRANSPORT_UNAUTHENTICATED_QUEUE_H_

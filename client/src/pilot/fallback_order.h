@@ -1,9 +1,9 @@
-// Which action a beat gets: the rungs of the ladder in PilotOptions. Nothing here waits, and
+// Which action a beat gets: the fallback order in PilotOptions. Nothing here waits, and
 // nothing allocates memory after the constructor.
 //
 // Not thread-safe.
-#ifndef CLIENT_SRC_PILOT_LADDER_H_
-#define CLIENT_SRC_PILOT_LADDER_H_
+#ifndef CLIENT_SRC_PILOT_FALLBACK_ORDER_H_
+#define CLIENT_SRC_PILOT_FALLBACK_ORDER_H_
 
 #include <array>
 #include <cstdint>
@@ -16,27 +16,27 @@
 
 namespace spikeserve::piloting {
 
-// A rung was left after `beats` beats, and `to` entered.
-struct RungChange {
+// A source was left after `beats` beats, and `to` entered.
+struct SourceChange {
   ActionSource from;
   ActionSource to;
   uint64_t beats;
 };
 
-class Ladder {
+class FallbackOrder {
  public:
   // `neutral` belongs to the action space of `shape`. A last action is held for `hold_beats`, while
   // its observation is not older than `oldest_held`, and the way from it to the neutral action
   // takes `ramp_beats`. `now`, of RobotNow() as all times here, stands for the observation of safe
   // actions before the first one that an action was chosen for.
-  Ladder(ActionShape shape, const ActionValue& neutral, int hold_beats, absl::Duration oldest_held,
-         int ramp_beats, absl::Duration now);
+  FallbackOrder(ActionShape shape, const ActionValue& neutral, int hold_beats,
+                absl::Duration oldest_held, int ramp_beats, absl::Duration now);
 
   const ActionShape& shape() const { return shape_; }
   const ActionValue& neutral() const { return neutral_; }
   // The action of the last beat, its source, and when its observation was made.
   const ActionValue& action() const { return last_; }
-  ActionSource source() const { return *rung_; }
+  ActionSource source() const { return *source_; }
   absl::Duration observed_at() const { return observed_at_; }
 
   // Forgets the actions of the episode before.
@@ -59,11 +59,11 @@ class Ladder {
   // Takes the neutral action, or the one of the robot's own function.
   void TakeSafe(const ActionView& action);
 
-  // Returns how often each rung was entered, by ActionSource.
+  // Returns how often each source was entered, by ActionSource.
   const PilotStats::BySource& entries() const { return entries_; }
   // Returns the oldest change that is worth a line in a log, once. Only the last ones are kept.
   // Changes between fresh and held are none: they happen on every link.
-  std::optional<RungChange> TakeChange();
+  std::optional<SourceChange> TakeChange();
   bool has_change() const { return noted_ > taken_; }
 
  private:
@@ -80,15 +80,15 @@ class Ladder {
   int held_ = 0;  // beats since the last fresh action that held it
   bool can_hold_ = false;
   ActionValue ramp_from_;
-  int ramped_ = 0;                    // beats of the ramp
-  std::optional<ActionSource> rung_;  // absent: before the first beat
-  uint64_t rung_beats_ = 0;
+  int ramped_ = 0;                      // beats of the ramp
+  std::optional<ActionSource> source_;  // absent: before the first beat
+  uint64_t source_beats_ = 0;
   PilotStats::BySource entries_ = {};
-  std::array<RungChange, 16> changes_ = {};
+  std::array<SourceChange, 16> changes_ = {};
   uint64_t noted_ = 0;
   uint64_t taken_ = 0;
 };
 
 }  // namespace spikeserve::piloting
 
-#endif  // CLIENT_SRC_PILOT_LADDER_H_
+#endif  // CLIENT_SRC_PILOT_FALLBACK_ORDER_H_

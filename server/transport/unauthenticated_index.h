@@ -1,8 +1,8 @@
 // Finds the connection that has to go first: of a crowd from one network, the oldest.
 //
 // Not thread-safe.
-#ifndef SERVER_TRANSPORT_STRANGER_INDEX_H_
-#define SERVER_TRANSPORT_STRANGER_INDEX_H_
+#ifndef SERVER_TRANSPORT_UNAUTHENTICATED_INDEX_H_
+#define SERVER_TRANSPORT_UNAUTHENTICATED_INDEX_H_
 
 #include <cstddef>
 #include <cstdint>
@@ -18,7 +18,7 @@ namespace spikeserve {
 
 class ConnectionSlot;
 
-class StrangerIndex {
+class UnauthenticatedIndex {
  public:
   // Orders the connections of one host or network; the first has to go first.
   using Rank = std::pair<bool, uint64_t>;  // has made a call; number of the connection
@@ -50,4 +50,4 @@ class StrangerIndex {
 
 }  // namespace spikeserve
 
-#endif  // SERVER_TRANSPORT_STRANGER_INDEX_H_
+#endif  // SERVER_TRANSPORT_UNAUTHENTICATED_INDEX_H_

@@ -1,4 +1,4 @@
-"""`Ladder`: which action a beat gets. Nothing here waits."""
+"""`FallbackOrder`: which action a beat gets. Nothing here waits."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Chosen:
     observed_at: int  # of robot_clock.now_ns()
 
 
-class Ladder:
-    """Chooses an action for each beat. Counts and logs when a rung is entered and left.
+class FallbackOrder:
+    """Chooses an action for each beat. Counts and logs when a source is entered and left.
 
     Not thread-safe. `began_at` (robot_clock.now_ns()) stands for the observation of safe actions
     before the first one that an action was chosen for.
@@ -46,8 +46,8 @@ class Ladder:
         self._can_hold = False
         self._ramp_from = self._neutral
         self._ramped = 0  # beats of the ramp
-        self._rung = ""
-        self._rung_beats = 0
+        self._source = ""
+        self._source_beats = 0
         self.entries = dict.fromkeys(SOURCES, 0)
         self.fallback_failures = 0
 
@@ -97,27 +97,27 @@ class Ladder:
         return self._take(self._safe(observation), "safe")
 
     def _take(self, action: Action, source: str) -> Chosen:
-        if source != self._rung:
+        if source != self._source:
             self._enter(source)
-        self._rung_beats += 1
+        self._source_beats += 1
         if source != "safe":
             self._ramped, self._ramp_from = 0, action
         self._last = action
         return Chosen(action, source, self._observed_at)
 
     def _enter(self, source: str) -> None:
-        if self._rung:
+        if self._source:
             # Beats between two answers are held for a moment on every link.
             level = logging.WARNING
             if source in ("fresh", "held"):
-                level = logging.DEBUG if self._rung in ("fresh", "held") else logging.INFO
-            LOGGER.log(level, "%s after %d beats %s", source, self._rung_beats, self._rung)
-        self._rung, self._rung_beats = source, 0
+                level = logging.DEBUG if self._source in ("fresh", "held") else logging.INFO
+            LOGGER.log(level, "%s after %d beats %s", source, self._source_beats, self._source)
+        self._source, self._source_beats = source, 0
         self.entries[source] += 1
 
     def _safe(self, observation: NDArray[np.float32]) -> Action:
         ramp = self._options.ramp
-        if self._rung != "safe":
+        if self._source != "safe":
             self._ramp_from = self._last
         self._ramped += 1
         if self._ramped <= ramp and isinstance(self._space, Box):

@@ -1,4 +1,4 @@
-#include "client/src/pilot/crew.h"
+#include "client/src/pilot/background_thread.h"
 
 #include <algorithm>
 #include <chrono>
@@ -13,7 +13,7 @@ constexpr absl::Duration kLongestWait = absl::Seconds(1);
 
 }  // namespace
 
-Crew::~Crew() {
+BackgroundThread::~BackgroundThread() {
   std::thread thread;
   {
     absl::MutexLock lock(&mutex_);
@@ -24,7 +24,7 @@ Crew::~Crew() {
   if (thread.joinable()) thread.join();
 }
 
-void Crew::Add(Member* member) {
+void BackgroundThread::Add(Worker* member) {
   absl::MutexLock lock(&mutex_);
   member->has_ended_ = false;
   members_.push_back(member);
@@ -32,31 +32,31 @@ void Crew::Add(Member* member) {
   changed_.notify_all();
 }
 
-void Crew::Wake(Member* member) {
+void BackgroundThread::Wake(Worker* member) {
   absl::MutexLock lock(&mutex_);
   member->is_woken_ = true;
   if (is_waiting_) changed_.notify_all();
 }
 
-void Crew::AwaitEnd(const Member* member) {
+void BackgroundThread::AwaitEnd(const Worker* member) {
   absl::MutexLock lock(&mutex_);
   mutex_.Await(absl::Condition(&member->has_ended_));
 }
 
-void Crew::Run() {
-  std::vector<Member*> due;
+void BackgroundThread::Run() {
+  std::vector<Worker*> due;
   while (TakeDue(&due)) {
-    for (Member* const member : due) Note(member, member->Work());
+    for (Worker* const member : due) Note(member, member->Work());
   }
 }
 
-bool Crew::TakeDue(std::vector<Member*>* due) {
+bool BackgroundThread::TakeDue(std::vector<Worker*>* due) {
   due->clear();
   absl::MutexLock lock(&mutex_);
   while (!is_stopping_) {
     const absl::Duration now = SteadyNow();
     absl::Duration next = now + kLongestWait;
-    for (Member* const member : members_) {
+    for (Worker* const member : members_) {
       if (!member->is_woken_ && now < member->due_) {
         next = std::min(next, member->due_);
         continue;
@@ -73,7 +73,7 @@ bool Crew::TakeDue(std::vector<Member*>* due) {
   return false;
 }
 
-void Crew::Note(Member* member, std::optional<absl::Duration> due) {
+void BackgroundThread::Note(Worker* member, std::optional<absl::Duration> due) {
   absl::MutexLock lock(&mutex_);
   if (due.has_value()) {
     member->due_ = *due;

@@ -1,12 +1,12 @@
 // The background thread of the pilots of one client: calls each member when it has work.
 //
-//   crew.Add(&link);      // the thread calls link.Work()
-//   crew.Wake(&link);     // soon, after something has changed
-//   crew.AwaitEnd(&link); // until Work() has returned nothing
+//   background.Add(&link);      // the thread calls link.Work()
+//   background.Wake(&link);     // soon, after something has changed
+//   background.AwaitEnd(&link); // until Work() has returned nothing
 //
 // Thread-safe.
-#ifndef CLIENT_SRC_PILOT_CREW_H_
-#define CLIENT_SRC_PILOT_CREW_H_
+#ifndef CLIENT_SRC_PILOT_BACKGROUND_THREAD_H_
+#define CLIENT_SRC_PILOT_BACKGROUND_THREAD_H_
 
 #include <condition_variable>
 #include <optional>
@@ -19,46 +19,46 @@
 
 namespace spikeserve::piloting {
 
-class Crew {
+class BackgroundThread {
  public:
-  class Member {
+  class Worker {
    public:
-    virtual ~Member() = default;
+    virtual ~Worker() = default;
     // Does all work that there is, without blocking for long. Returns when it is to be called again
     // if nobody wakes it before, by SteadyNow(), or nothing if it ends.
     virtual std::optional<absl::Duration> Work() = 0;
 
    private:
-    friend class Crew;
+    friend class BackgroundThread;
 
-    // Guarded by the mutex of the crew.
+    // Guarded by the mutex of the background.
     absl::Duration due_ = -absl::InfiniteDuration();
     bool is_woken_ = false;
     bool has_ended_ = true;
   };
 
   // The thread begins with the first member.
-  Crew() = default;
+  BackgroundThread() = default;
   // REQUIRES: every member has ended.
-  ~Crew();
+  ~BackgroundThread();
 
-  void Add(Member* member) ABSL_LOCKS_EXCLUDED(mutex_);
+  void Add(Worker* member) ABSL_LOCKS_EXCLUDED(mutex_);
   // Allocates no memory. Does nothing if the member has ended.
-  void Wake(Member* member) ABSL_LOCKS_EXCLUDED(mutex_);
+  void Wake(Worker* member) ABSL_LOCKS_EXCLUDED(mutex_);
   // Waits until the member has ended, or returns at once if it was never added.
-  void AwaitEnd(const Member* member) ABSL_LOCKS_EXCLUDED(mutex_);
+  void AwaitEnd(const Worker* member) ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:
   void Run() ABSL_LOCKS_EXCLUDED(mutex_);
   // Moves the members that have work to `due`, or waits for some. Returns false at the end.
-  bool TakeDue(std::vector<Member*>* due) ABSL_LOCKS_EXCLUDED(mutex_);
+  bool TakeDue(std::vector<Worker*>* due) ABSL_LOCKS_EXCLUDED(mutex_);
   // Notes what Work() has returned.
-  void Note(Member* member, std::optional<absl::Duration> due) ABSL_LOCKS_EXCLUDED(mutex_);
+  void Note(Worker* member, std::optional<absl::Duration> due) ABSL_LOCKS_EXCLUDED(mutex_);
 
   absl::Mutex mutex_;
   // An absl::CondVar would measure its timeouts by the time of day.
   std::condition_variable_any changed_;
-  std::vector<Member*> members_ ABSL_GUARDED_BY(mutex_);
+  std::vector<Worker*> members_ ABSL_GUARDED_BY(mutex_);
   bool is_waiting_ ABSL_GUARDED_BY(mutex_) = false;
   bool is_stopping_ ABSL_GUARDED_BY(mutex_) = false;
   std::thread thread_ ABSL_GUARDED_BY(mutex_);
@@ -66,4 +66,4 @@ class Crew {
 
 }  // namespace spikeserve::piloting
 
-#endif  // CLIENT_SRC_PILOT_CREW_H_
+#endif  // CLIENT_SRC_PILOT_BACKGROUND_THREAD_H_

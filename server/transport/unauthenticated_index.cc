@@ -1,8 +1,8 @@
-#include "server/transport/stranger_index.h"
+#include "server/transport/unauthenticated_index.h"
 
 namespace spikeserve {
 
-void StrangerIndex::Add(ConnectionSlot* slot, const ClientOrigin& origin, Rank rank) {
+void UnauthenticatedIndex::Add(ConnectionSlot* slot, const ClientOrigin& origin, Rank rank) {
   hosts_[origin.host].emplace(rank, slot);
   const auto network = networks_.try_emplace(origin.network).first;
   Members& members = network->second;
@@ -12,7 +12,7 @@ void StrangerIndex::Add(ConnectionSlot* slot, const ClientOrigin& origin, Rank r
   ++size_;
 }
 
-void StrangerIndex::Remove(const ClientOrigin& origin, Rank rank) {
+void UnauthenticatedIndex::Remove(const ClientOrigin& origin, Rank rank) {
   const auto host = hosts_.find(origin.host);
   host->second.erase(rank);
   if (host->second.empty()) hosts_.erase(host);
@@ -28,12 +28,12 @@ void StrangerIndex::Remove(const ClientOrigin& origin, Rank rank) {
   }
 }
 
-ConnectionSlot* StrangerIndex::FirstOf(const Groups& groups, const std::string& name) {
+ConnectionSlot* UnauthenticatedIndex::FirstOf(const Groups& groups, const std::string& name) {
   const auto found = groups.find(name);
   return found == groups.end() ? nullptr : found->second.begin()->second;
 }
 
-ConnectionSlot* StrangerIndex::FirstOfLargestNetwork() const {
+ConnectionSlot* UnauthenticatedIndex::FirstOfLargestNetwork() const {
   if (by_size_.empty()) return nullptr;
   return networks_.find(std::string(by_size_.rbegin()->second))->second.begin()->second;
 }
