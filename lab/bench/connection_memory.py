@@ -50,7 +50,7 @@ def opened(address, tls):
 
 def measure(connections, tls, folder):
     """Returns KiB for each connection, with an open call and idle."""
-    flags = ["--max_idle_strangers=1000000", "--max_connections_per_address=1000000"]
+    flags = ["--max_idle_unauthenticated=1000000", "--max_connections_per_address=1000000"]
     flags += tls_flags(folder) if tls else []
     with running_server(flags=flags) as addresses:
         process = Process(addresses.process.pid)

@@ -38,7 +38,7 @@ T ValueOf(absl::StatusOr<T> value) {
 }
 
 Policy TwinOf(const Policy& policy) {
-  ModelConfig config = DenseTwin(policy.config);
+  ModelConfig config = DenseBaseline(policy.config);
   config.arithmetic = Arithmetic::kFloat32;
   config.relative_bias = false;
   // An attention's sum has 255 times 127 times 2^8 for each key, and is doubled to be divided.
