@@ -108,10 +108,3 @@ def test_refusals(tmp_path):
         f"--policy={small}", f"--out={tmp_path}/c", "--kind=x"
     )
     assert not (tmp_path / "c").exists()
-
-
-def test_libraries(tmp_path):
-    for kind, expected in (("arduino", "library.properties"), ("zephyr", "zephyr/module.yml")):
-        run(SPIKECTL, "emit-c", f"--policy={shipped()[0]}", f"--out={tmp_path / kind}", f"--kind={kind}")
-        assert (tmp_path / kind / expected).exists()
-        assert (tmp_path / kind / "spike_policy.c").exists()
