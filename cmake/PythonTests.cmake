@@ -3,8 +3,8 @@
 # Each version has its own folder, because pip --target keeps the metadata of older ones.
 set(SPIKESERVE_PYTHON_CLIENT ${CMAKE_BINARY_DIR}/tests/python_client-${PROJECT_VERSION})
 
-# spikeserve_python_tests([CLIENT | ENGINE] [LABEL label] [TIMEOUT seconds] [ENVIRONMENT VARIABLE=VALUE...] TESTS name...)
-# Runs each name.py of the current folder with pytest. CLIENT: imports the installed client. ENGINE: imports the Python
+# spikeserve_python_tests([CLIENT | ENGINE] [LABEL label] [TIMEOUT seconds] [ENVIRONMENT VARIABLE=VALUE...] TESTS path...)
+# Runs each path.py with pytest, a path from the current folder; the test has the name of the file. CLIENT: imports the installed client. ENGINE: imports the Python
 # engine, too. Every test gets the paths of all programs, as NAME_PROGRAM, and of the folders that setup fills. Trainings use
 # one thread, because on a busy machine the threads of a training wait for each other. Those of SPIKESERVE_FULL_TESTS get the
 # label full.
@@ -29,9 +29,10 @@ function(spikeserve_python_tests)
   elseif(ARG_ENGINE)
     list(APPEND ARG_ENVIRONMENT PYTHONPATH=${SPIKESERVE_PYTHON_CLIENT}:${CMAKE_BINARY_DIR}/python)
   endif()
-  foreach(name ${ARG_TESTS})
+  foreach(path ${ARG_TESTS})
+    get_filename_component(name ${path} NAME)
     add_test(NAME ${name}
-             COMMAND ${SPIKESERVE_PYTHON} -m pytest -q -rs -p no:cacheprovider ${CMAKE_CURRENT_SOURCE_DIR}/${name}.py)
+             COMMAND ${SPIKESERVE_PYTHON} -m pytest -q -rs -p no:cacheprovider ${CMAKE_CURRENT_SOURCE_DIR}/${path}.py)
     set_tests_properties(${name} PROPERTIES LABELS python ENVIRONMENT "${environment};${ARG_ENVIRONMENT}")
     spikeserve_limit_time(600 ${name})
     if(ARG_CLIENT OR ARG_ENGINE)
