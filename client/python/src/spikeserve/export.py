@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikeserve.check import check
-from spikeserve.fixed_point_shapes import Shape, fixed_point_shapes
 from spikeserve.model_config import ModelConfig
 from spikeserve.nir_export import to_nir
 from spikeserve.spaces import ActionSpace, Discrete, as_action_space
+from spikeserve.tensor_shapes import Shape, tensor_shapes
 
 __all__ = ["ModelConfig", "export_policy", "tensor_shapes", "to_nir"]
 
@@ -85,75 +85,6 @@ def export_policy(
         **numbers,
     }
     _write_atomically(pathlib.Path(path), safetensors.numpy.save(arrays, metadata))
-
-
-def tensor_shapes(config: ModelConfig, observation_size: int, action_size: int) -> dict[str, Shape]:
-    """Returns the shape of every tensor of a policy file, by name.
-
-    `action_size` is n of a Discrete space, or the length of a Box.
-    """
-    d = config.hidden_size
-    shapes: dict[str, Shape] = {}
-    if config.is_integer:
-        shapes = dict(fixed_point_shapes(config, observation_size, action_size))
-        return shapes | _ends(config, observation_size, action_size)
-    states = observation_size * (2 if config.observation_changes else 1)
-    inputs = {"return": 1, "state": states, "action": action_size}
-    for modality, size in inputs.items():
-        shapes |= _linear(f"embed.{modality}", d, size)
-        shapes |= _norm(config, f"embed.{modality}.norm")
-    if config.is_dense:
-        shapes["embed.timestep.weight"] = (None, d)
-    if config.has_phase:
-        shapes["phase.omega"] = shapes["phase.phi"] = (config.heads,)
-    for layer in range(config.layers):
-        shapes |= _layer_shapes(config, f"layers.{layer}")
-    if not config.is_dense:
-        shapes |= _pair("readout.coder", "gain", d)
-    return shapes | _ends(config, observation_size, action_size)
-
-
-def _ends(config: ModelConfig, observation_size: int, action_size: int) -> dict[str, Shape]:
-    shapes = _linear("head", action_size, config.hidden_size)
-    shapes["observation.mean"] = shapes["observation.std"] = (observation_size,)
-    if config.observation_changes:
-        shapes["observation.change_std"] = (observation_size,)
-    return shapes
-
-
-def _layer_shapes(config: ModelConfig, layer: str) -> dict[str, Shape]:
-    d = config.hidden_size
-    attention = f"{layer}.attention"
-    shapes: dict[str, Shape] = {}
-    for projection in ("query", "key", "value"):
-        shapes |= _linear(f"{attention}.{projection}", d, config.attention_inputs)
-    if not config.is_dense:
-        shapes |= _pair(f"{layer}.coder", "gain", d)
-        shapes |= _pair(f"{layer}.ffn.coder", "gain", d)
-        shapes[f"{attention}.scale"] = (config.heads,)
-    if config.relative_bias:
-        shapes[f"{attention}.relative"] = (config.heads, 3 * config.context)
-    if config.has_routing:
-        shapes |= _linear(f"{layer}.routing.hidden", config.routing_hidden_size, d)
-        shapes |= _linear(f"{layer}.routing.gate", config.heads, config.routing_hidden_size)
-    shapes |= _linear(f"{attention}.output", d, config.merged_size)
-    shapes |= _norm(config, f"{attention}.norm")
-    shapes |= _linear(f"{layer}.ffn.hidden", config.ffn_size, d)
-    shapes |= _linear(f"{layer}.ffn.output", d, config.ffn_size)
-    shapes |= _norm(config, f"{layer}.ffn.norm")
-    return shapes
-
-
-def _linear(name: str, outputs: int, inputs: int) -> dict[str, Shape]:
-    return {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
-
-
-def _pair(name: str, factor: str, size: int) -> dict[str, Shape]:
-    return {f"{name}.{factor}": (size,), f"{name}.bias": (size,)}
-
-
-def _norm(config: ModelConfig, name: str) -> dict[str, Shape]:
-    return _pair(name, "weight", config.hidden_size) if config.has_norms else {}
 
 
 def _action_size(space: ActionSpace) -> int:
