@@ -1,11 +1,13 @@
 """`python -m spikeserve.gateway --openpi` in front of a real server, called as openpi-client calls it."""
 
+import concurrent.futures
 import contextlib
 import io
 import json
 import pathlib
 import subprocess
 import sys
+import threading
 import unittest.mock
 import urllib.request
 
@@ -240,6 +242,25 @@ def test_what_is_too_much_is_refused(server):
             assert closed.value.rcvd.code == 1009
 
 
+def test_connections_at_once_take_no_more_places(server):
+    """They are admitted together, while the gateway waits for the server."""
+    with running_gateway(server, "--policy=cartpole", "--max-connections=1") as address:
+        ready = threading.Barrier(8)
+
+        def connected(_):
+            ready.wait()
+            try:
+                return WebsocketClientPolicy(address)
+            except (websockets.InvalidStatus, websockets.ConnectionClosed):
+                return None
+
+        with concurrent.futures.ThreadPoolExecutor(8) as threads:
+            policies = [policy for policy in threads.map(connected, range(8)) if policy]
+        assert len(policies) == 1
+        assert policies[0].infer({"observation": np.zeros(4)})["step"] == 0
+        policies[0].ws.close()
+
+
 IGNORED = {
     "text": "pick up the cube",
     "array of text": np.asarray("pick up the cube"),
@@ -303,7 +324,7 @@ def test_health_and_web_pages(gateway):
 
 
 def test_api_keys_are_the_tokens_of_the_server(tokens):
-    others = ("Bearer nope", "Bearer agent", "agent", "api-key agent", "Basic YTph", "")
+    others = ("Api-Key \xe9", "Bearer nope", "Bearer agent", "agent", "api-key agent", "Basic YTph", "")
     with running_server(flags=[f"--tokens={tokens}"]) as server:
         for own in ("agent", ""):  # the gateway's, which it lends to nobody
             with running_gateway(server.grpc, "--policy=cartpole", token=own) as address:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import grpc
 
+from spikeserve.printing import printable
 from spikeserve.status_details import details_of
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ class SpikeserveError(Exception):
     def __init__(
         self, call: str, code: grpc.StatusCode, message: str, retry_after: float | None = None
     ) -> None:
-        super().__init__(f"{call}: {code.name}: {message}")
+        super().__init__(f"{call}: {code.name}: {printable(message)}")  # a traceback prints it
         self.call = call
         self.code = code
         self.message = message

@@ -14,6 +14,7 @@ from spikeserve.channels import ClientOptions
 from spikeserve.check import check
 from spikeserve.errors import SpikeserveError
 from spikeserve.gateway.mapping import ObservationMapping, load_mapping
+from spikeserve.printing import say
 from spikeserve.values import SessionOptions
 
 
@@ -89,7 +90,7 @@ def main() -> int:
     try:
         asyncio.run(_serve(arguments))
     except (ValueError, OSError, SpikeserveError) as error:
-        print(f"spikeserve gateway: {error}", file=sys.stderr)
+        say(f"spikeserve gateway: {error}", error=True)
         return 1
     return 0
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import http
-import sys
 import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
@@ -33,6 +32,7 @@ from spikeserve.errors import (
 )
 from spikeserve.gateway.mapping import ObservationMapping, Step
 from spikeserve.gateway.numpy_msgpack import pack, unpack
+from spikeserve.printing import say
 from spikeserve.spaces import Discrete
 from spikeserve.values import Decision, EpisodeSummary, Policy, SessionOptions
 
@@ -142,6 +142,10 @@ class OpenpiGateway:
         raise ValueError(f"policy: expected one that is served ({served}), received {wanted}")
 
     async def _handle(self, connection: ServerConnection) -> None:
+        if self._connections >= self._settings.max_connections:  # others came while _admit() waited
+            text = f"connections: expected at most {self._settings.max_connections}"
+            await connection.close(CloseCode.TRY_AGAIN_LATER, text)
+            return
         self._connections += 1
         try:
             token = _token_of(connection.request)
@@ -302,7 +306,8 @@ def _token_of(request: Any) -> str | None:
         return ""
     if len(headers) > 1 or not headers[0].startswith(_API_KEY):
         return None
-    return headers[0][len(_API_KEY) :]
+    token = headers[0][len(_API_KEY) :]
+    return token if token.isascii() and token.isprintable() else None  # else gRPC cannot send it
 
 
 def _short(error: Exception) -> str:
@@ -312,7 +317,7 @@ def _short(error: Exception) -> str:
 
 async def _fail(connection: ServerConnection, error: SpikeserveError) -> None:
     """Sends an error and closes the connection, as openpi's server does."""
-    print(f"spikeserve gateway: {_short(error)}", file=sys.stderr, flush=True)
+    say(f"spikeserve gateway: {_short(error)}", error=True)
     with contextlib.suppress(websockets.ConnectionClosed):
         await connection.send(_short(error))
     reason = str(error).encode()[:_LONGEST_REASON].decode(errors="ignore")
@@ -325,7 +330,7 @@ async def run(gateway: OpenpiGateway, host: str, port: int, stop: asyncio.Event)
     server = await gateway.listen(host, port)
     actual = server.sockets[0].getsockname()
     shown = f"[{actual[0]}]" if ":" in actual[0] else actual[0]
-    print(f"spikeserve gateway: serving openpi on ws://{shown}:{actual[1]}", flush=True)
+    say(f"spikeserve gateway: serving openpi on ws://{shown}:{actual[1]}")
     await stop.wait()
     server.close()
     await server.wait_closed()
