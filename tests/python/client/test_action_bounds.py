@@ -30,6 +30,11 @@ def test_bounds_become_the_bounds_of_the_environment(bound, dtype):
             assert native.contains(actions.to_native(near)), near
 
 
+def test_bounds_that_float32_cannot_hold_are_refused():
+    with pytest.raises(ValueError, match="action_space: expected finite bounds in float32"):
+        ActionMap(spaces.Box(-1e300, 1e300, (1,), np.float64))
+
+
 @pytest.mark.parametrize(("dtype", "low", "high"), INTEGERS)
 def test_the_largest_integer_is_not_the_smallest(dtype, low, high):
     native = spaces.Box(low, high, (1,), dtype)

@@ -102,6 +102,16 @@ def test_names_beside_an_outer_message_and_of_single_numbers_decide(tmp_path):
     assert rows(data) == [[10, 20]] * 5
 
 
+@pytest.mark.parametrize("key", ["jointNames", "labels", "sensor_ids"])
+def test_lists_of_texts_beside_numbers_are_their_names(key, tmp_path):
+    orders = [["a", "b"], ["b", "a"]] * 2
+    states = [(k, {key: order, "position": [STILL.get(n, ord(n)) for n in order]}) for k, order in enumerate(orders)]
+    log = {"/joint_states": states, "/command": [(k + 0.5, {"data": [0.1 * k]}) for k in range(4)]}
+    robot_data.write_json_log(tmp_path / "log.mcap", log)
+    data = read(tmp_path / "log.mcap", selection=JOINTS)
+    assert (data.observation_names, rows(data)) == (("a", "b"), [[97, 98]] * 4)
+
+
 REFUSED = {
     "twice": ({"name": ["a", "a"], "position": [1.0, 2.0]}, "name: expected distinct names"),
     "fewer": ({"name": ["a"], "position": [1.0, 2.0]}, "name: expected 2 names, one a number, received 1"),
@@ -127,6 +137,37 @@ def test_every_format_keeps_the_names(form, tmp_path):
     assert read(out).observation_names == ("shoulder", "elbow")
 
 
+def recording(path, **names):
+    """Writes a recording of two numbers and three actions, with names as those of a server have them."""
+    robot_data.write_recording(path, [(np.zeros((3, 2)), [0, 2], [0.0] * 2)], {"n": 3})
+    path.write_bytes(cbor2.dumps(cbor2.loads(path.read_bytes()) | {"recipe": names}))
+    return path
+
+
+def test_an_index_has_a_name_for_each_of_its_values(tmp_path):
+    values = ["left", "stay", "right"]
+    recording(tmp_path / "a/0.cbor", observation_names=["x", "y"], action_names=values)
+    recording(tmp_path / "a/1.cbor")  # a file without names fits all
+    for form, out in (("mcap", "logs"), ("minari", "set-v0"), ("spikeserve", "b.cbor")):
+        convert(tmp_path / "a", tmp_path / out, form)
+        assert read(tmp_path / out).action_names == tuple(values)
+        assert read(tmp_path / out).observation_names == ("x", "y")
+
+
+UNUSABLE = {
+    "few": (["x"], "names of the observation: expected 2 different names, or none, received ('x',)"),
+    "equal": (["x", "x"], "names of the observation: expected 2 different names, or none, received ('x', 'x')"),
+    "unprintable": (["x", "\x1b[2J"], "names of the observation: expected 1 to 256 bytes of printable characters"),
+}
+
+
+@pytest.mark.parametrize(("names", "reason"), UNUSABLE.values(), ids=UNUSABLE)
+def test_names_that_a_policy_cannot_have_are_refused(names, reason, tmp_path):
+    with pytest.raises(ValueError) as refused:
+        read(recording(tmp_path / "0.cbor", observation_names=names))
+    assert reason in str(refused.value)
+
+
 def test_logs_and_recordings_with_other_names_are_matched_or_refused(tmp_path):
     arm = replace(JOINTS, environment="Arm-v0")
     for name, order in (("a", ["shoulder", "elbow"]), ("b", ["elbow", "shoulder"])):
@@ -142,11 +183,14 @@ def test_logs_and_recordings_with_other_names_are_matched_or_refused(tmp_path):
 def test_names_of_lerobot_are_read_in_every_form(tmp_path):
     robot_data.write_lerobot(tmp_path / "towels")
     info = tmp_path / "towels/meta/info.json"
-    for names in (["x", "y"], {"motors": ["x", "y"]}, {"y": 1, "x": 0}):
+    fitting = (["x", "y"], {"motors": ["x", "y"]}, {"y": 1, "x": 0}, {"left": ["x"], "right": ["y"]})
+    for names in (*fitting, ["x", "x"], ["x"]):
         value = json.loads(info.read_text())
         value["features"]["action"]["names"] = names
         info.write_text(json.dumps(value))
-        assert read(tmp_path / "towels").action_names == ("x", "y")
+        data = read(tmp_path / "towels")
+        assert data.action_names == (("x", "y") if names in fitting else ())
+        assert any("left out: the names of action" in note for note in data.notes) == (names not in fitting)
 
 
 def lerobot_export(folder):

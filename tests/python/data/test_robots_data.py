@@ -60,7 +60,8 @@ def run(*arguments):
 def assert_equal(one, other):
     """Asserts that two RobotData hold the same episodes, bit for bit."""
     assert one.action_space == other.action_space
-    assert one.environment == other.environment
+    for name in ("environment", "observation_names", "action_names"):
+        assert getattr(one, name) == getattr(other, name), name
     assert len(one.episodes) == len(other.episodes)
     for mine, theirs in zip(one.episodes, other.episodes, strict=True):
         np.testing.assert_array_equal(mine.observations, theirs.observations)
@@ -226,7 +227,7 @@ FILE = "data/chunk-000/file-001.parquet"
 DAMAGES = {
     "version": (lambda f: edit_info(f, codebase_version="v2.1"), "codebase_version: expected v3.x"),
     "json": (lambda f: (f / "meta/info.json").write_text("{"), "info.json: expected a JSON file"),
-    "fps": (lambda f: edit_info(f, fps=0), "info.json: fps: expected a positive number, received 0"),
+    "fps": (lambda f: edit_info(f, fps=0), "towels: fps: expected a number from 1e-06 to 1e+06, received 0"),
     "features": (lambda f: edit_info(f, features=[]), "features: expected an object of objects"),
     "frames": (lambda f: edit_info(f, total_frames=9), "expected 9 frames in data/, as in "),
     "missing": (lambda f: (f / FILE).unlink(), "expected 8 frames in data/, as in "),
@@ -321,6 +322,9 @@ def test_damaged_logs_are_refused_by_name(log, damage, reason, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
 
 
+SERVED = {"policy": "p", "version": 1, "returns_to_go": [1.0] * 3, "spikes": [1] * 3}
+
+
 def edited_recording(**fields):
     def edit(path):
         value = cbor2.loads(path.read_bytes())
@@ -335,7 +339,15 @@ RECORDINGS = {
     "other": (lambda p: p.write_bytes(cbor2.dumps([1])), "000000.cbor: expected an object, received list"),
     "deep": (lambda p: p.write_bytes(b"\x81" * 100_000), "000000.cbor: expected "),
     "action": (edited_recording(actions=[0, 3, 1]), "actions: step 1: expected an index in [0, 3), received 3"),
-    "rewards": (edited_recording(rewards=[1.0]), "episode 0: rewards: expected 3, received 1"),
+    "rewards": (edited_recording(rewards=[1.0]), "episode 0: rewards: expected shape (3,), received (1,)"),
+    "columns": (edited_recording(rewards=[[1.0]] * 3), "rewards: expected shape (3,), received (3, 1)"),
+    "index": (edited_recording(actions=[0, 1.0, 1]), "actions: expected a list of integers, received other values"),
+    "switch": (edited_recording(seed=True), "seed: expected int, received bool"),
+    "digits": (edited_recording(asked_return=10**400), "asked_return: expected a finite number, received 1000"),
+    "actor": (edited_recording(actor="\x1b[2J"), "actor: expected printable characters"),
+    "served": (edited_recording(served={}), "served.policy: expected a value, received none"),
+    "returns": (edited_recording(served=SERVED | {"returns_to_go": [1.0]}), "served.returns_to_go: expected a list of 3"),
+    "spikes": (edited_recording(served=SERVED | {"spikes": [1, -1, 0]}), "served.spikes: step 1: expected an integer"),
     "observation": (edited_recording(observations=[1.0] * 11), "observations: expected a multiple of 3 numbers"),
     "text": (edited_recording(rewards=["a"] * 3), "rewards: expected a list of numbers, received other values"),
     "seed": (edited_recording(seed="x"), "episode 0: seed: expected int, received str"),
@@ -393,7 +405,7 @@ ARGUMENTS = {
         "towels: episode 0: actions: step 2, element 1: expected a number in [0, 9], received -0.83",
     ),
     "env": (["towels", "o", "--to=mcap", "--env=a b"], "--env: expected an id of Gymnasium, such as Name-v0"),
-    "fps": (["towels", "o", "--to=mcap", "--fps=-1"], "--fps: expected a positive number, received -1.0"),
+    "fps": (["towels", "o", "--to=mcap", "--fps=-1"], "towels: fps: expected a number from 1e-06 to 1e+06, received -1.0"),
 }
 
 

@@ -69,8 +69,12 @@ def _check_observations(space: spaces.Space[Any], name: str) -> None:
 
 
 def element_names(space: spaces.Space[Any]) -> tuple[str, ...]:
-    """Returns a name for each number of a flattened Dict, such as "arm[0]"; () for other spaces."""
-    return tuple(_element_names(space, "")) if isinstance(space, spaces.Dict) else ()
+    """Returns a name for each number of a flattened Dict, such as "arm[0]".
+
+    () for other spaces, and where two names are equal: of "a/b", and of "b" in "a".
+    """
+    names = tuple(_element_names(space, "")) if isinstance(space, spaces.Dict) else ()
+    return names if len(set(names)) == len(names) else ()
 
 
 def _element_names(space: spaces.Space[Any], name: str) -> list[str]:
@@ -94,9 +98,10 @@ class ActionMap:
         self._native = native
         self.space: spaces.Discrete | spaces.Box
         if isinstance(native, spaces.Box):
-            bounded = bool(np.all(np.isfinite(native.low)) and np.all(np.isfinite(native.high)))
-            check(bounded, "action_space", "finite bounds", native)
-            low, high = (np.asarray(b, np.float32).ravel() for b in (native.low, native.high))
+            with np.errstate(over="ignore"):  # a bound that float32 cannot hold is infinite
+                low, high = (np.asarray(b, np.float32).ravel() for b in (native.low, native.high))
+            bounded = bool(np.isfinite(low).all() and np.isfinite(high).all())
+            check(bounded, "action_space", "finite bounds in float32", native)
             check(bool(np.all(low < high)), "action_space", "lower bounds below the upper", native)
             self.space = spaces.Box(low, high, dtype=np.float32)
             return

@@ -19,8 +19,8 @@ import numpy as np
 from spikeserve.conversion.data import Episode, RobotData, space_from_json, space_to_json
 
 _MOST_SECONDS = 3600  # of the processor
-_LEAST_BYTES = 1 << 30  # that any file may take
-_GROWTH = 64  # bytes of memory for each byte of the files
+LEAST_BYTES = 1 << 30  # that any file may take in memory
+GROWTH = 64  # bytes of memory for each byte of the files
 _LONGEST_ERROR = 4000
 _ARRAYS = ("observations", "actions", "rewards", "labels", "weights")
 
@@ -71,7 +71,7 @@ def _limit(source_bytes: int) -> int:
 
     page = os.sysconf("SC_PAGE_SIZE")
     half = os.sysconf("SC_PHYS_PAGES") // 2 * page
-    most = min(half, _LEAST_BYTES + _GROWTH * source_bytes)
+    most = min(half, LEAST_BYTES + GROWTH * source_bytes)
     used = 0
     if os.path.exists("/proc/self/statm"):
         with open("/proc/self/statm") as statm:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import Any
+
+from spikeserve.printing import say
 
 
 def add_command(subcommands: Any) -> None:
@@ -53,8 +54,6 @@ def _run(arguments: argparse.Namespace) -> int:
         from spikeserve.conversion.converting import convert
         from spikeserve.conversion.data import Selection
 
-        if arguments.fps is not None and not 0 < arguments.fps < float("inf"):
-            raise ValueError(f"--fps: expected a positive number, received {arguments.fps}")
         selection = Selection(
             observation=arguments.observation or (),
             action=arguments.action or "",
@@ -75,11 +74,11 @@ def _run(arguments: argparse.Namespace) -> int:
             overwrite=arguments.overwrite,
         )
     except (ValueError, OSError) as error:
-        print(f"spikeserve convert: {error}", file=sys.stderr)
+        say(f"spikeserve convert: {error}", error=True)
         return 1
     for note in data.notes:
-        print(f"note: {note}")
-    print(
+        say(f"note: {note}")
+    say(
         f"{arguments.out}: {len(data.episodes)} episodes, {data.steps} steps of "
         f"{data.environment}; observation: {data.observation_size} numbers, "
         f"action: {_describe(data.action_space)}"

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from spikeserve.check import check
 from spikeserve.conversion import lerobot_layout, mcap_layout, minari_files, recordings
 from spikeserve.conversion.child import read_in_child
-from spikeserve.conversion.data import RobotData, Selection
+from spikeserve.conversion.data import RobotData, Selection, check_names
 from spikeserve.conversion.lerobot_reader import read_lerobot
 from spikeserve.conversion.lerobot_writer import write_lerobot
 from spikeserve.conversion.mcap_reader import read_mcap
@@ -28,6 +28,7 @@ _READERS = {
 }
 # Formats that do not show which numbers are an observation or an action.
 _SELECTABLE = ("lerobot", "mcap")
+_SLOWEST, _FASTEST = 1e-6, 1e6  # steps a second
 
 
 def format_of(path: pathlib.Path) -> str | None:
@@ -70,6 +71,13 @@ def read(
     files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
     reader = _READERS[form]
     data = read_in_child(lambda: reader(path, selection), sum(f.stat().st_size for f in files))
+    name = data.environment
+    named = isinstance(name, str) and name != "" and name.isprintable()
+    check(named, f"{source}: environment", "a printable name", repr(name))
+    fps = data.fps
+    usable = fps is None or (type(fps) in (int, float) and _SLOWEST <= fps <= _FASTEST)
+    check(usable, f"{source}: fps", f"a number from {_SLOWEST:g} to {_FASTEST:g}", fps)
+    check_names(data, str(source))
     for episode in data.episodes:
         episode.task = selection.task or episode.task
     return data

@@ -20,6 +20,7 @@ from spikeserve.spaces import ActionSpace, Box, Discrete
 LARGEST_OBSERVATION = 1 << 20  # numbers; as in `spiketrain train --data`
 LARGEST_DISCRETE = 4096  # actions; as in `spiketrain train --data`
 LARGEST_NUMBER = 1e18  # of an observation, a reward or a weight; as in `spiketrain train --data`
+LONGEST_NAME = 256  # bytes, of an element; as in policy files
 # Numbers outside of their bounds by this part of the range are rounded, as in `spiketrain`.
 ROUNDING = 1e-6
 
@@ -104,7 +105,8 @@ def check_episode(data: RobotData, episode: Episode, where: str) -> None:
     size = (steps + 1, data.observation_size)
     shape = episode.observations.shape
     check(shape == size, f"{where}: observations", f"shape {size}", shape)
-    check(len(episode.rewards) == steps, f"{where}: rewards", f"{steps}", len(episode.rewards))
+    shape = episode.rewards.shape
+    check(shape == (steps,), f"{where}: rewards", f"shape {(steps,)}", shape)
     known = episode.observations if episode.has_last_observation else episode.observations[:-1]
     _check_finite(known, f"{where}: observations")
     last = episode.observations[-1]
@@ -125,7 +127,36 @@ def check_episode(data: RobotData, episode: Episode, where: str) -> None:
     asked = episode.asked_return
     valid = asked is None or abs(asked) <= LARGEST_NUMBER
     check(valid, f"{where}: asked_return", "a finite number", asked)
+    actor = episode.actor
+    check(actor.isprintable(), f"{where}: actor", "printable characters", repr(actor))
     check(0 <= episode.seed < 1 << 64, f"{where}: seed", "0 to 2^64 - 1", episode.seed)
+    if episode.served is not None:
+        _check_served(episode.served, steps, f"{where}: served")
+
+
+def _check_served(served: Mapping[str, Any], steps: int, where: str) -> None:
+    """ValueError unless a record has what the converters write of it."""
+
+    def integer(value: Any) -> bool:
+        return type(value) is int and 0 <= value < 1 << 63
+
+    def number(value: Any) -> bool:
+        return type(value) in (int, float) and abs(value) <= LARGEST_NUMBER
+
+    for key in ("policy", "version", "returns_to_go", "spikes"):
+        check(key in served, f"{where}.{key}", "a value", "none")
+    policy, version = served["policy"], served["version"]
+    check(isinstance(policy, str), f"{where}.policy", "a text", type(policy).__name__)
+    check(integer(version), f"{where}.version", "an integer", version)
+    for key, holds, of_what in (
+        ("returns_to_go", number, f"a finite number of at most {LARGEST_NUMBER:g}"),
+        ("spikes", integer, "an integer of at least 0"),
+    ):
+        values = served[key]
+        whole = isinstance(values, list) and len(values) == steps
+        check(whole, f"{where}.{key}", f"a list of {steps}", np.shape(values))
+        for step, value in enumerate(values):
+            check(holds(value), f"{where}.{key}: step {step}", of_what, value)
 
 
 def _check_finite(values: NDArray[Any], where: str) -> None:
@@ -229,12 +260,32 @@ def names_to_json(data: RobotData) -> dict[str, list[str]]:
     return {key: list(value) for key, value in names.items() if value}
 
 
-def names_from_json(recipe: Any, key: str, size: int) -> tuple[str, ...]:
-    """Reads what names_to_json() returns; () for anything else."""
-    names = recipe.get(key) if isinstance(recipe, dict) else None
-    if not isinstance(names, list) or len(names) != size:
-        return ()
-    return tuple(map(str, names))
+def read_names(data: RobotData, stored: Any) -> None:
+    """Reads what names_to_json() returns."""
+    for key in ("observation_names", "action_names"):
+        names = stored.get(key) if isinstance(stored, dict) else None
+        if isinstance(names, list) and names:
+            setattr(data, key, tuple(map(str, names)))
+
+
+def check_names(data: RobotData, where: str) -> None:
+    """ValueError, which names `where`, for names that a policy file cannot have.
+
+    An index has one name, or one for each of its values.
+    """
+    space = data.action_space
+    actions = (1, space.n) if isinstance(space, Discrete) else (len(space.low),)
+    for names, sizes, what in (
+        (data.observation_names, (data.observation_size,), "observation"),
+        (data.action_names, actions, "action"),
+    ):
+        expected = f"{' or '.join(map(str, sizes))} different names, or none"
+        fits = len(set(names)) == len(names) in (0, *sizes)
+        check(fits, f"{where}: names of the {what}", expected, names)
+        for name in names:
+            usable = name.isprintable() and 0 < len(name.encode()) <= LONGEST_NAME
+            expected = f"1 to {LONGEST_NAME} bytes of printable characters"
+            check(usable, f"{where}: names of the {what}", expected, repr(name))
 
 
 def space_to_json(space: ActionSpace) -> dict[str, Any]:

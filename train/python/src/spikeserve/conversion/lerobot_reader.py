@@ -59,8 +59,7 @@ def _check_info(path: pathlib.Path, info: Any) -> None:
     for key in ("total_episodes", "total_frames"):
         check(type(info.get(key)) is int, f"{path}: {key}", "an integer", info.get(key))
     fps = info.get("fps")
-    positive = isinstance(fps, int | float) and not isinstance(fps, bool) and fps > 0
-    check(positive, f"{path}: fps", "a positive number", fps)
+    check(type(fps) in (int, float), f"{path}: fps", "a number", fps)
 
 
 class _Reader:
@@ -103,7 +102,7 @@ class _Reader:
             environment_name(self._selection, self._environment()),
             space,
             [],
-            self._selection.fps or float(self._info["fps"]),
+            self._selection.fps or self._info["fps"],
             self._names(self._observations),
             self._names([self._action]),
             self._notes,
@@ -142,7 +141,7 @@ class _Reader:
             columns = list(self._selection.observation)
         else:
             all_of_them = [key for key in self._features if key.startswith("observation.")]
-            columns = [key for key in all_of_them if self._dtype(key) in _NUMBERS]
+            columns = [key for key in all_of_them if str(self._dtype(key)) in _NUMBERS]
             left_out = [key for key in all_of_them if key not in columns]
             if left_out:
                 self._notes.append(f"left out: {', '.join(left_out)}, which are not numbers")
@@ -163,7 +162,8 @@ class _Reader:
         known = ", ".join(self._features)
         check(column in self._features, where, f"one of {known}", "none")
         dtype = self._dtype(column)
-        check(dtype in _NUMBERS, f"{where}.dtype", "numbers", dtype)
+        numbers = isinstance(dtype, str) and dtype in _NUMBERS
+        check(numbers, f"{where}.dtype", "numbers", dtype)
         shape = self._features[column].get("shape")
         valid = isinstance(shape, list) and all(type(n) is int and n >= 1 for n in shape)
         check(valid, f"{where}.shape", "a list of positive integers", shape)
@@ -176,14 +176,22 @@ class _Reader:
         """Returns the names of the elements of `columns`, or () unless all of them have names."""
         names: list[str] = []
         for column in columns:
-            of_column = _names_of(self._features[column].get("names"), self._size_of(column))
+            stored, size = self._features[column].get("names"), self._size_of(column)
+            of_column = _names_of(stored, size)
             if of_column is None:
+                if stored:
+                    self._notes.append(f"left out: the names of {column}, which are not {size}")
                 return ()
             names += of_column
         if len(set(names)) < len(names):  # such as the joints of two columns
             sizes = [(column, self._size_of(column)) for column in columns]
             owners = [column for column, size in sizes for _ in range(size)]
             names = [f"{owner}.{name}" for owner, name in zip(owners, names, strict=True)]
+        if len(set(names)) < len(names):
+            self._notes.append(
+                f"left out: the names of {', '.join(columns)}, of which two are equal"
+            )
+            return ()
         return tuple(names)
 
     def _read_tables(self) -> dict[str, NDArray[Any]]:
@@ -312,8 +320,10 @@ def _names_of(stored: Any, size: int) -> list[str] | None:
         map(str, range(size))
     ):
         return [str(name) for name in sorted(stored, key=lambda name: int(stored[name]))]
-    if isinstance(stored, dict):  # {"axes": [...]} or {"motors": [...]}
-        stored = next(iter(stored.values()), None)
+    if isinstance(stored, dict):  # {"motors": [...]}, or {"left": [...], "right": [...]}
+        lists = [names for names in stored.values() if isinstance(names, list)]
+        joined = [name for names in lists for name in names]
+        stored = next((names for names in lists if len(names) == size), joined)
     if not isinstance(stored, list) or len(stored) != size:
         return None
     return [str(name) for name in stored]

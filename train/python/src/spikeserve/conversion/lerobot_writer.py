@@ -29,10 +29,7 @@ class _Writer:
         self._folder = folder
         fps = data.fps or _DEFAULT_FPS
         self._fps = int(fps) if float(fps).is_integer() else float(fps)
-        self._served = all(
-            episode.served is not None and len(episode.served.get("spikes", ())) == episode.steps
-            for episode in data.episodes
-        )
+        self._served = all(episode.served is not None for episode in data.episodes)
         self._features = self._make_features()
         tasks = dict.fromkeys(self._task(episode) for episode in data.episodes)
         self._tasks = {task: index for index, task in enumerate(tasks)}
@@ -72,13 +69,13 @@ class _Writer:
         data = self._data
 
         def feature(dtype: str, size: int, names: tuple[str, ...] = ()) -> dict[str, Any]:
-            return {"dtype": dtype, "shape": [size], "names": list(names) or None}
+            fitting = list(names) if len(names) == size else None  # an index may name its values
+            return {"dtype": dtype, "shape": [size], "names": fitting}
 
         discrete = isinstance(data.action_space, Discrete)
         size = 1 if discrete else int(data.episodes[0].actions.shape[1])
-        observation_names = data.observation_names or _numbered("observation", data)
         features = {
-            layout.OBSERVATION: feature("float32", data.observation_size, observation_names),
+            layout.OBSERVATION: feature("float32", data.observation_size, data.observation_names),
             layout.ACTION: feature("int64" if discrete else "float32", size, data.action_names),
             layout.REWARD: feature("float64", 1),
             layout.DONE: feature("bool", 1),
@@ -227,10 +224,6 @@ class _Writer:
         path = self._folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(value, indent=4, allow_nan=False) + "\n", "utf-8")
-
-
-def _numbered(name: str, data: RobotData) -> tuple[str, ...]:
-    return tuple(f"{name}_{index}" for index in range(data.observation_size))
 
 
 def _stats(values: NDArray[Any]) -> dict[str, list[Any]]:

@@ -23,6 +23,7 @@ from spikeserve.conversion.data import (
     action_space_of,
     check_episode,
     environment_name,
+    read_names,
     space_from_json,
 )
 from spikeserve.conversion.mcap_series import Series, Table
@@ -75,6 +76,9 @@ def read_mcap(source: pathlib.Path, selection: Selection) -> RobotData:
         first.tables[first.action].names,
         list(dict.fromkeys(notes)),
     )
+    if ours:
+        names = ("observation_names", "action_names")
+        read_names(data, {n: _parse(first.metadata.get(n, "[]"), str(first.path)) for n in names})
     for log, action in zip(logs, actions, strict=True):
         episode = log.episode(action, selection)
         data.episodes.append(episode)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from spikeserve.check import check
 
 # Fields with the names of the numbers beside them, such as `name` of JointState and `joint_names`.
-_NAMES = re.compile(r"names?$|^joints$", re.IGNORECASE)
+_NAMES = re.compile(r"(names?|labels?|ids?|keys)$|^joints$", re.IGNORECASE)
 _NAMES_OF_ROS = ("name", "joint_names")
 
 

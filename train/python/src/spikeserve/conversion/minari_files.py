@@ -15,8 +15,8 @@ from spikeserve.conversion.data import (
     RobotData,
     Selection,
     check_episode,
-    names_from_json,
     names_to_json,
+    read_names,
 )
 from spikeserve.conversion.packages import package
 from spikeserve.spaces import ActionSpace, Box, Discrete, as_action_space
@@ -46,22 +46,21 @@ def read_minari(folder: pathlib.Path, selection: Selection) -> RobotData:
         played = list(read_dataset(folder))
         stored = list(dataset.storage.get_episode_metadata(range(len(played))))
         metadata = dataset.storage.metadata
-    except (OSError, KeyError, RuntimeError, TypeError, IndexError) as error:
+    except (OSError, KeyError, RuntimeError, TypeError, IndexError, AttributeError) as error:
         expected = f"a dataset that Minari reads ({type(error).__name__}: {error})"
         raise ValueError(f"{folder / DATA}: expected {expected}, received other data") from error
     check(len(played) > 0, str(folder / DATA), "at least one episode", "none")
     specified = getattr(dataset.env_spec, "id", None)
-    name = metadata.get(_EXTENSION, {}).get("environment") or specified or folder.name
+    ours = metadata.get(_EXTENSION, {})
+    check(isinstance(ours, dict), f"{folder / METADATA}: {_EXTENSION}", "an object", ours)
+    name = ours.get("environment") or specified or folder.name
     episodes = [
         _from_played(episode, attributes, space)
         for episode, attributes in zip(played, stored, strict=True)
     ]
     data = RobotData(selection.environment or name, space, episodes, selection.fps)
-    recipe, size = metadata.get(_EXTENSION, {}).get("recipe"), data.observation_size
-    stored_names = names_from_json(recipe, "observation_names", size)
-    data.observation_names = stored_names or element_names(dataset.observation_space)
-    actions = 1 if isinstance(space, Discrete) else len(space.low)
-    data.action_names = names_from_json(recipe, "action_names", actions)
+    data.observation_names = element_names(dataset.observation_space)
+    read_names(data, ours.get("recipe"))
     for index, episode in enumerate(episodes):
         check_episode(data, episode, f"{folder / DATA}: episode {index}")
     return data

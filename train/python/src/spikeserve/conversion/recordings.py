@@ -14,8 +14,8 @@ from spikeserve.conversion.data import (
     RobotData,
     Selection,
     check_episode,
-    names_from_json,
     names_to_json,
+    read_names,
     space_from_json,
     space_to_json,
 )
@@ -49,11 +49,11 @@ def read_recordings(source: pathlib.Path, selection: Selection) -> RobotData:
         expected = (data.environment, data.observation_size, data.action_space)
         what = f"environment, observation size and action space {expected} as in {first}"
         check(same == expected, str(path), f"{what}; --env selects an environment", same)
-        for names, of_first in (
-            (read.observation_names, data.observation_names),
-            (read.action_names, data.action_names),
-        ):
-            check(names == of_first, str(path), f"the names {of_first} as in {first}", names)
+        for key in ("observation_names", "action_names"):
+            names, known = getattr(read, key), getattr(data, key) or getattr(read, key)
+            fits = names in ((), known)  # a file without names fits all, as in spiketrain
+            check(fits, str(path), f"the names {known} as in {first}", names)
+            setattr(data, key, known)
         data.episodes += read.episodes
     of_environment = f" of {selection.environment}" if selection.environment else ""
     check(data is not None, str(source), f"recorded episodes{of_environment}", "none")
@@ -83,9 +83,7 @@ def _read_file(path: pathlib.Path) -> RobotData:
         for index, item in enumerate(stored)
     ]
     data = RobotData(_member(value, "environment", str, field), space, episodes)
-    recipe, actions = value.get("recipe"), 1 if isinstance(space, Discrete) else len(space.low)
-    data.observation_names = names_from_json(recipe, "observation_names", size)
-    data.action_names = names_from_json(recipe, "action_names", actions)
+    read_names(data, value.get("recipe"))
     for index, episode in enumerate(episodes):
         check_episode(data, episode, f"{field}: episode {index}")
     return data
@@ -96,19 +94,23 @@ def _member(value: Any, key: str, kind: type | tuple[type, ...], field: str) -> 
     check(isinstance(value, dict), field, "an object", type(value).__name__)
     check(key in value, f"{field}: {key}", names, "none")
     received = type(value[key]).__name__
-    check(isinstance(value[key], kind), f"{field}: {key}", names, received)
+    exact = isinstance(value[key], kind) and (kind is bool or received != "bool")
+    check(exact, f"{field}: {key}", names, received)
     return value[key]
 
 
 def _array(value: Any, key: str, dtype: Any, field: str) -> NDArray[Any]:
     stored = _member(value, key, list, field)
+    whole = np.issubdtype(dtype, np.integer)
     try:
         array = np.asarray(stored)
-        numbers = array.dtype.kind in "iuf"
+        numbers = array.dtype.kind in ("iu" if whole else "iuf")
     except ValueError:
         numbers = False
-    check(numbers or not stored, f"{field}: {key}", "a list of numbers", "other values")
-    return array.astype(dtype)
+    expected = f"a list of {'integers' if whole else 'numbers'}"
+    check(numbers or not stored, f"{field}: {key}", expected, "other values")
+    with np.errstate(over="ignore"):  # what is too large becomes an infinity, and is refused
+        return array.astype(dtype)
 
 
 def _episode(value: Any, size: int, space: ActionSpace, field: str) -> Episode:
@@ -122,7 +124,7 @@ def _episode(value: Any, size: int, space: ActionSpace, field: str) -> Episode:
         _member(value, "served", dict, field)
     asked = None
     if "asked_return" in value:
-        asked = float(_member(value, "asked_return", (int, float), field))
+        asked = _member(value, "asked_return", (int, float), field)
     return Episode(
         observations=observations.reshape(-1, size),
         actions=_array(value, "actions", dtype, field),

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import shlex
-import sys
 from collections.abc import Callable
 from typing import Any
 
 from spikeserve.imitation.options import CHOSEN, GRADES, ImitationOptions
+from spikeserve.printing import say
 
 
 def add_command(subcommands: Any) -> None:
@@ -111,12 +111,12 @@ def _run(arguments: argparse.Namespace) -> int:
             overwrite=arguments.overwrite,
         )
     except KeyboardInterrupt:
-        print("spikeserve imitate: interrupted; the same command continues", file=sys.stderr)
+        say("spikeserve imitate: interrupted; the same command continues", error=True)
         return 130
     except (ValueError, RuntimeError) as error:
-        print(f"spikeserve imitate: {error}", file=sys.stderr)
+        say(f"spikeserve imitate: {error}", error=True)
         return 1
-    print(f"expert: {result.expert_figures}")
+    say(f"expert: {result.expert_figures}")
     for path, figures in (
         (result.policy, result.figures),
         (result.quantized, result.quantized_figures),
@@ -124,18 +124,18 @@ def _run(arguments: argparse.Namespace) -> int:
         if figures is None:
             continue
         spikes = f"{figures.spikes_per_decision:.0f} spikes a decision"
-        print(f"{path}: return {figures}, {spikes}")
+        say(f"{path}: return {figures}, {spikes}")
     if result.baselines:
         played = max(len(figures.returns) for figures in result.baselines.values())
         same_starts = {"the policy": result.figures.of_the_first(played)} | result.baselines
-        print(f"on the first {played} of these starts, with the error on held-out episodes:")
+        say(f"on the first {played} of these starts, with the error on held-out episodes:")
         for name, figures in same_starts.items():
-            print(f"{name}: return {figures}, error {result.errors[name]:.4f}")
+            say(f"{name}: return {figures}, error {result.errors[name]:.4f}")
     for warning in result.warnings:
-        print(f"warning: {warning}")
-    print(result.report)
-    print(f"verdict: {result.verdict.grade}: {result.verdict.reason}")
+        say(f"warning: {warning}")
+    say(result.report)
+    say(f"verdict: {result.verdict.grade}: {result.verdict.reason}")
     if result.verdict.grade != GRADES[-1]:
         for line in result.advice:
-            print(f"try: {line}")
+            say(f"try: {line}")
     return 0 if result.verdict.meets(arguments.require) else 3

@@ -8,15 +8,16 @@ import shutil
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import gymnasium
 import minari
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import ENV_ID_RE, EnvSpec
 from minari.data_collector.episode_buffer import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
 from numpy.typing import NDArray
 
 from spikeserve.check import check
+from spikeserve.conversion.child import GROWTH, LEAST_BYTES
 from spikeserve.flat_spaces import ActionMap, FlatEnvironment, ObservationMap, element_names
 from spikeserve.imitation.episodes import Episode
 
@@ -60,7 +61,7 @@ def write_storage(
         folder / "data",
         observation_space=_space_of(episodes[0].observations[0]),
         action_space=action_space,
-        env_spec=gymnasium.envs.registration.EnvSpec(name),
+        env_spec=EnvSpec(name) if ENV_ID_RE.fullmatch(name) else None,
     )
     further = [{} for _ in episodes] if infos is None else infos
     buffers = zip(episodes, further, strict=True)
@@ -98,31 +99,40 @@ def _buffer(index: int, episode: Episode, further: dict[str, Any]) -> EpisodeBuf
 
 def open_dataset(source: str | pathlib.Path) -> minari.MinariDataset:
     """Opens a dataset, an id or a folder."""
-    folder = pathlib.Path(source)
-    if (folder / "data/metadata.json").is_file():
-        _check_storage(folder / "data/main_data.hdf5")
-        return minari.MinariDataset(folder / "data")
-    return minari.load_dataset(str(source))
+    folder = pathlib.Path(source) / "data"
+    is_folder = (folder / "metadata.json").is_file()
+    dataset = minari.MinariDataset(folder) if is_folder else minari.load_dataset(str(source))
+    _check_storage(pathlib.Path(dataset.storage.data_path) / "main_data.hdf5")
+    return dataset
 
 
 def _check_storage(path: pathlib.Path) -> None:
-    """ValueError if an HDF5 file shows the contents of other files as its own."""
+    """ValueError if an HDF5 file is not what it seems.
+
+    It may show other files as its own, a group within itself, or an array that is far larger than
+    the file.
+    """
     import h5py
+
+    largest = LEAST_BYTES + GROWTH * path.stat().st_size if path.is_file() else 0
 
     # The library calls these, so they return what is wrong instead of raising it.
     def of_link(name: str, link: Any) -> tuple[str, str] | None:
-        inner = isinstance(link, h5py.HardLink | h5py.SoftLink)
-        return None if inner else (name, type(link).__name__)
+        return None if isinstance(link, h5py.HardLink) else (name, type(link).__name__)
 
-    def of_dataset(name: str, item: Any) -> tuple[str, str] | None:
+    def of_object(name: str, item: Any) -> tuple[str, str] | None:
         if not isinstance(item, h5py.Dataset):
-            return None
+            shared = h5py.h5o.get_info(item.id).rc > 1
+            return (name, "a group that has two names") if shared else None
+        if item.size * item.dtype.itemsize > largest:
+            return name, f"more than {largest >> 20} MiB"
         outer = "external storage" if item.external else "a virtual dataset"
         return (name, outer) if item.external or item.is_virtual else None
 
     if path.is_file():
         with h5py.File(path) as file:
-            wrong = file.visititems_links(of_link) or file.visititems(of_dataset)
+            wrong = of_object("/", file) or file.visititems_links(of_link)
+            wrong = wrong or file.visititems(of_object)
         if wrong is not None:
             check(False, f"{path}: {wrong[0]}", "numbers in this file", wrong[1])
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pathlib
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -40,6 +39,7 @@ from spikeserve.imitation.policy_record import write_with_record
 from spikeserve.imitation.progress import progress_bar
 from spikeserve.imitation.report import Account, has_changes, write_report
 from spikeserve.imitation.training import Spiketrain, Training, find_spiketrain
+from spikeserve.printing import say
 
 # Every round of data has environment seeds of its own.
 _SEEDS_OF_A_ROUND = 50_000
@@ -163,7 +163,7 @@ class _Run:
         """Returns the fields of a plan, and says on standard error why they are so."""
         plan = self._journal.part(f"plans/{name}", lambda: asdict(choose()))
         for reason in plan["reasons"]:
-            print(f"chosen: {reason}", file=sys.stderr)
+            say(f"chosen: {reason}", error=True)
         return {key: value for key, value in plan.items() if key != "seconds"}
 
     def _settings(self) -> dict[str, Any]:

@@ -8,6 +8,8 @@ from typing import Any
 
 import tqdm
 
+from spikeserve.printing import say
+
 _LINE_SECONDS = 30.0  # between two lines
 
 
@@ -32,8 +34,7 @@ class _Lines:
 
     def _print(self) -> None:
         self._printed = time.monotonic()
-        text = f"{self._title}: {self._done} of {self._total} {self._unit}"
-        print(text, file=sys.stderr, flush=True)
+        say(f"{self._title}: {self._done} of {self._total} {self._unit}", error=True)
 
 
 def progress_bar(total: int, unit: str, title: str) -> Any:
