@@ -31,7 +31,10 @@ absl::StatusOr<Dataset> FromRecordings(const std::string& path, const std::strin
   if (!recordings.ok()) return Annotate(recordings.status(), "--recordings");
   const size_t episodes = recordings->size();
   absl::StatusOr<Dataset> dataset = Concatenate(*std::move(recordings));
-  if (dataset.ok()) dataset->recipe = {{"recordings", path}, {"episodes", episodes}};
+  if (!dataset.ok()) return dataset;
+  dataset->recipe.erase("parts");  // one for each episode; the names stay
+  dataset->recipe["recordings"] = path;
+  dataset->recipe["episodes"] = episodes;
   return dataset;
 }
 

@@ -2,10 +2,21 @@
 
 #include <limits>
 #include <utility>
+#include <vector>
 
 #include "absl/types/span.h"
+#include "core/model/features.h"
+#include "nlohmann/json.hpp"
 
 namespace spikeserve {
+namespace {
+
+// Adds the names of a policy's elements to a recipe, for policies that are trained on it.
+void AddNames(const char* key, const std::vector<Feature>& features, nlohmann::json* recipe) {
+  for (const Feature& feature : features) (*recipe)[key].push_back(feature.name);
+}
+
+}  // namespace
 
 EpisodeRecorder::EpisodeRecorder(std::shared_ptr<const ServedPolicy> served, Sink sink)
     : served_(std::move(served)), sink_(std::move(sink)) {}
@@ -68,6 +79,8 @@ void EpisodeRecorder::Start(const Session& session) {
                      .action_space = policy.action_space,
                      .recipe = {{"policy", options.policy}, {"version", options.version}},
                      .episodes = {}};
+  AddNames("observation_names", policy.features.observation, &running_->recipe);
+  AddNames("action_names", policy.features.action, &running_->recipe);
   running_->episodes.push_back(std::move(episode));
 }
 

@@ -2,13 +2,19 @@
 
 #include <algorithm>
 #include <cmath>
+#include <initializer_list>
 #include <iterator>
+#include <set>
+#include <string>
 #include <tuple>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "absl/types/span.h"
 #include "core/base/file.h"
+#include "core/base/json.h"
+#include "core/base/printable.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
@@ -100,6 +106,37 @@ absl::Status CheckNames(const char* key, const Json& first, const Json& other) {
                                                  " in all datasets, received ", received.dump()));
 }
 
+// Returns INVALID_ARGUMENT unless `key` of the recipe is absent, or lists one name of `counts`
+// each that a terminal shows. An index has one name, or one for each of its values.
+absl::Status CheckNamesFit(const Dataset& dataset, const char* key,
+                           std::initializer_list<int> counts) {
+  if (!dataset.recipe.is_object() || !dataset.recipe.contains(key)) return absl::OkStatus();
+  const Json& names = dataset.recipe[key];
+  std::set<std::string> known;
+  for (const Json& name : names) {
+    const bool printable = name.is_string() && IsPrintable(name.get_ref<const std::string&>());
+    if (printable) known.insert(name.get<std::string>());
+  }
+  const bool counted =
+      std::find(counts.begin(), counts.end(), static_cast<int>(names.size())) != counts.end();
+  const bool fits = names.is_array() && known.size() == names.size() && counted;
+  if (fits || names.empty()) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("recipe.", key, ": expected ", absl::StrJoin(counts, " or "),
+                   " different names of printable characters, received ", names.dump()));
+}
+
+absl::Status CheckDescription(const Dataset& dataset) {
+  if (!IsPrintable(dataset.environment)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "environment: expected printable characters, received ", Quoted(dataset.environment)));
+  }
+  RETURN_IF_ERROR(CheckNamesFit(dataset, "observation_names", {dataset.observation_size}));
+  const ActionSpace& space = dataset.action_space;
+  return space.is_discrete() ? CheckNamesFit(dataset, "action_names", {1, space.n})
+                             : CheckNamesFit(dataset, "action_names", {space.size()});
+}
+
 void RoundToBounds(const ActionSpace& space, std::vector<Action>* actions) {
   constexpr double kRounding = 1e-6;  // of the range
   for (Action& action : *actions) {
@@ -116,6 +153,7 @@ void RoundToBounds(const ActionSpace& space, std::vector<Action>* actions) {
 }  // namespace
 
 absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
+  RETURN_IF_ERROR(CheckDescription(dataset));
   const size_t steps = episode.actions.size();
   if (steps == 0)
     return absl::InvalidArgumentError("actions: expected at least one, received none");
@@ -158,6 +196,15 @@ absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets) {
   SPIKESERVE_DCHECK(!datasets.empty());
   Dataset all = std::move(datasets[0]);
   if (datasets.size() == 1) return all;
+  Json names = Json::object();  // of the first dataset that has some
+  const auto note_names = [&names](const Json& recipe) -> absl::Status {
+    for (const char* key : {"observation_names", "action_names"}) {
+      RETURN_IF_ERROR(CheckNames(key, names, recipe));
+      if (recipe.is_object() && recipe.contains(key)) names[key] = recipe[key];
+    }
+    return absl::OkStatus();
+  };
+  RETURN_IF_ERROR(note_names(all.recipe));
   Json recipes = Json::array({std::move(all.recipe)});
   for (Dataset& dataset : absl::MakeSpan(datasets).subspan(1)) {
     if (dataset.environment != all.environment) {
@@ -170,13 +217,12 @@ absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets) {
           absl::StrCat("data: expected equal spaces in all datasets of ", all.environment,
                        ", received other ones in dataset ", recipes.size() + 1));
     }
-    for (const char* names : {"observation_names", "action_names"}) {
-      RETURN_IF_ERROR(CheckNames(names, recipes[0], dataset.recipe));
-    }
+    RETURN_IF_ERROR(note_names(dataset.recipe));
     recipes.push_back(std::move(dataset.recipe));
     std::move(dataset.episodes.begin(), dataset.episodes.end(), std::back_inserter(all.episodes));
   }
-  all.recipe = Json{{"parts", std::move(recipes)}};
+  all.recipe = std::move(names);
+  all.recipe["parts"] = std::move(recipes);
   return all;
 }
 

@@ -10,7 +10,8 @@ import minari
 import numpy as np
 import pytest
 import spikeserve
-from serving import running_server
+from policy_file import read_policy
+from serving import SHIPPED_POLICIES, running_server
 from tritonclient import grpc as triton
 from tritonclient.utils import InferenceServerException
 
@@ -170,7 +171,12 @@ def test_spiketrain_trains_on_it(played, tmp_path):
         "--json",
     )
     assert json.loads(report)
-    assert (tmp_path / "policy" / "policy.safetensors").exists()
+    trained, served = (
+        {kind: [element["name"] for element in features[kind]] for kind in ("observation", "action")}
+        for path in (tmp_path / "policy", SHIPPED_POLICIES / "cartpole/2")
+        for features in [json.loads(read_policy(path / "policy.safetensors")[1]["features"])]
+    )
+    assert trained == served  # the server has recorded the names
 
 
 def test_the_whole_recording_is_replayed(played):

@@ -176,6 +176,24 @@ def test_datasets_with_other_names_are_refused(tmp_path):
     assert train(paths[0], tmp_path / "out").returncode == 0
 
 
+UNUSABLE = {
+    "few": ({"recipe": {"observation_names": ["x"]}}, 'recipe.observation_names: expected 3 different names of printable'),
+    "equal": ({"recipe": {"observation_names": ["x", "x", "y"]}}, "recipe.observation_names: expected 3 different names"),
+    "control": ({"recipe": {"action_names": ["\x1b[2J", "b"]}}, "recipe.action_names: expected 1 or 2 different names"),
+    "environment": ({"environment": "\x1b]52;c;aGk=\x07"}, "environment: expected printable characters, received "),
+}
+
+
+@pytest.mark.parametrize(("fields", "reason"), UNUSABLE.values(), ids=UNUSABLE)
+def test_names_that_a_policy_cannot_have_are_refused(fields, reason, tmp_path):
+    path = write(tmp_path / "data.cbor", {})
+    path.write_bytes(cbor2.dumps(cbor2.loads(path.read_bytes()) | fields))
+    trained = train(path, tmp_path / "out")
+    assert trained.returncode == 1
+    assert reason in trained.stderr
+    assert "\x1b" not in trained.stderr + trained.stdout
+
+
 def minari_set(folder, ends=None, data_format="hdf5", **metadata):
     (folder / "data").mkdir(parents=True)
     space = spaces.Box(-1, 1, (3,), np.float32)
