@@ -10,6 +10,7 @@
 #include "absl/time/time.h"
 #include "client/tools/security_flags.h"
 #include "core/base/status_macros.h"
+#include "core/cli/printable_output.h"
 #include "core/cli/program.h"
 #include "loadtest/load_test.h"
 
@@ -103,6 +104,7 @@ absl::Status Run(const LoadFlags& flags) {
 
 int main(int argc, char** argv) {
   spikeserve::SilenceGrpc();
+  const spikeserve::PrintableOutput output;
   spikeserve::LoadFlags flags;
   spikeserve::Program program("spikeload", "Puts a load on a spikeserve server and measures it",
                               spikeserve::ErrorCodes::kShown);

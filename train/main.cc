@@ -1,11 +1,13 @@
 // spiketrain: records data, trains policies on it, quantizes and plays them. Every subcommand has a
 // file of its own.
+#include "core/cli/printable_output.h"
 #include "core/cli/program.h"
 #include "train/commands.h"
 #include "train/trainer/memory.h"
 
 int main(int argc, char** argv) {
   spikeserve::KeepFreedMemory();
+  const spikeserve::PrintableOutput output;
   spikeserve::Program program("spiketrain", "Trains Spiking Decision Transformers");
   spikeserve::AddExpertCommand(program);
   spikeserve::AddDatasetCommand(program);

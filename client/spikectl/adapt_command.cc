@@ -74,15 +74,15 @@ absl::StatusOr<v1::PolicyInfo> ChooseServedPolicy(Client& client, const AgentFla
 void PrintText(const std::string& change, const AdaptationOptions& options,
                const Adaptation& result) {
   const auto [low, high] = std::minmax_element(result.curve.begin(), result.curve.end());
-  absl::PrintF("%s with %s, policy %s/%d, %d learning session(s)\n", options.environment,
-               change.empty() ? "nothing changed" : change, options.policy.name(),
-               options.policy.version(), options.sessions);
-  absl::PrintF("%7s %10s\n", "episode", "return");
+  std::cout << absl::StrFormat("%s with %s, policy %s/%d, %d learning session(s)\n%7s %10s\n",
+                               options.environment, change.empty() ? "nothing changed" : change,
+                               options.policy.name(), options.policy.version(), options.sessions,
+                               "episode", "return");
   for (size_t e = 0; e < result.curve.size(); ++e) {
     std::cout << CurveLine(static_cast<int>(e), result.curve[e], std::min(0.0, *low),
                            std::max(0.0, *high));
   }
-  absl::PrintF(
+  std::cout << absl::StrFormat(
       "greedy, mean of %d unseen starts: %.1f unperturbed, %.1f frozen, %.1f adapted\n"
       "head drift %.3f, %d rollback(s) by the guard\n",
       options.evaluation_episodes, result.unperturbed_return, result.frozen_return,
