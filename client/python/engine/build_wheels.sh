@@ -35,6 +35,7 @@ for python in "$@"; do
     abi=$("$python" -c 'import sysconfig; print(sysconfig.get_config_var("SOABI").split("-")[1])')
     export SETUPTOOLS_EXT_SUFFIX=.cpython-$abi-aarch64-linux-gnu.so
   fi
+  echo "engine: compiling for $("$python" -V): some minutes the first time"
   "$python" -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir="$raw" "$package"
 done
 PATH=$tools:$PATH "$auditor" -m auditwheel repair "${libraries[@]}" --wheel-dir="$out" "$raw"/*.whl
