@@ -32,14 +32,16 @@ TEXT = """# Policies on microcontrollers
 **On a processor, spiking does not pay where something small is enough.** A perceptron with two hidden layers of 64 in int8, which plays
 CartPole at 500 as well, needs {tiny} instructions for a decision on a Cortex-M4 and {tiny_flash} bytes of flash; `cartpole-small` needs
 {small} and {small_flash}, and the policies of MountainCar and Pendulum {larger} times the instructions of the perceptron, which returns as
-much there. A line plays CartPole, too ([what it costs](cost.md)). **Beside a dense int8 transformer of the same size** a spiking policy
+much there, or a few points less. A line plays CartPole, too ([what it costs](cost.md)). **Beside a dense int8 transformer of the same size** a spiking policy
 needs {plain_ratios} times the instructions if both are plain loops, and {pairs_ratios} times if the dense one uses the processor's
-instructions for two products: {dearer}. In a circuit the account has {circuit_ratios} of the dense one's energy, and {memory_ratios} with memory.
+instructions for two products: {dearer}. By the account of a circuit it takes {circuit_ratios} times the energy of the dense one,
+with memory {memory_ratios} times.
 
-`make lab-chips` writes this page: the first {decisions} decisions of an episode in QEMU, compared bit for bit with the engine's. The policies
-are the C of [emit-c](../guides/microcontroller.md), with a session that moves, learned heads and all counts. `dense` has the sizes of the
-policy above it, random weights, which do not change its cost, and neither a session nor a table of timesteps
-([dense.c](../../lab/microcontrollers/dense.c)); libraries of hand-written kernels would need fewer instructions for it than `pairs`.
+`make lab-chips` writes this page: the first {decisions} decisions of a session in QEMU, compared bit for bit with the engine's; classic control
+is played, the other policies get random observations. The policies are the C of [emit-c](../guides/microcontroller.md), with a
+session that moves, learned heads and all counts. `dense` has the sizes of the policy above it, random weights, which do not change its
+cost, and neither a session nor a table of timesteps ([dense.c](../../lab/microcontrollers/dense.c)); libraries of hand-written kernels
+would need fewer instructions for it than `pairs`.
 
 ## Costs
 
@@ -145,7 +147,8 @@ def models_of(file):
 
 
 def ratios(numbers):
-    return f"{min(numbers):.2g} to {max(numbers):.2g}"
+    least, most = (float(f"{number:.2g}") for number in (min(numbers), max(numbers)))
+    return f"{least:g} to {most:g}"
 
 
 def sentences(measured):
@@ -160,7 +163,7 @@ def sentences(measured):
         "larger": ratios([models[0].instructions[1] / models[3].instructions[1] for models in measured[1:] if len(models) > 3]),
         "plain_ratios": ratios([models[0].instructions[1] / models[1].instructions[1] for models in measured]),
         "pairs_ratios": ratios(by_pairs.values()),
-        "dearer": f"{', '.join(dearer) or 'none'} {'needs' if len(dearer) == 1 else 'need'} more",
+        "dearer": f"more for {', '.join(dearer)}" if dearer else "never more",
         "circuit_ratios": ratios([models[0].energies[0] / models[1].energies[0] for models in measured]),
         "memory_ratios": ratios([models[0].energies[1] / models[1].energies[1] for models in measured]),
     }

@@ -216,14 +216,16 @@ static void run_token(int kind, const dense_embedding* embedding, const float* i
   const dense_map* map = &embedding->map;
   const float whole = 12582912.0f; /* adding it rounds to an integer */
   const uint32_t slot = (3 * state.timestep + (uint32_t)kind) % SLOTS;
+  int16_t rounded[INPUTS > DENSE_ACTIONS ? INPUTS : DENSE_ACTIONS];
   int layer, j, k;
+  for (j = 0; j < map->inputs; ++j) {
+    const float scaled = input[j] * (float)DENSE_INPUT_UNIT;
+    const float limited = scaled < -32767.0f ? -32767.0f : scaled > 32767.0f ? 32767.0f : scaled;
+    rounded[j] = (int16_t)(limited + whole - whole);
+  }
   for (k = 0; k < DENSE_HIDDEN; ++k) {
     int32_t sum = 0;
-    for (j = 0; j < map->inputs; ++j) {
-      const float scaled = input[j] * (float)DENSE_INPUT_UNIT;
-      const float limited = scaled < -32767.0f ? -32767.0f : scaled > 32767.0f ? 32767.0f : scaled;
-      sum += map->weight[k * map->inputs + j] * (int32_t)(limited + whole - whole);
-    }
+    for (j = 0; j < map->inputs; ++j) sum += map->weight[k * map->inputs + j] * rounded[j];
     state.x[k] = round_shift(sum, map->shift[k]) + map->bias[k] + timestep_embedding[k];
   }
   normalise(&embedding->norm);
