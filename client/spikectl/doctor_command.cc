@@ -16,6 +16,7 @@
 #include "core/base/status_macros.h"
 #include "core/dataset/recordings.h"
 #include "core/model/policy_file.h"
+#include "core/model/wiring_model.h"
 #include "spikeserve/client.h"
 
 namespace spikeserve {
@@ -61,25 +62,23 @@ struct Diagnosis {
 };
 
 // Plays the observations of `episode` to the check.
-void Check(const Policy& policy, const Episode& episode, WiringCheck* check, Diagnosis* found) {
+void Check(const Policy& policy, const Episode& episode, WiringState* state, Diagnosis* found) {
   const auto obs = static_cast<size_t>(policy.observation_size());
-  std::vector<float> action;
-  check->BeginEpisode();
+  History history;
   for (size_t t = 0; t <= episode.actions.size(); ++t) {
     const auto observation = absl::MakeConstSpan(episode.observations).subspan(t * obs, obs);
     if (std::isnan(observation[0])) return;
-    if (t > 0) {
-      action.resize(static_cast<size_t>(policy.action_space.size()));
-      policy.action_space.Encode(episode.actions[t - 1], absl::MakeSpan(action));
-    }
     for (size_t i = 0; i < obs; ++i) {
       const auto value = static_cast<double>(observation[i]);
       found->elements[i].low = std::min(found->elements[i].low, value);
       found->elements[i].high = std::max(found->elements[i].high, value);
     }
-    if (check->OnStep(observation, action)) found->first_step = found->steps;
-    if (check->verdict().has_value()) found->verdict = check->verdict();
+    const auto step = static_cast<int64_t>(t);
+    if (CheckWiring(policy, step, history, observation, state)) found->first_step = found->steps;
+    if (state->verdict.has_value()) found->verdict = state->verdict;
     ++found->steps;
+    if (t == episode.actions.size()) return;
+    history.Append(0.0f, observation, episode.actions[t], /*limit=*/2);
   }
 }
 
@@ -99,8 +98,8 @@ void Print(const Policy& policy, const Diagnosis& found) {
     std::cout << "wired right, as far as " << found.steps << " observations show\n";
     return;
   }
-  std::cout << "verdict after " << found.first_step + 1 << " observations: " << found.verdict->text
-            << "\n";
+  std::cout << "verdict after " << found.first_step + 1
+            << " observations: " << WiringText(policy, *found.verdict) << "\n";
 }
 
 absl::Status AskServer(const ServerFlags& server, const std::string& session) {
@@ -125,7 +124,7 @@ absl::Status Diagnose(const ServerFlags& server, const DoctorFlags& flags) {
         "received one without");
   }
   ASSIGN_OR_RETURN(const auto datasets, ReadRecordings(flags.observations));
-  WiringCheck check(policy);
+  WiringState state;
   Diagnosis found;
   found.elements.resize(static_cast<size_t>(policy.observation_size()));
   for (const Dataset& dataset : datasets) {
@@ -135,7 +134,7 @@ absl::Status Diagnose(const ServerFlags& server, const DoctorFlags& flags) {
           "--observations: expected observations of ", policy.observation_size(),
           " elements and the policy's actions, received ", dataset.observation_size, " elements"));
     }
-    for (const Episode& episode : dataset.episodes) Check(policy, episode, &check, &found);
+    for (const Episode& episode : dataset.episodes) Check(policy, episode, &state, &found);
   }
   Print(policy, found);
   return absl::OkStatus();

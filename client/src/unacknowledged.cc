@@ -23,7 +23,6 @@ std::string Comparable(v1::ActResponse answer) {
   answer.clear_dropped();
   answer.clear_queue_seconds();
   answer.clear_append_seconds();
-  answer.clear_wiring();
   return answer.SerializeAsString();
 }
 

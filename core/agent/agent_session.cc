@@ -86,9 +86,7 @@ AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session s
       created_(clock->Now()),
       life_(session_.decisions, session_.episode),
       head_(served_, &session_),
-      wiring_response_(WiringResponseOf(session_.options.labels, *served_->observer)) {
-  if (policy().wiring != nullptr) wiring_ = std::make_unique<WiringCheck>(policy());
-}
+      wiring_response_(WiringResponseOf(session_.options.labels, *served_->observer)) {}
 
 void AgentSession::AddListener(std::shared_ptr<SessionListener> listener) {
   SPIKESERVE_DCHECK(listener != nullptr);
@@ -106,6 +104,8 @@ struct AgentSession::Together {
   // Leaves in `choice` what the answer does not store.
   static Answer MakeAnswer(AgentSession& session, const Engine::Output& output, double reward,
                            ActionChoice* choice);
+  // Compares the observation of the next step with the wiring of the training data.
+  static void CheckWiring(AgentSession& agent, absl::Span<const float> observation);
   // Adds the answer to the session, and reports it.
   static void Record(ActCall& call, Answer answer, absl::Span<const float> readout,
                      absl::Span<const float> noise);
@@ -214,7 +214,7 @@ void AgentSession::Together::Decide(absl::Span<ActCall* const> calls) {
       call.answer = session.NonFiniteError();
       continue;
     }
-    session.CheckWiring(call.observation);
+    CheckWiring(session, call.observation);
     Answer answer = MakeAnswer(session, outputs[i], call.reward, &choice);
     answer.unusual_observations =
         served.observer->CountUnusual(call.observation, static_cast<double>(answer.return_to_go));
@@ -222,13 +222,24 @@ void AgentSession::Together::Decide(absl::Span<ActCall* const> calls) {
     answer.compute_seconds = absl::ToDoubleSeconds(share + (chosen - last));
     last = chosen;
     Record(call, std::move(answer), outputs[i].readout, choice.noise);
-    session.ActSafely();
     const Answer& answered = *session.session_.last_answer;
     session.life_.OnDecision(chosen - session.created_, answered.counts.total_spikes(),
                              answered.compute_seconds);
     call.answer = &answered;
     call.is_beat ? served.observer->OnBeat(answered) : served.observer->OnDecision(answered);
   }
+}
+
+void AgentSession::Together::CheckWiring(AgentSession& agent, absl::Span<const float> observation) {
+  Session& session = agent.session_;
+  if (agent.policy().wiring == nullptr) return;
+  if (!spikeserve::CheckWiring(agent.policy(), session.step, session.history, observation,
+                               &session.wiring)) {
+    return;
+  }
+  const WiringVerdict& verdict = *session.wiring.verdict;
+  agent.served_->observer->OnWiring(session.id, verdict.cause, WiringText(agent.policy(), verdict),
+                                    agent.wiring_response_);
 }
 
 // Reuses the memory of the session's last answer.
@@ -256,8 +267,10 @@ void AgentSession::Together::Record(ActCall& call, Answer answer, absl::Span<con
                            .readout = readout,
                            .noise = noise,
                            .is_beat = call.is_beat,
-                           .after_gap = std::exchange(agent.before_skipped_, nullptr) != nullptr};
+                           .after_gap = std::exchange(agent.before_skipped_, nullptr) != nullptr,
+                           .is_safe = agent.acts_safely()};
   CountDecision(policy, std::move(answer), call.observation, inputs.reward, &agent.session_);
+  if (inputs.is_safe) agent.ActSafely();
   if (agent.listeners_.empty()) return;
   if (call.executed.has_value() && call.step > 0) {
     inputs.executed = *ParseExecutedAction(*call.executed, policy.action_space);
@@ -290,32 +303,10 @@ void AgentSession::TakeExecuted(const Action& executed) {
   for (const auto& listener : listeners_) listener->OnExecuted(executed);
 }
 
-const std::optional<WiringVerdict>& AgentSession::wiring_verdict() const {
-  static const std::optional<WiringVerdict> none;
-  return wiring_ != nullptr ? wiring_->verdict() : none;
-}
-
-void AgentSession::CheckWiring(absl::Span<const float> observation) {
-  if (wiring_ == nullptr) return;
-  if (session_.step == 0) wiring_->BeginEpisode();
-  thread_local std::vector<float> action;
-  thread_local Action executed;
-  action.clear();
-  // The observation before is known unless steps were skipped.
-  if (!session_.history.empty() && before_skipped_ == nullptr) {
-    action.resize(static_cast<size_t>(policy().action_space.size()));
-    session_.history.action(session_.history.size() - 1, &executed);
-    policy().action_space.Encode(executed, absl::MakeSpan(action));
-  }
-  if (!wiring_->OnStep(observation, action)) return;
-  served_->observer->OnWiring(session_.id, *wiring_->verdict(), wiring_response_);
-}
-
 void AgentSession::ActSafely() {
-  acts_safely_ = wiring_response_ == WiringResponse::kSafe && wiring_verdict().has_value();
-  if (!acts_safely_) return;
   const Action neutral = NeutralAction(policy().action_space);
-  TakeExecuted(neutral);
+  if (neutral == session_.last_answer->action) return;
+  head_.OnExecuted(neutral, &session_);
   session_.last_answer->action = neutral;
 }
 

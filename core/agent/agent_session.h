@@ -105,10 +105,11 @@ class AgentSession {
   const Policy& policy() const { return served_->policy(); }
   // Returns a summary of what the session has done since this object was created.
   const SessionLife& life() const { return life_; }
-  // Returns the verdict about the wiring of the session; absent if there is none.
-  const std::optional<WiringVerdict>& wiring_verdict() const;
-  // Returns whether the last answer has the neutral action because of that verdict.
-  bool acts_safely() const { return acts_safely_; }
+  // Returns whether the last answer has the neutral action, because of the verdict about the
+  // wiring.
+  bool acts_safely() const {
+    return wiring_response_ == WiringResponse::kSafe && session_.wiring.verdict.has_value();
+  }
   // Returns when this object was created, of the clock. Not guarded by the lock of the session.
   absl::Duration created() const { return created_; }
   absl::Duration Age() const { return clock_->Now() - created_; }
@@ -124,9 +125,7 @@ class AgentSession {
   struct Together;  // the steps of ActTogether, and of EndEpisode
 
   void TakeExecuted(const Action& executed);
-  // Compares the observation of the next step with the wiring of the training data.
-  void CheckWiring(absl::Span<const float> observation);
-  // Replaces the action of the last answer by the neutral one if the wiring demands it.
+  // Replaces the action of the last answer by the neutral one.
   void ActSafely();
   // Counts an answer that holds NaN or infinity, and returns its error.
   absl::Status NonFiniteError() const;
@@ -138,9 +137,7 @@ class AgentSession {
   SessionLife life_;
   ContextCache context_;
   SessionHead head_;
-  std::unique_ptr<WiringCheck> wiring_;  // null: the policy has no model of its observations
   WiringResponse wiring_response_;
-  bool acts_safely_ = false;
   // The session before steps that were skipped, until the next decision; null: none were.
   std::unique_ptr<const Session> before_skipped_;
   std::vector<std::shared_ptr<SessionListener>> listeners_;

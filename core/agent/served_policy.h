@@ -66,9 +66,10 @@ class SessionObserver {
   virtual void OnError() {}
   // The policy computed an answer with NaN or infinity, which was not sent.
   virtual void OnNonFinite() {}
-  // A verdict about the wiring of the session `id` begins. `response` is what follows from it.
-  virtual void OnWiring(const std::string& /*id*/, const WiringVerdict& /*verdict*/,
-                        WiringResponse /*response*/) {}
+  // A verdict about the wiring of the session `id` begins, in words `text`. `response` is what
+  // follows from it.
+  virtual void OnWiring(const std::string& /*id*/, WiringCause /*cause*/,
+                        const std::string& /*text*/, WiringResponse /*response*/) {}
   // Returns the response to verdicts in sessions that ask for none.
   virtual WiringResponse wiring_response() const { return WiringResponse::kCount; }
   virtual void OnEpisodeEnd(double /*episode_return*/) {}

@@ -112,24 +112,20 @@ class Writer {
     value != nullptr ? Write(*value) : cbor_.Null();
   }
 
-  void Write(const Counts& counts) {
-    const bool integer = counts.weight_bytes > 0;
-    size_t fields = 0;
-    const auto count = [&](const char*, const auto&) { ++fields; };
-    const auto write = [&](const char*, const auto& member) { Write(member); };
-    VisitFields(counts, count);
-    if (integer) VisitIntegerFields(counts, count);
-    cbor_.Array(fields);
-    VisitFields(counts, write);
-    if (integer) VisitIntegerFields(counts, write);
-  }
-
   template <HasFields T>
   void Write(const T& value) {
     size_t fields = 0;
-    VisitFields(value, [&](const char*, const auto&) { ++fields; });
+    const auto count = [&](const char*, const auto&) { ++fields; };
+    const auto write = [&](const char*, const auto& member) { Write(member); };
+    VisitFields(value, count);
+    if constexpr (MayHaveMoreFields<const T>) {
+      if (HasMoreFields(value)) VisitMoreFields(value, count);
+    }
     cbor_.Array(fields);
-    VisitFields(value, [&](const char*, const auto& member) { Write(member); });
+    VisitFields(value, write);
+    if constexpr (MayHaveMoreFields<const T>) {
+      if (HasMoreFields(value)) VisitMoreFields(value, write);
+    }
   }
 
  private:
@@ -244,34 +240,26 @@ class Reader {
     value = std::move(read);
   }
 
-  void Read(const Json& json, const std::string& path, Counts& counts) {
+  template <HasFields T>
+  void Read(const Json& json, const std::string& path, T& value) {
     size_t fields = 0;
-    size_t integer_fields = 0;
-    VisitFields(counts, [&](const char*, auto&) { ++fields; });
-    VisitIntegerFields(counts, [&](const char*, auto&) { ++integer_fields; });
-    if (!json.is_array() || (json.size() != fields && json.size() != fields + integer_fields)) {
-      return Fail(path, absl::StrCat("an array of ", fields, " or ", fields + integer_fields),
-                  json);
+    size_t more = 0;
+    VisitFields(value, [&](const char*, auto&) { ++fields; });
+    if constexpr (MayHaveMoreFields<T>) {
+      VisitMoreFields(value, [&](const char*, auto&) { ++more; });
+    }
+    if (!json.is_array() || (json.size() != fields && json.size() != fields + more)) {
+      const std::string or_more = more > 0 ? absl::StrCat(" or ", fields + more) : "";
+      return Fail(path, absl::StrCat("an array of ", fields, or_more), json);
     }
     size_t i = 0;
     const auto read = [&](const char* name, auto& member) {
       Read(json[i++], absl::StrCat(path, ".", name), member);
     };
-    VisitFields(counts, read);
-    if (i < json.size()) VisitIntegerFields(counts, read);
-  }
-
-  template <HasFields T>
-  void Read(const Json& json, const std::string& path, T& value) {
-    size_t fields = 0;
-    VisitFields(value, [&](const char*, auto&) { ++fields; });
-    if (!json.is_array() || json.size() != fields) {
-      return Fail(path, absl::StrCat("an array of ", fields), json);
+    VisitFields(value, read);
+    if constexpr (MayHaveMoreFields<T>) {
+      if (i < json.size()) VisitMoreFields(value, read);
     }
-    size_t i = 0;
-    VisitFields(value, [&](const char* name, auto& member) {
-      Read(json[i++], absl::StrCat(path, ".", name), member);
-    });
   }
 
  private:

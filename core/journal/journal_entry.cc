@@ -7,6 +7,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
+#include "core/agent/wiring_check.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
@@ -64,6 +65,9 @@ absl::Status CheckSnapshot(const Session& session, const Policy& policy) {
   if (session.options.head_delta.size() != 0) {
     const auto size = static_cast<size_t>(session.options.head_delta.size());
     RETURN_IF_ERROR(CheckSize("head_delta", head, size));
+  }
+  if (const auto status = CheckWiringState(policy, session.wiring); !status.ok()) {
+    return absl::DataLossError(absl::StrCat("journal: ", status.message()));
   }
   if (!session.learner.has_value()) return absl::OkStatus();
   return CheckSize("learner", head, static_cast<size_t>(session.learner->head_delta.size()));
@@ -198,6 +202,9 @@ absl::StatusOr<Session> RestoreSession(Journal journal, const Policy& policy) {
     if (session.learner.has_value()) session.learner->suspended = entry.suspended;
     TakeExecuted(entry, policy, &session);
     if (session.learner.has_value()) Learn(entry, policy, &session);
+    if (policy.wiring != nullptr) {
+      CheckWiring(policy, session.step, session.history, entry.observation, &session.wiring);
+    }
     CountDecision(policy, std::move(entry.answer), entry.observation, entry.reward, &session);
   }
   return session;

@@ -42,10 +42,10 @@ void VisitFields(T& counts, Visitor&& visit) {
   visit("gate_products", counts.gate_products);
 }
 
-// Lists the counts of integer arithmetic. They follow the others in answers that have them, so that
-// releases which do not know this arithmetic can read the answers of every policy that they know.
+// The counts of integer arithmetic.
+inline bool HasMoreFields(const Counts& counts) { return counts.weight_bytes > 0; }
 template <Is<Counts> T, typename Visitor>
-void VisitIntegerFields(T& counts, Visitor&& visit) {
+void VisitMoreFields(T& counts, Visitor&& visit) {
   visit("membrane_ticks", counts.membrane_ticks);
   visit("membrane_leaks", counts.membrane_leaks);
   visit("wide_multiply_accumulates", counts.wide_multiply_accumulates);
@@ -199,6 +199,30 @@ void VisitFields(T& pending, Visitor&& visit) {
   visit("summary", pending.summary);
 }
 
+template <Is<WiringHypothesis> T, typename Visitor>
+void VisitFields(T& hypothesis, Visitor&& visit) {
+  visit("number", hypothesis.number);
+  visit("evidence", hypothesis.evidence);
+  visit("total", hypothesis.total);
+}
+
+template <Is<WiringVerdict> T, typename Visitor>
+void VisitFields(T& verdict, Visitor&& visit) {
+  visit("cause", verdict.cause);
+  visit("elements", verdict.elements);
+  visit("evidence", verdict.evidence);
+}
+
+template <Is<WiringState> T, typename Visitor>
+void VisitFields(T& wiring, Visitor&& visit) {
+  visit("is_open", wiring.is_open);
+  visit("steps", wiring.steps);
+  visit("unusual", wiring.unusual);
+  visit("hypotheses", wiring.hypotheses);
+  visit("runs", wiring.runs);
+  visit("verdict", wiring.verdict);
+}
+
 template <Is<Session> T, typename Visitor>
 void VisitFields(T& session, Visitor&& visit) {
   visit("id", session.id);
@@ -225,6 +249,20 @@ void VisitFields(T& session, Visitor&& visit) {
   visit("learner", session.learner);
   visit("pending", session.pending);
 }
+
+inline bool HasMoreFields(const Session& session) { return session.wiring != WiringState(); }
+template <Is<Session> T, typename Visitor>
+void VisitMoreFields(T& session, Visitor&& visit) {
+  visit("wiring", session.wiring);
+}
+
+// Is satisfied by types that have an overload of VisitMoreFields(): optional members at the end,
+// which are written if HasMoreFields(), so that releases which do not know them can read the
+// others.
+template <typename T>
+concept MayHaveMoreFields = requires(T& value) {
+  VisitMoreFields(value, [](const char*, auto&) {});
+};
 
 // Is satisfied by types that have an overload of VisitFields().
 template <typename T>

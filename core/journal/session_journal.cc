@@ -60,7 +60,9 @@ void SessionJournal::OnOpen(const Session& session) {
 }
 
 void SessionJournal::OnDecision(const Session& session, const DecisionInputs& inputs) {
-  if (inputs.after_gap || records_ >= kDecisionsPerSnapshot) return OnChange(session);
+  if (inputs.after_gap || inputs.is_safe || records_ >= kDecisionsPerSnapshot) {
+    return OnChange(session);
+  }
   JournalEntryView entry = {.decision = session.decisions - 1,
                             .reward = inputs.reward,
                             .observation = session.history.observation(session.history.size() - 1),

@@ -150,14 +150,14 @@ void FitScales(const StandardSteps& steps, WiringModel* model) {
 
 // Returns the surprise that a share kUsual of the steps does not reach.
 double UsualSurprise(const StandardSteps& steps, const WiringModel& model) {
-  Matrix surprises(steps.count), after(steps.obs), scratch(steps.obs);
+  Matrix surprises(steps.count), after(steps.obs), change(steps.obs);
   Matrix row(WiringModel::Terms(steps.obs, steps.act));
   for (size_t t = 0; t < steps.count; ++t) {
     for (size_t i = 0; i < steps.obs; ++i) {
       after[i] = steps.Now(t)[i] + steps.change[t * steps.obs + i];
     }
-    surprises[t] = model.Surprise(steps.Now(t), after, steps.Action(t), absl::MakeSpan(row),
-                                  absl::MakeSpan(scratch));
+    model.Predict(steps.Now(t), steps.Action(t), absl::MakeSpan(row), absl::MakeSpan(change));
+    surprises[t] = model.Surprise(steps.Now(t), after, change);
   }
   const auto usual = static_cast<int64_t>(kUsual * static_cast<double>(steps.count));
   std::nth_element(surprises.begin(), surprises.begin() + usual, surprises.end());

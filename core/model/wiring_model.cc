@@ -56,21 +56,22 @@ void FillWiringTerms(absl::Span<const double> z, absl::Span<const float> action,
   }
 }
 
-double WiringModel::Surprise(absl::Span<const double> before, absl::Span<const double> after,
-                             absl::Span<const float> action, absl::Span<double> terms,
-                             absl::Span<double> change) const {
-  const size_t obs = size();
+void WiringModel::Predict(absl::Span<const double> before, absl::Span<const float> action,
+                          absl::Span<double> terms, absl::Span<double> change) const {
   FillWiringTerms(before, action, terms);
-  double spread = 0.0;
-  for (size_t i = 0; i < obs; ++i) {
-    change[i] = 0.0;
-    spread += before[i] * before[i];
-  }
+  std::fill(change.begin(), change.end(), 0.0);
   const double* row = coefficients.data();
   for (const double term : terms) {
-    for (size_t i = 0; i < obs; ++i) change[i] += term * row[i];
-    row += obs;
+    for (size_t i = 0; i < change.size(); ++i) change[i] += term * row[i];
+    row += change.size();
   }
+}
+
+double WiringModel::Surprise(absl::Span<const double> before, absl::Span<const double> after,
+                             absl::Span<const double> change) const {
+  const size_t obs = size();
+  double spread = 0.0;
+  for (const double element : before) spread += element * element;
   spread /= static_cast<double>(obs);
   const double cube = spread * spread * spread;
   double tails = 1.0;

@@ -43,12 +43,14 @@ struct WiringModel {
   }
   size_t size() const { return mean.size(); }
 
-  // Returns the surprise of a step from `before` to `after` [obs], standardised, with `action`: -ln
-  // of its density without the constant part. `terms` and `change` are scratch memory, [Terms] and
-  // [obs].
+  // Writes the predicted change [obs] of the standardised observation `before` [obs] by `action`.
+  // `terms` [Terms] is scratch memory.
+  void Predict(absl::Span<const double> before, absl::Span<const float> action,
+               absl::Span<double> terms, absl::Span<double> change) const;
+  // Returns the surprise of a step from `before` to `after` [obs], standardised, where `change` was
+  // predicted: -ln of its density without the constant part.
   double Surprise(absl::Span<const double> before, absl::Span<const double> after,
-                  absl::Span<const float> action, absl::Span<double> terms,
-                  absl::Span<double> change) const;
+                  absl::Span<const double> change) const;
   // Returns how far the standardised observation `z` [obs] is from the training data: the sum of
   // ln(1 + z_i^2 / 9).
   double Distance(absl::Span<const double> z) const;

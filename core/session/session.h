@@ -22,6 +22,7 @@
 #include "core/session/durability.h"
 #include "core/session/episode.h"
 #include "core/session/history.h"
+#include "core/session/wiring_state.h"
 
 namespace spikeserve {
 
@@ -90,6 +91,7 @@ struct Session {
   double energy_joules = 0.0;
   std::optional<Learner> learner;                      // present if and only if options.learning is
   std::shared_ptr<const PendingContribution> pending;  // null: none
+  WiringState wiring;
 };
 
 }  // namespace spikeserve

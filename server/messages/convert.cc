@@ -252,11 +252,13 @@ v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary) {
 
 namespace {
 
-void ToProto(const WiringVerdict& verdict, v1::WiringVerdict* proto) {
-  proto->set_cause(static_cast<v1::WiringVerdict::Cause>(static_cast<int>(verdict.cause) + 1));
-  proto->mutable_elements()->Add(verdict.elements.begin(), verdict.elements.end());
-  proto->set_text(verdict.text);
-  proto->set_evidence(verdict.evidence);
+v1::WiringVerdict ToProto(const WiringVerdict& verdict, const Policy& policy) {
+  v1::WiringVerdict proto;
+  proto.set_cause(static_cast<v1::WiringVerdict::Cause>(static_cast<int>(verdict.cause) + 1));
+  proto.mutable_elements()->Add(verdict.elements.begin(), verdict.elements.end());
+  proto.set_text(WiringText(policy, verdict));
+  proto.set_evidence(verdict.evidence);
+  return proto;
 }
 
 }  // namespace
@@ -287,15 +289,17 @@ v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delt
     proto.set_modulator_std(session.learner->returns.deviation());
     proto.set_rollbacks(agent.Rollbacks());
   }
-  if (const auto& verdict = agent.wiring_verdict()) ToProto(*verdict, proto.mutable_wiring());
+  if (const auto& verdict = session.wiring.verdict) {
+    *proto.mutable_wiring() = ToProto(*verdict, agent.policy());
+  }
   proto.mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());
   return proto;
 }
 
 void WiringToProto(const AgentSession& agent, v1::ActResponse* response) {
-  const auto& verdict = agent.wiring_verdict();
+  const auto& verdict = agent.session().wiring.verdict;
   if (!verdict.has_value()) return;
-  ToProto(*verdict, response->mutable_wiring());
+  *response->mutable_wiring() = ToProto(*verdict, agent.policy());
   response->mutable_wiring()->set_is_safe_action(agent.acts_safely());
 }
 

@@ -103,12 +103,11 @@ void PolicyMetrics::OnNonFinite() {
   LogError("answer not finite", {{"policy", name_}});
 }
 
-void PolicyMetrics::OnWiring(const std::string& id, const WiringVerdict& verdict,
+void PolicyMetrics::OnWiring(const std::string& id, WiringCause cause, const std::string& text,
                              WiringResponse response) {
-  series_.get().wiring[static_cast<size_t>(verdict.cause)]->Increment();
+  series_.get().wiring[static_cast<size_t>(cause)]->Increment();
   if (response == WiringResponse::kCount) return;
-  LogWarning("robot looks miswired",
-             {{"policy", name_}, {"session", id}, {"verdict", verdict.text}});
+  LogWarning("robot looks miswired", {{"policy", name_}, {"session", id}, {"verdict", text}});
 }
 
 void PolicyMetrics::OnEpisodeEnd(double episode_return) {

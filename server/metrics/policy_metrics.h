@@ -168,7 +168,7 @@ class PolicyMetrics final : public SessionObserver {
   void OnReport(const BeatCounts& beats) override;
   void OnImplausible() override { series_.get().implausible->Increment(); }
   void OnNonFinite() override;
-  void OnWiring(const std::string& id, const WiringVerdict& verdict,
+  void OnWiring(const std::string& id, WiringCause cause, const std::string& text,
                 WiringResponse response) override;
   WiringResponse wiring_response() const override { return wiring_; }
   void OnEpisodeEnd(double episode_return) override;

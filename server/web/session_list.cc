@@ -420,8 +420,9 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
   json["return_to_go"] = session.return_to_go;
   json["environment"] = entry.served->policy().environment;
   json["observation"] = ObservationJson(session, entry.served->policy(), unusual_deviations);
-  const auto& verdict = entry.agent.wiring_verdict();
-  json["wiring"] = verdict.has_value() ? Json(verdict->text) : Json();
+  const auto& verdict = session.wiring.verdict;
+  json["wiring"] =
+      verdict.has_value() ? Json(WiringText(entry.served->policy(), *verdict)) : Json();
   json["age_seconds"] = absl::ToDoubleSeconds(entry.agent.Age());
   Json& decisions = json["history"]["decisions"] = Json::array();
   for (const auto& [first, count, sum] : entry.agent.life().decisions()) {

@@ -79,13 +79,12 @@ def comparable(decision):
     """Returns what a decision must be, whichever servers made it."""
     values = asdict(decision)
     del values["durable_decision"], values["stats"]["compute_seconds"]
-    del values["wiring"]  # each server begins its check anew
     return repr(values)
 
 
 def comparable_state(state):
     """Returns what the state of a session must be, except its id."""
     values = asdict(state)
-    del values["session_id"], values["wiring"]
+    del values["session_id"]
     head = values.pop("head_delta")
     return repr(values), None if head is None else head.tobytes()

@@ -34,14 +34,16 @@ struct RecordingObserver : SessionObserver {
 constexpr int kObservationSize = 3;
 
 // Returns version 1 of a random policy "small" of either arithmetic, with a streaming engine and a
-// fleet head.
+// fleet head, and with the model `wiring` of its observations, if it is not null.
 inline std::shared_ptr<const ServedPolicy> Serve(
     const ModelConfig& config, const ActionSpace& action_space,
-    std::shared_ptr<SessionObserver> observer = std::make_shared<SessionObserver>()) {
+    std::shared_ptr<SessionObserver> observer = std::make_shared<SessionObserver>(),
+    std::shared_ptr<const WiringModel> wiring = nullptr) {
   ModelConfig random = config;
   random.arithmetic = Arithmetic::kFloat32;
   Policy made = RandomPolicy(random, kObservationSize, action_space, /*seed=*/7);
   if (config.is_integer()) made = *QuantizeToInteger(made);
+  made.wiring = std::move(wiring);
   auto policy = std::make_shared<const Policy>(std::move(made));
   auto served = std::make_shared<ServedPolicy>();
   served->name = "small";

@@ -24,6 +24,8 @@ def exported_policies(folder):
         exported = to_nir(policy / "policy.safetensors")
         path = folder / f"{policy.parent.name}-{policy.name}"
         exported.write(path)
+        _, metadata = read_policy(policy / "policy.safetensors")
+        assert exported.manifest["features"] == json.loads(metadata.get("features", "{}"))
         ticks = exported.manifest["ticks"]
         inputs = {
             population: (random.random((TOKENS, ticks, entry["inputs"])) < RATE).astype(int)

@@ -1,5 +1,6 @@
 """The server recognises a robot whose elements are wired otherwise than those of the training data."""
 
+import contextlib
 import os
 import subprocess
 
@@ -7,6 +8,9 @@ import gymnasium
 import numpy as np
 import pytest
 import spikeserve
+from cpp_pilot import CppPilot
+from restartable_server import restartable_server
+from security import until
 from serving import metric, page_of, running_server
 
 STEPS = 50
@@ -47,8 +51,13 @@ def play(session, environment, wire, steps=STEPS, seed=0):
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    flags = [f"--record_dir={tmp_path_factory.mktemp('recordings')}", "--wiring=count,pendulum=safe"]
+def recordings(tmp_path_factory):
+    return tmp_path_factory.mktemp("recordings")
+
+
+@pytest.fixture(scope="module")
+def server(recordings):
+    flags = [f"--record_dir={recordings}", "--wiring=count,pendulum=safe"]
     with running_server(flags=flags) as addresses:
         yield addresses
 
@@ -94,31 +103,66 @@ def test_a_policy_that_acts_safely_takes_the_neutral_action_until_the_wiring_is_
         assert decision.wiring is None
 
 
+def play_safely(folder, deaths):
+    """Plays Pendulum with a wrong sign and then with the right one. Kills the server before the steps `deaths`."""
+    environment = gymnasium.make("Pendulum-v1")
+    observation, _ = environment.reset(seed=5)
+    reward, answers = 0.0, []
+    options = spikeserve.SessionOptions(wiring="SAFE", durability="SYNC")
+    with (
+        restartable_server(f"--session_store=file:{folder}") as server,
+        spikeserve.Client(server.address) as client,
+        client.open_session("pendulum", options) as session,
+    ):
+        for step in range(120):
+            if step in deaths:
+                server.kill()
+                server.start()
+            decision = session.act((negate(1) if step < 40 else right)(observation), reward)
+            answers.append((decision.action.tolist(), decision.wiring))
+            observation, reward, *_ = environment.step(decision.action)
+    return answers
+
+
+def test_verdict_and_safe_action_survive_a_killed_server(tmp_path):
+    steady = play_safely(tmp_path / "steady", deaths=())
+    safe = [step for step, (_, wiring) in enumerate(steady) if wiring is not None]
+    assert safe and safe[-1] < 119
+    assert all(steady[step][0] == [0.0] for step in safe)
+    assert play_safely(tmp_path / "killed", deaths=(2, 5, safe[0] + 1, 30, 45, safe[-1])) == steady
+
+
 def test_a_session_chooses_what_follows(client):
     with client.open_session("pendulum", spikeserve.SessionOptions(wiring="COUNT")) as session:
         decision = play(session, gymnasium.make("Pendulum-v1"), negate(1))
         assert decision.wiring.cause == "SIGN" and not decision.wiring.is_safe_action
 
 
-def test_a_pilot_takes_its_safe_step(server):
+@pytest.mark.parametrize("make", [spikeserve.Pilot, CppPilot])
+def test_a_pilot_takes_its_safe_step(server, make):
     environment = gymnasium.make("Pendulum-v1")
-    options = {"period": 0.5, "max_age": 60.0, "local": False, "neutral": [0.5], "ramp_beats": 0}
-    with spikeserve.Client(server.grpc) as client, spikeserve.Pilot(client, "pendulum", **options) as pilot:
+    options = {"period": 0.5, "max_age": 60.0, "local": False, "ramp_beats": 0}
+    with spikeserve.Client(server.grpc) as client, contextlib.closing(make(client, "pendulum", **options)) as pilot:
         observation, _ = environment.reset(seed=1)
         beat = None
         for _ in range(STEPS):
             beat = pilot.beat(negate(1)(observation), 0.0)
             observation = environment.step(beat.action)[0]
-        assert beat.source == "safe" and beat.action.tolist() == [0.5]
+        assert beat.source == "safe" and beat.action.tolist() == [0.0]
 
 
-def test_the_doctor_names_what_a_recording_shows(server, client):
+def test_the_doctor_names_what_a_recording_and_a_session_show(server, client, recordings):
     with client.open_session("cartpole", spikeserve.SessionOptions(record=True)) as session:
         play(session, gymnasium.make("CartPole-v1"), exchange(0, 2))
         session.end_episode(0.0, truncated=True)
-        recording = session.opening.recording
         live = doctor(server, f"--session={session.session_id}")
-    assert "observation[0] (cart_position) and observation[2] (pole_angle) look exchanged" in live
+        episodes = session.state().episode
+    folder = recordings / session.opening.recording
+    until(lambda: len(list(folder.glob("*.cbor"))) == episodes)
+    recorded = doctor(server, "--policy=cartpole", f"--observations={folder}")
+    for text in (live, recorded):
+        assert "observation[0] (cart_position) and observation[2] (pole_angle) look exchanged" in text
+    assert "pole_angular_velocity    rad/s" in recorded
 
 
 def doctor(server, *flags):

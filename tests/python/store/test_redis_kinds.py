@@ -27,7 +27,6 @@ from stored_sessions import (
     Restartable,
     acting,
     comparable,
-    comparable_view,
     decisions,
     ending,
     opening,
@@ -63,7 +62,7 @@ def play_patiently(service, disturb):
         view = until_answered(
             lambda i=i: service().GetSession(session_id=f"{i:032x}", include_head_delta=True)
         )
-        answers[i].append(comparable_view(view))
+        answers[i].append(view.SerializeToString(deterministic=True))
     return answers
 
 

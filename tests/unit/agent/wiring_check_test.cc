@@ -66,18 +66,17 @@ class WiringCheckTest : public testing::Test {
     policy_.features = *ParseFeatures(R"({"observation": ["x", "v", "angle", "rate"]})");
   }
 
-  // Plays `steps` and returns the step of the first verdict; -1: there was none.
-  int Play(WiringCheck* check, uint64_t seed, int steps, const Wire& wire) {
+  // Plays an episode of `steps` and returns the step of the first verdict; -1: there was none.
+  int Play(WiringState* state, uint64_t seed, int steps, const Wire& wire) {
     Robot robot(seed);
-    check->BeginEpisode();
-    std::vector<float> action;
+    History history;
     int first = -1;
     for (int t = 0; t < steps; ++t) {
       Observation observation = robot.observation();
       wire(observation);
-      if (check->OnStep(observation, action) && first < 0) first = t;
+      if (CheckWiring(policy_, t, history, observation, state) && first < 0) first = t;
       const int chosen = robot.action();
-      action = {chosen == 0 ? 1.0f : 0.0f, chosen == 1 ? 1.0f : 0.0f};
+      history.Append(0.0f, observation, {.discrete = chosen, .continuous = {}}, /*limit=*/2);
       robot.Step(chosen);
     }
     return first;
@@ -86,10 +85,10 @@ class WiringCheckTest : public testing::Test {
   // Expects a verdict with `text` within 50 steps of each of ten sessions.
   void ExpectVerdict(const Wire& wire, const std::string& text) {
     for (uint64_t seed = 100; seed < 110; ++seed) {
-      WiringCheck check(policy_);
-      const int first = Play(&check, seed, 51, wire);
+      WiringState state;
+      const int first = Play(&state, seed, 51, wire);
       ASSERT_GE(first, 0) << text << ", seed " << seed;
-      EXPECT_EQ(check.verdict()->text, text) << "seed " << seed;
+      EXPECT_EQ(WiringText(policy_, *state.verdict), text) << "seed " << seed;
     }
   }
 
@@ -112,37 +111,36 @@ TEST_F(WiringCheckTest, NamesEveryExchangeAndEverySign) {
 TEST_F(WiringCheckTest, NamesDegreesAndADeadElement) {
   ExpectVerdict([](Observation& x) { x[2] *= 57.29578f; },
                 "observation[2] (angle) looks like degrees, expected radians");
-  WiringCheck check(policy_);
-  Play(&check, 1, 60, [](Observation& x) { x[1] = 0.25f; });
-  ASSERT_TRUE(check.verdict().has_value());
+  WiringState state;
+  Play(&state, 1, 60, [](Observation& x) { x[1] = 0.25f; });
+  ASSERT_TRUE(state.verdict.has_value());
 }
 
 TEST_F(WiringCheckTest, CleanSessionsGetNoVerdict) {
   for (uint64_t seed = 1000; seed < 1200; ++seed) {
-    WiringCheck check(policy_);
-    EXPECT_EQ(Play(&check, seed, 500, [](Observation&) {}), -1) << "seed " << seed;
+    WiringState state;
+    EXPECT_EQ(Play(&state, seed, 500, [](Observation&) {}), -1) << "seed " << seed;
   }
 }
 
-TEST_F(WiringCheckTest, AStandstillGetsNoVerdict) {
-  WiringCheck check(policy_);
-  check.BeginEpisode();
+TEST_F(WiringCheckTest, AStandstillGetsNoVerdictAboutTheWiring) {
+  WiringState state;
+  History history;
   const Observation zero(4, 0.0f);
   for (int t = 0; t < 40; ++t) {
-    check.OnStep(zero,
-                 t == 0 ? std::vector<float>() : std::vector<float>{t % 2 ? 1.0f : 0.0f, 0.0f});
+    CheckWiring(policy_, t, history, zero, &state);
+    history.Append(0.0f, zero, {.discrete = t % 2, .continuous = {}}, /*limit=*/2);
   }
-  if (check.verdict().has_value()) {
-    EXPECT_EQ(check.verdict()->cause, WiringCause::kDynamics) << check.verdict()->text;
-  }
+  ASSERT_TRUE(state.verdict.has_value());
+  EXPECT_EQ(state.verdict->cause, WiringCause::kDynamics);
 }
 
 TEST_F(WiringCheckTest, AVerdictIsWithdrawnWhenTheRobotIsWiredRight) {
-  WiringCheck check(policy_);
-  EXPECT_GE(Play(&check, 5, 50, [](Observation& x) { std::swap(x[0], x[3]); }), 0);
-  ASSERT_TRUE(check.verdict().has_value());
-  Play(&check, 6, 200, [](Observation&) {});
-  EXPECT_FALSE(check.verdict().has_value()) << check.verdict()->text;
+  WiringState state;
+  EXPECT_GE(Play(&state, 5, 50, [](Observation& x) { std::swap(x[0], x[3]); }), 0);
+  ASSERT_TRUE(state.verdict.has_value());
+  Play(&state, 6, 200, [](Observation&) {});
+  EXPECT_FALSE(state.verdict.has_value()) << WiringText(policy_, *state.verdict);
 }
 
 }  // namespace

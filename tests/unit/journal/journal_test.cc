@@ -9,9 +9,11 @@
 #include <ostream>
 
 #include "core/agent/agent_session.h"
+#include "core/agent/wiring_check.h"
 #include "core/journal/journal_entry.h"
 #include "core/journal/session_bytes.h"
 #include "core/journal/session_journal.h"
+#include "core/model/wiring_fit.h"
 #include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
@@ -62,6 +64,7 @@ struct JournalCase {
   ActionSelection selection;
   std::optional<LearningOptions> learning;
   bool observation_changes = false;
+  bool is_miswired = false;
 };
 
 void PrintTo(const JournalCase& test, std::ostream* out) { *out << test.name; }
@@ -74,7 +77,8 @@ std::vector<JournalCase> JournalCases() {
                                     {"GreedyBox", box, {}, {}},
                                     {"SampledDiscrete", discrete, sampled, {}},
                                     {"SampledBox", box, sampled, {}},
-                                    {"Changes", box, {}, {}, /*observation_changes=*/true}};
+                                    {"Changes", box, {}, {}, /*observation_changes=*/true},
+                                    {"Miswired", discrete, {}, {}, false, /*is_miswired=*/true}};
   for (const auto& [rule, rule_name] : EnumNames(Rule())) {
     for (const Modulator modulator : {Modulator::kTarget, Modulator::kRealized}) {
       const LearningOptions learning = {
@@ -83,6 +87,7 @@ std::vector<JournalCase> JournalCases() {
           std::string(rule_name) + (modulator == Modulator::kTarget ? "Target" : "Realized");
       cases.push_back({name + "Discrete", discrete, sampled, learning});
       cases.push_back({name + "Box", box, sampled, learning});
+      cases.push_back({name + "Miswired", box, sampled, learning, false, /*is_miswired=*/true});
     }
   }
   return cases;
@@ -94,6 +99,7 @@ class JournalTest : public ::testing::TestWithParam<JournalCase> {
     SessionOptions options = SmallOptions();
     options.action_selection = GetParam().selection;
     options.learning = GetParam().learning;
+    options.labels[kWiringLabel] = GetParam().learning.has_value() ? "safe" : "count";
     return AgentSession(served_, NewSession("id", std::move(options)), &clock_);
   }
 
@@ -103,7 +109,21 @@ class JournalTest : public ::testing::TestWithParam<JournalCase> {
     config.observation_changes = GetParam().observation_changes;
     return config;
   }
-  std::shared_ptr<const ServedPolicy> served_ = Serve(Config(), GetParam().action_space);
+  // Returns a model of observations whose first and last element are exchanged.
+  static std::shared_ptr<const WiringModel> OtherWiring() {
+    if (!GetParam().is_miswired) return nullptr;
+    const auto actions = static_cast<size_t>(GetParam().action_space.size());
+    WiringFit fit(kObservationSize, actions);
+    std::vector<float> observations;
+    for (int64_t t = 0; t <= 100; ++t) {
+      const std::vector<float> seen = ObservationAt(t);
+      observations.insert(observations.end(), seen.rbegin(), seen.rend());
+    }
+    fit.Add(observations, std::vector<float>(100 * actions));
+    return std::make_shared<const WiringModel>(*fit.Finish());
+  }
+  std::shared_ptr<const ServedPolicy> served_ =
+      Serve(Config(), GetParam().action_space, std::make_shared<SessionObserver>(), OtherWiring());
 };
 
 // Returns the action that the agent reports at timestep t: none, the same every few steps, or one
@@ -145,6 +165,8 @@ TEST_P(JournalTest, ARestoredSessionGoesOnBitForBit) {
     }
     EXPECT_EQ(SerializeSession(moved.session()), SerializeSession(steady.session()));
   }
+  EXPECT_EQ(moved.session().wiring.verdict.has_value(), GetParam().is_miswired);
+  EXPECT_EQ(moved.acts_safely(), GetParam().is_miswired && GetParam().learning.has_value());
 }
 
 // A store that is written to again after a broken connection may hold records twice.
@@ -156,7 +178,7 @@ TEST_P(JournalTest, RepeatedEntriesCountOnce) {
   agent.AddListener(journal);
   for (int64_t t = 0; t < 5; ++t) ASSERT_TRUE(agent.Act(t, ObservationAt(t), RewardAt(t)).ok());
   std::vector<std::string> records = writer.bytes_;
-  records.insert(records.end(), writer.bytes_.begin() + 3, writer.bytes_.end());
+  records.insert(records.end(), writer.bytes_.begin() + 1, writer.bytes_.end());
   auto parsed = ParseJournal(records);
   ASSERT_TRUE(parsed.ok()) << parsed.status();
   const auto restored = RestoreSession(*std::move(parsed), served_->policy());

@@ -110,7 +110,7 @@ TEST(SessionTest, BrokenBytesAreRefused) {
 TEST(SessionTest, WrongFieldsAreNamed) {
   const Session session = BusySession();
   ExpectRefused(Edited(session, "/0", "spikeserve.session.v2"), "spikeserve.session.v1");
-  ExpectRefused(Edited(session, "/1/-", 1), "session: expected an array of 17");
+  ExpectRefused(Edited(session, "/1/-", 1), "session.wiring: expected an array of 6");
   ExpectRefused(Edited(session, "/1/0", 1), "session.id: expected a string, received 1");
   ExpectRefused(Edited(session, "/1/1/1", 0), "session.options.version: expected at least 1");
   ExpectRefused(Edited(session, "/1/1/3", -1), "session.options.seed: expected an integer");

@@ -8,7 +8,8 @@
 A population is an `Affine` node and a `LIF` node: the query, key, value and hidden neurons of each
 layer. NIR cannot express the other parts (softmax attention, LayerNorm, routing, phase generators,
 plasticity), so a host computes them. The manifest lists in which order host and populations follow
-each other for a token, and what each of them passes on.
+each other for a token, and what each of them passes on, and the names, units and ranges of the
+elements of observation and action as the policy file has them.
 
 Needs the packages `nir` and `safetensors` (`spikeserve[nir]`).
 """
@@ -71,12 +72,13 @@ def to_nir(policy: str | os.PathLike[str]) -> NirExport:
     with safetensors.safe_open(policy, "numpy") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}
         values = json.loads(file.metadata()["config"])
+        features = json.loads(file.metadata().get("features", "{}"))
     known = {field.name for field in fields(ModelConfig)}
     config = ModelConfig(**{name: value for name, value in values.items() if name in known})
     check(not config.is_dense, "mode", "a spiking mode", repr(config.mode))
     names = [f"layers.{i}.{part}" for i in range(config.layers) for part in POPULATIONS]
     graphs = {name: _population(name, tensors, config) for name in names}
-    return NirExport(graphs, _manifest(config, tensors))
+    return NirExport(graphs, _manifest(config, tensors) | {"features": features})
 
 
 def _population(name: str, tensors: dict[str, NDArray[Any]], config: ModelConfig) -> Any:

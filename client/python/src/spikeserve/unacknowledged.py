@@ -131,14 +131,7 @@ def _comparable(answer: Message) -> bytes:
         copy.stats.ClearField("compute_seconds")
         copy.ClearField("durable_decision")
         copy.ClearField("durable_episode")
-        for field in (
-            "next_step",
-            "appended",
-            "dropped",
-            "queue_seconds",
-            "append_seconds",
-            "wiring",
-        ):
+        for field in ("next_step", "appended", "dropped", "queue_seconds", "append_seconds"):
             copy.ClearField(field)
     else:
         copy.ClearField("recording")
