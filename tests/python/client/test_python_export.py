@@ -13,7 +13,7 @@ import safetensors.numpy
 import spikeserve
 from random_policy import SMALL, export_random, random_tensors
 from serving import RELEASED_POLICIES, SHIPPED_POLICIES, running_server
-from spikeserve.export import ModelConfig, export_policy, tensor_shapes
+from spikeserve.export import ModelConfig, export_policy, tensor_shapes, to_nir
 
 SMALL_POLICY = RELEASED_POLICIES / "cartpole-sparse/1/policy.safetensors"
 SHAPES = [
@@ -167,6 +167,21 @@ def test_bad_tensors_are_refused_by_name(path, name, tensor, message):
     with pytest.raises(ValueError, match=f'tensor "{name}": .*{message}'):
         export_broken(path, name, tensor)
     assert os.listdir(path.parent) == []
+
+
+NO_POLICIES = {
+    "garbage": (lambda path: path.write_bytes(b"\xff" * 100), "expected a policy file, received another: "),
+    "other": (lambda path: safetensors.numpy.save_file({"a": np.zeros(2)}, path), "expected a policy file, received another: "),
+    "list": (lambda path: safetensors.numpy.save_file({"a": np.zeros(2)}, path, {"config": "[1]"}), "expected a policy file, received "),
+    "empty": (lambda path: safetensors.numpy.save_file({}, path, {"config": "{}"}), "layers.0.attention.query.weight: expected a tensor"),
+}
+
+
+@pytest.mark.parametrize(("write", "reason"), NO_POLICIES.values(), ids=NO_POLICIES)
+def test_nir_is_written_of_policies_alone(write, reason, tmp_path):
+    write(tmp_path / "file.safetensors")
+    with pytest.raises(ValueError, match=f"file.safetensors: {reason}"):
+        to_nir(tmp_path / "file.safetensors")
 
 
 @pytest.mark.parametrize("name", ["phase.omega", "observation.mean"])

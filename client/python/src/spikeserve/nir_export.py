@@ -58,7 +58,7 @@ class NirExport:
 
 
 def to_nir(policy: str | os.PathLike[str]) -> NirExport:
-    """Converts a policy file. ValueError for a dense policy, which has no spikes.
+    """Converts a policy file. ValueError for another file, and for a policy without spikes.
 
     All neurons have the same threshold, as importers require. A neuron of NIR fires above its
     threshold, one of this project at its threshold or above, so the threshold of a float32 neuron
@@ -69,14 +69,20 @@ def to_nir(policy: str | os.PathLike[str]) -> NirExport:
     """
     import safetensors
 
-    with safetensors.safe_open(policy, "numpy") as file:
-        tensors = {name: file.get_tensor(name) for name in file.keys()}
-        values = json.loads(file.metadata()["config"])
-        features = json.loads(file.metadata().get("features", "{}"))
-    known = {field.name for field in fields(ModelConfig)}
-    config = ModelConfig(**{name: value for name, value in values.items() if name in known})
+    try:
+        with safetensors.safe_open(policy, "numpy") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}
+            metadata = file.metadata() or {}
+        values = dict(json.loads(metadata.get("config", "")))
+        features = json.loads(metadata.get("features", "{}"))
+        known = {field.name for field in fields(ModelConfig)}
+        config = ModelConfig(**{name: value for name, value in values.items() if name in known})
+    except (safetensors.SafetensorError, TypeError, ValueError) as error:
+        raise ValueError(f"{policy}: expected a policy file, received another: {error}") from error
     check(not config.is_dense, "mode", "a spiking mode", repr(config.mode))
     names = [f"layers.{i}.{part}" for i in range(config.layers) for part in POPULATIONS]
+    for tensor in (f"{name}.{part}" for name in names for part in ("weight", "bias")):
+        check(tensor in tensors, f"{policy}: {tensor}", "a tensor", "none")
     graphs = {name: _population(name, tensors, config) for name in names}
     return NirExport(graphs, _manifest(config, tensors) | {"features": features})
 
