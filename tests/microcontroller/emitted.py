@@ -11,6 +11,7 @@ SOURCES = Path(__file__).parent
 ROOT = SOURCES.parent.parent
 SPIKECTL = os.environ["SPIKECTL_PROGRAM"]
 CHIP_STREAM = os.environ["CHIP_STREAM_PROGRAM"]
+FORMAT = b"\x82\x75spikeserve.session.v1"  # the first bytes of the value of a session; the number of its items follows
 C99 = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror"]
 
 

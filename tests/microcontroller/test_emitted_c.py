@@ -4,9 +4,8 @@ import re
 import subprocess
 
 import pytest
-from emitted import C99, CHIP_STREAM, ROOT, SPIKECTL, emit, name_of, play, run, shipped
+from emitted import C99, CHIP_STREAM, FORMAT, ROOT, SPIKECTL, emit, name_of, play, run, shipped
 
-FORMAT = b"\x82\x75spikeserve.session.v1"
 SANITIZED = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 
