@@ -25,6 +25,7 @@ ALONE = (
     "jump the robots' clock",
 )
 DAY = 86400
+LATE = 3  # pauses: pilots ask another server after a second
 BEHIND = 3  # steps, of which an ASYNC store may lack the last ones
 
 
@@ -61,7 +62,10 @@ class Faults:
         self.told = 0  # other robots
 
     def run(self, kinds, count):
-        """Makes `count` faults of `kinds` in turn, `period` seconds apart. What is away comes back within `pause`."""
+        """Makes `count` faults of `kinds` in turn, `period` seconds apart.
+
+        What is away comes back within `pause` seconds, and a link within LATE times as many.
+        """
         for kind in itertools.islice(itertools.cycle(kinds), count):
             time.sleep(self._period)
             getattr(self, "_" + kind.replace("'", "").replace(" ", "_"))()
@@ -70,8 +74,8 @@ class Faults:
     def _server(self):
         return self._random.choice(self._setup.servers)
 
-    def _wait(self):
-        time.sleep(self._random.uniform(0, self._pause))
+    def _wait(self, times=1.0):
+        time.sleep(self._random.uniform(0, times * self._pause))
 
     def _kill(self):
         server = self._server()
@@ -91,7 +95,7 @@ class Faults:
         """What waited arrives in the end, also at a server that has lost its sessions to another one."""
         link = self._random.choice(self._setup.links)
         link.cut()
-        self._wait()
+        self._wait(LATE)
         link.heal()
 
     def _fill_the_store(self):
