@@ -5,6 +5,7 @@ import subprocess
 import tempfile
 
 from restartable_server import RestartableServer
+from serving import Server
 
 ROBOT, SERVER = "10.9.0.1", "10.9.0.2"
 OPENPI_PORT, REDIS_PORT = 8000, 6379
@@ -55,22 +56,22 @@ class EmulatedLink:
 class OpenpiServer:
     """A server of openpi's protocol, with the methods of RestartableServer."""
 
-    stop, resume = RestartableServer.stop, RestartableServer.resume
+    stop, resume = Server.stop, Server.resume
 
     def __init__(self, python, script, prefix):
         self._command = [*prefix, str(python), str(script), SERVER, str(OPENPI_PORT)]
-        self._process = None
+        self.process = None
         self.address = f"ws://{SERVER}:{OPENPI_PORT}"
 
     def start(self):
         environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-        self._process = subprocess.Popen(self._command, stdout=subprocess.PIPE, text=True, env=environment)
-        assert self._process.stdout.readline() == "ready\n"
+        self.process = subprocess.Popen(self._command, stdout=subprocess.PIPE, text=True, env=environment)
+        assert self.process.stdout.readline() == "ready\n"
 
     def kill(self):
-        self._process.kill()
-        self._process.wait()
-        self._process.stdout.close()
+        self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
 
 
 class Site:

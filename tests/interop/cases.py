@@ -36,7 +36,7 @@ def check(client, case, address, *files, **environment):
 
 @contextlib.contextmanager
 def odd_server(path: pathlib.Path):
-    """Starts a server whose folder has an odd name. Yields its Addresses and the start of its error messages."""
+    """Starts a server whose folder has an odd name. Yields it and the start of its error messages."""
     policies = path / "π ☃ 100%\n" / "policies"
     shutil.copytree(SHIPPED_POLICIES / "cartpole", policies / "cartpole")
     with running_server(policies=policies) as started:

@@ -20,7 +20,7 @@ def certificates(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def server():
-    """Starts a server with the shipped policies and yields its Addresses."""
+    """Starts a server with the shipped policies and yields it as a Server."""
     with running_server() as addresses:
         yield addresses
 

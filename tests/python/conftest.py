@@ -21,7 +21,7 @@ def address():
 
 @pytest.fixture(scope="module")
 def server():
-    """Starts a server with the shipped policies and yields its Addresses."""
+    """Starts a server with the shipped policies and yields it as a Server."""
     with running_server() as started:
         yield started
 
@@ -83,7 +83,7 @@ def tokens(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def addresses(tokens):
-    """Starts a server that requires tokens and yields its Addresses."""
+    """Starts a server that requires tokens and yields it as a Server."""
     with running_server(flags=[f"--tokens={tokens}"]) as started:
         yield started
 

@@ -6,7 +6,7 @@ import re
 import subprocess
 import sys
 
-from serving import DEPLOY
+from serving import DEPLOY, run
 
 DOCS = pathlib.Path(__file__).parents[2] / "docs"
 PAGES_SERVER = "127.0.0.1:50051"
@@ -112,16 +112,8 @@ class Shell:
     def _call(self, block):
         for port, address in self._addresses.items():
             block = block.replace(f":{port}", f":{address.rpartition(':')[2]}")
-        finished = subprocess.run(
-            ["bash", "-ec", block],
-            cwd=self._directory,
-            env=self._environment | {"PAGES_SERVER": self._addresses.get(PAGES_GRPC_PORT, "")},
-            check=False,
-            capture_output=True,
-            text=True,
-        )
-        assert finished.returncode == 0, f"{block}\n{finished.stdout}\n{finished.stderr}"
-        return finished.stdout
+        environment = self._environment | {"PAGES_SERVER": self._addresses.get(PAGES_GRPC_PORT, "")}
+        return run("bash", "-ec", block, cwd=self._directory, env=environment).stdout
 
     def _start(self, command):
         self._stop()

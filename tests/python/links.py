@@ -16,8 +16,8 @@ class Link:
 
     `delay` is that of one direction in seconds. Of the segments, `loss` are lost and sent again: those that follow
     them wait, as with TCP. `cut` keeps everything back until `heal`, and `hold_answers` what comes from the target.
-    `forget` keeps back for ever what comes on the connections that are open, as a NAT that has forgotten them, while
-    new ones work.
+    `forget` keeps back what comes on the connections that are open, as a NAT that has forgotten them, while new ones
+    work; `remember` forwards it.
     """
 
     def __init__(self, target, delay=0.0, loss=0.0, seed=0):
@@ -25,7 +25,8 @@ class Link:
         self.delay, self.loss = delay, loss
         self.random = random.Random(seed)
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self.port = self._listener.getsockname()[1]
+        self.address = f"127.0.0.1:{self.port}"
         self.accepted = 0  # connections
         self.changed = threading.Condition()
         self.is_cut = self.holds_answers = False
@@ -37,6 +38,10 @@ class Link:
 
     def __exit__(self, *_):
         self._listener.close()
+        self.drop()
+
+    def drop(self):
+        """Ends all connections that are open."""
         with self.changed:
             pipes, self._pipes = self._pipes, []
         for pipe in pipes:
@@ -64,6 +69,19 @@ class Link:
             for pipe in self._pipes:
                 pipe.is_forgotten = True
 
+    def remember(self):
+        """Forwards what was kept back on the connections that were forgotten. Returns when it is sent."""
+        with self.changed:
+            for pipe in self._pipes:
+                pipe.is_forgotten = False
+            self.changed.notify_all()
+            self.changed.wait_for(lambda: not any(pipe.chunks for pipe in self._pipes))
+
+    def pieces(self, pipe):
+        """Yields what is to be forwarded in one direction of a connection."""
+        while data := pipe.source.recv(1 << 16):
+            yield data
+
     def _accept(self):
         with contextlib.suppress(OSError):
             while True:
@@ -78,17 +96,20 @@ class Link:
                     side.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 with self.changed:
                     self.accepted += 1
-                    self._pipes += [_Pipe(self, client, server), _Pipe(self, server, client, is_answer=True)]
+                    answers = Pipe(self, server, client)
+                    self._pipes += [answers, Pipe(self, client, server, answers)]
 
 
-class _Pipe:
-    """One direction of a connection: one thread reads, one writes when the time of a chunk has come."""
+class Pipe:
+    """One direction of a connection: one thread reads, one writes when the time of a chunk has come.
 
-    def __init__(self, link, source, sink, is_answer=False):
-        self._link, self._source, self._sink = link, source, sink
-        self._is_answer = is_answer
+    `answers` is the other direction; None: this is the direction of the answers.
+    """
+
+    def __init__(self, link, source, sink, answers=None):
+        self._link, self.source, self._sink, self.answers = link, source, sink, answers
         self.is_forgotten = False
-        self._chunks = collections.deque()  # (time.monotonic() of its delivery, bytes; empty: the end)
+        self.chunks = collections.deque()  # (time.monotonic() of its delivery, bytes; empty: the end)
         self._last = 0.0
         self._is_closed = False
         for work in (self._read, self._write):
@@ -98,26 +119,26 @@ class _Pipe:
         with self._link.changed:
             self._is_closed = True
             self._link.changed.notify_all()
-        for side in (self._source, self._sink):
+        for side in (self.source, self._sink):
             with contextlib.suppress(OSError):
                 side.shutdown(socket.SHUT_RDWR)
             side.close()
 
     def _read(self):
-        data = b"first"
-        while data:
-            try:
-                data = self._source.recv(1 << 16)
-            except OSError:
-                data = b""
-            delay = self._link.delay
-            for _ in range(0, len(data), SEGMENT):
-                if self._link.random.random() < self._link.loss:
-                    delay += max(RETRANSMISSION, 2.5 * self._link.delay)
-            with self._link.changed:
-                self._last = max(self._last, time.monotonic() + delay)
-                self._chunks.append((self._last, data))
-                self._link.changed.notify_all()
+        with contextlib.suppress(OSError, ValueError):
+            for data in self._link.pieces(self):
+                self._queue(data)
+        self._queue(b"")
+
+    def _queue(self, data):
+        delay = self._link.delay
+        for _ in range(0, len(data), SEGMENT):
+            if self._link.random.random() < self._link.loss:
+                delay += max(RETRANSMISSION, 2.5 * self._link.delay)
+        with self._link.changed:
+            self._last = max(self._last, time.monotonic() + delay)
+            self.chunks.append((self._last, data))
+            self._link.changed.notify_all()
 
     def _write(self):
         while True:
@@ -125,19 +146,23 @@ class _Pipe:
                 self._link.changed.wait_for(lambda: self._is_closed or self._may_write())
                 if self._is_closed:
                     return
-                due, data = self._chunks[0]
+                due, data = self.chunks[0]
             if (wait := due - time.monotonic()) > 0:
                 time.sleep(wait)
             with self._link.changed:
                 if not self._may_write():
                     continue
-                self._chunks.popleft()
             with contextlib.suppress(OSError):
-                if not data:
+                if data:
+                    self._sink.sendall(data)
+                else:
                     self._sink.shutdown(socket.SHUT_WR)
-                    return
-                self._sink.sendall(data)
+            with self._link.changed:
+                self.chunks.popleft()
+                self._link.changed.notify_all()
+            if not data:
+                return
 
     def _may_write(self):
-        is_held = self._is_answer and self._link.holds_answers
-        return bool(self._chunks) and not (self.is_forgotten or self._link.is_cut or is_held)
+        is_held = self.answers is None and self._link.holds_answers
+        return bool(self.chunks) and not (self.is_forgotten or self._link.is_cut or is_held)

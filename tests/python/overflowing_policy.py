@@ -1,10 +1,8 @@
 """Makes a policy whose weights are finite, and whose logits are infinite after some observations."""
 
-import grpc
 import numpy as np
 from policy_file import read_policy, write_policy
-from security import POLICY
-from serving import SHIPPED_POLICIES, Service, running_server
+from serving import SHIPPED_POLICIES, running_server
 
 FAR = [2.0, 3.0, 0.2, 3.0]  # makes other neurons fire than ZERO does
 ZERO = [0.0, 0.0, 0.0, 0.0]
@@ -13,13 +11,12 @@ LARGEST = float(np.finfo(np.float32).max)
 
 def add_overflowing(policies, version):
     """Adds a version of cartpole that decides after ZERO, and fails to decide after FAR."""
-    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, POLICY)
+    with running_server() as addresses:
 
         def readout(observation):
-            session = service.OpenSession(policy="cartpole", version=1).session_id
-            service.Act(session_id=session, observation=observation)
-            return np.array(service.Explain(session_id=session).readout)
+            session = addresses.agent.OpenSession(policy="cartpole", version=1).session_id
+            addresses.agent.Act(session_id=session, observation=observation)
+            return np.array(addresses.agent.Explain(session_id=session).readout)
 
         far, zero = readout(FAR), readout(ZERO)
     stirred = far > zero

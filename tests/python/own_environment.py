@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from serving import run
 
 FOLDER = pathlib.Path(os.environ.get("OWN_ENVIRONMENTS", "/tmp/spikeserve-environments"))
 DEADLINE_SECONDS = 3000
@@ -20,8 +21,8 @@ def python_with(*requirements):
     if complete.exists():
         return python
     subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True)
-    command = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *requirements]
-    installed = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
+    install = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    installed = run(python, *install, *requirements, status=None)
     if installed.returncode != 0:
         reason = installed.stderr.strip().splitlines()[-1:] or ["no reason given"]
         pytest.skip(f"pip install {' '.join(requirements)}: {reason[0]}")
@@ -32,12 +33,4 @@ def python_with(*requirements):
 def run_in(python, script, *arguments):
     """Runs a script and returns what it printed."""
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"} | {"HF_HUB_OFFLINE": "1"}
-    finished = subprocess.run(
-        [python, "-c", script, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_SECONDS,
-        env=environment,
-    )
-    assert finished.returncode == 0, finished.stderr
-    return finished.stdout
+    return run(python, "-c", script, *arguments, env=environment).stdout

@@ -15,12 +15,11 @@ import subprocess
 import sys
 import tempfile
 
-import grpc
 from google.protobuf import json_format
 from policy_file import read_policy
 from redis_servers import Redis
 from security import until
-from serving import SHIPPED_POLICIES, Service, running_server
+from serving import SHIPPED_POLICIES, running_server
 
 RELEASES = pathlib.Path(__file__).parents[1] / "releases"
 POLICIES = {"cartpole-sparse": [1, 2], "cartpole-frugal": [2]}
@@ -109,11 +108,10 @@ def server_of(folder, store, policies=None):
         *(f"--audit_log={folder}/audit.jsonl", f"--record_dir={folder}/recordings", *KEEP),
     ]
     with running_server(policies or folder / "policies", flags=flags) as addresses:
-        with grpc.insecure_channel(addresses.grpc) as channel:
-            yield (
-                Service(channel, "spikeserve.v1.PolicyService"),
-                Service(channel, "spikeserve.v1.PolicyAdmin"),
-            )
+        yield (
+            addresses.agent,
+            addresses.admin,
+        )
 
 
 @contextlib.contextmanager
@@ -152,6 +150,8 @@ def make(folder):
         (state / "answers.json").write_text(json.dumps(answers, sort_keys=True) + "\n")
         for lock in state.glob("sessions/*lock*"):
             lock.unlink()
+        shutil.make_archive(state / "recordings", "tar", state, "recordings")
+        shutil.rmtree(state / "recordings")
 
 
 class RedisStore(str):

@@ -9,10 +9,9 @@ import urllib.error
 import urllib.request
 
 import grpc
-from serving import DEADLINE_SECONDS, Service
+import pytest
+from serving import ADMIN, DEADLINE_SECONDS, POLICY, Service  # noqa: F401
 
-POLICY = "spikeserve.v1.PolicyService"
-ADMIN = "spikeserve.v1.PolicyAdmin"
 HEALTH = "grpc.health.v1.Health"
 SERVING = 1
 OBSERVATION = [0.01, -0.02, 0.03, 0.1]
@@ -72,6 +71,16 @@ def code_of(call, *arguments, **fields):
     except grpc.RpcError as error:
         return error.code()
     return grpc.StatusCode.OK
+
+
+@contextlib.contextmanager
+def fails_with(code, part="", whole=None):
+    """Asserts that a call in the block fails with `code`, and with details that have `part` in them, or are `whole`."""
+    with pytest.raises(grpc.RpcError) as error:
+        yield error
+    assert error.value.code() == code, error.value
+    assert part in error.value.details()
+    assert whole in (None, error.value.details())
 
 
 def http_get(address, path, header=None):

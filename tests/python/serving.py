@@ -1,14 +1,16 @@
 """Starts a real server. Provides a client that uses reflection and no file of this repository."""
 
 import contextlib
+import functools
+import http.client
 import json
 import os
 import pathlib
 import shlex
+import signal
 import subprocess
-import typing
-import urllib.request
 
+import grpc
 from google.protobuf import descriptor_pool, message_factory
 from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
     ProtoReflectionDescriptorDatabase,
@@ -21,25 +23,76 @@ RELEASED_POLICIES = DEPLOY.parent / "tests/releases/0.1.0/policies"
 # How many times as long as usual a test may take, for emulated processors.
 TEST_TIME = int(os.environ.get("TEST_TIME", "1"))
 DEADLINE_SECONDS = 30 * TEST_TIME
+POLICY = "spikeserve.v1.PolicyService"
+ADMIN = "spikeserve.v1.PolicyAdmin"
 
 
-class Addresses(typing.NamedTuple):
-    """The addresses, HOST:PORT, on which a server listens, and its process."""
+class Server:
+    """A running server: its addresses, HOST:PORT, its process, and its services, which are called without a token."""
 
-    grpc: str
-    http: str
-    process: subprocess.Popen
+    def __init__(self, process, status):
+        self.process = process
+        self.status = status  # with which it is to end
+        self.grpc = self.http = ""
+
+    @functools.cached_property
+    def channel(self):
+        return grpc.insecure_channel(self.grpc)
+
+    @functools.cached_property
+    def agent(self):
+        return Service(self.channel, POLICY)
+
+    @functools.cached_property
+    def admin(self):
+        return Service(self.channel, ADMIN)
+
+    def kill(self):
+        """Kills the server without a chance to say goodbye."""
+        self.status = -signal.SIGKILL
+        self.process.kill()
+        self.process.wait()
+
+    def stop(self):
+        """Keeps the server from running until `resume`. Returns when all of its threads have stopped."""
+        self.process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, self.process.pid, os.WSTOPPED)
+
+    def resume(self):
+        """Lets a stopped server run again."""
+        self.process.send_signal(signal.SIGCONT)
+
+    def spikectl(self, *arguments, **options):
+        """Runs spikectl for this server, as run() does."""
+        return run("spikectl", *arguments, f"--server={self.grpc}", timeout=DEADLINE_SECONDS, **options)
+
+
+def run(program, *arguments, status=0, **options):
+    """Runs a program to its end and returns its subprocess.CompletedProcess, with its output as text.
+
+    A program of the build has its plain name, such as spikectl. Asserts its exit status; None: it may be any.
+    """
+    command = [os.environ.get(f"{program}_PROGRAM".upper(), program), *map(str, arguments)]
+    finished = subprocess.run(command, capture_output=True, text=True, check=False, **options)
+    assert status in (None, finished.returncode), f"{command}: {finished.stdout}{finished.stderr}"
+    return finished
+
+
+def refusal_at_start(*flags, policies=SHIPPED_POLICIES):
+    """Returns the error of a server that does not start with these flags."""
+    free = ["--listen=127.0.0.1:0", "--http_listen=127.0.0.1:0"]
+    return run("spikeserve", f"--policies={policies}", *free, *flags, status=1, timeout=DEADLINE_SECONDS).stderr
 
 
 @contextlib.contextmanager
 def running_server(policies=SHIPPED_POLICIES, flags=(), log=None, prefix=(), status=0):
-    """Starts a server with the policies of a folder and yields its Addresses.
+    """Starts a server with the policies of a folder and yields it as a Server.
 
-    Asserts that the server ends with `status` at the latest at the SIGTERM that follows; -9 after it was killed. The server logs to `log`, an open file; None: to stderr. The
+    Asserts that the server ends with `status` at the latest at the SIGTERM that follows, unless it was killed. The server logs to `log`, an open file; None: to stderr. The
     variable SPIKESERVE_SERVER_FLAGS holds flags of every server. Of a flag that is repeated, the last one counts.
     `prefix` is a command that runs the server in its own process, such as prlimit.
     """
-    server = subprocess.Popen(
+    process = subprocess.Popen(
         [
             *prefix,
             os.environ["SPIKESERVE_PROGRAM"],
@@ -54,40 +107,65 @@ def running_server(policies=SHIPPED_POLICIES, flags=(), log=None, prefix=(), sta
         stderr=log,
         text=True,
     )
+    server = Server(process, status)
 
     def announced(protocol):
         announcement = f"spikeserve: serving {protocol} on "
-        line = server.stdout.readline()
+        line = process.stdout.readline()
         assert line.startswith(announcement), f"stdout: expected {announcement!r}, received {line!r}"
         return line.removeprefix(announcement).strip()
 
     try:
-        http = "" if "--http_listen=" in flags else None
-        yield Addresses(announced("gRPC"), announced("HTTP") if http is None else http, server)
-        server.terminate()
-        assert server.wait(timeout=DEADLINE_SECONDS) == status
+        server.grpc = announced("gRPC")
+        if "--http_listen=" not in flags:
+            server.http = announced("HTTP")
+        yield server
+        process.terminate()
+        assert process.wait(timeout=DEADLINE_SECONDS) == server.status
     finally:
-        server.kill()
-        server.wait()
-        server.stdout.close()
+        process.kill()
+        process.wait()
+        process.stdout.close()
+        if "channel" in vars(server):
+            server.channel.close()
 
 
-def page_of(server, path):
+def http_call(address, method, path, body=None, token=None, **headers):
+    """Returns the code, the headers and the body of the answer to a request. Names of headers have _ for -."""
+    if token is not None:
+        headers["Authorization"] = f"Bearer {token}"
+    connection = http.client.HTTPConnection(address, timeout=DEADLINE_SECONDS)
+    connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
+    response = connection.getresponse()
+    content = response.read()
+    connection.close()
+    return response.status, response.headers, content
+
+
+def page_of(server, path, token=None):
     """Returns the text of a page. `server` has the address `http`."""
-    with urllib.request.urlopen(f"http://{server.http}{path}", timeout=DEADLINE_SECONDS) as page:
-        return page.read().decode()
+    code, _, content = http_call(server.http, "GET", path, token=token)
+    assert code == 200, content
+    return content.decode()
 
 
 def status_of(server, query=""):
     return json.loads(page_of(server, f"/status.json{query}"))
 
 
-def metric(server, name, **labels):
-    """Returns the sum of the series of this name that have the labels. There has to be one."""
-    lines = [line for line in page_of(server, "/metrics").splitlines() if line.startswith((name + "{", name + " "))]
+def series(server, name, token=None, **labels):
+    """Returns the values of the series of this name that have the labels."""
+    page = page_of(server, "/metrics", token)
+    lines = [line for line in page.splitlines() if line.startswith((name + "{", name + " "))]
     found = [line for line in lines if all(f'{label}="{value}"' in line for label, value in labels.items())]
+    return [float(line.rsplit(" ", 1)[1]) for line in found]
+
+
+def metric(server, name, token=None, **labels):
+    """Returns the sum of these series. There has to be one."""
+    found = series(server, name, token, **labels)
     assert found, f"{name} {labels}"
-    return sum(float(line.rsplit(" ", 1)[1]) for line in found)
+    return sum(found)
 
 
 def message_class(channel, name):

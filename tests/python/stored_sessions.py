@@ -2,12 +2,11 @@
 
 import contextlib
 import math
-import signal
 
 import grpc
 import pytest
 from security import until
-from serving import SHIPPED_POLICIES, Service, message_class, running_server
+from serving import SHIPPED_POLICIES, message_class, running_server
 
 SESSIONS = 64
 STEPS = 40
@@ -87,36 +86,26 @@ class Restartable:
         self.start()
         return self
 
-    def __exit__(self, kind, *error):
-        if kind is not None:
-            self.kill()  # otherwise the end of the server would hide the error
-        self.stack.close()
+    def __exit__(self, *_):
+        self.close()
 
     def start(self):
         self.addresses = self.stack.enter_context(
-            running_server(self.policies, self.flags, self.log, self.prefix, status=-signal.SIGKILL)
+            running_server(self.policies, self.flags, self.log, self.prefix)
         )
-        self.channel = self.stack.enter_context(grpc.insecure_channel(self.addresses.grpc))
-        self.service = Service(self.channel, "spikeserve.v1.PolicyService")
-
-    @property
-    def http(self):
-        return self.addresses.http
-
-    def kill(self):
-        self.addresses.process.kill()
-        self.addresses.process.wait()
 
     def restart(self):
-        self.kill()
-        self.stack.close()
+        self.close()
         self.start()
 
     def __getattr__(self, name):
-        return getattr(self.service, name)
+        """Returns an attribute of the running server, or a method of its PolicyService."""
+        return getattr(self.addresses if hasattr(self.addresses, name) else self.addresses.agent, name)
 
     def close(self):
+        """Kills the server. Asserts that it has not ended otherwise."""
         self.kill()
+        self.stack.close()
 
 
 @contextlib.contextmanager
@@ -127,16 +116,15 @@ def replicas_on(redis, count=2, **options):
         started = tuple(stack.enter_context(Restartable(store, **options)) for _ in range(count))
         yield started
         for server in started:
-            server.addresses.process.send_signal(signal.SIGCONT)
-            server.close()
+            server.resume()
 
 
-def play(service, disturb=lambda episode, step: None, batch=None):
-    """Plays all sessions and returns everything that the server answered, by session."""
+def play(service, disturb=lambda episode, step: None, batch=None, **fields):
+    """Plays all sessions, opened with more `fields`, and returns everything that the server answered, by session."""
     batch = batch or (lambda requests: service().ActBatch(requests=requests))
     answers = {i: [] for i in range(SESSIONS)}
     for i in range(SESSIONS):
-        service().OpenSession(**opening(i))
+        service().OpenSession(**opening(i) | fields)
     for episode in range(EPISODES):
         for step in range(STEPS):
             disturb(episode, step)
@@ -155,19 +143,8 @@ def play(service, disturb=lambda episode, step: None, batch=None):
 
 def undisturbed_play():
     """Plays all sessions on a server without a store."""
-    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, "spikeserve.v1.PolicyService")
-
-        class Forgetful:
-            """Asks for no durability, because the server has no store."""
-
-            def __getattr__(self, name):
-                return getattr(service, name)
-
-            def OpenSession(self, **fields):
-                return service.OpenSession(**(fields | {"durability": "NONE"}))
-
-        return play(Forgetful)
+    with Restartable("memory") as server:
+        return play(lambda: server, durability="NONE")
 
 
 def expected_decision(channel, error):
@@ -227,5 +204,4 @@ def undisturbed_answers(sessions):
         for i in sessions:
             server.OpenSession(**opening(i) | {"durability": "NONE"})
             answers[i] = [comparable(server.Act(**acting(i, 0, step))) for step in range(STEPS)]
-        server.close()
     return answers

@@ -9,7 +9,7 @@ import urllib.request
 import pytest
 from replicated import observation, options_of, policy_of, reward, running_fleet
 from security import until
-from serving import DEADLINE_SECONDS, running_server
+from serving import DEADLINE_SECONDS, run, running_server
 from spikeserve.values import Decision, EpisodeSummary, SessionState
 from spikeserve.wire import message_class
 from test_replicas import (  # noqa: F401
@@ -149,11 +149,8 @@ def test_spikectl_run_goes_on(fleet, durability):  # noqa: F811
 
 def test_spikectl_refuses_a_durability_without_a_store():
     with running_server() as server:
-        command = [os.environ["SPIKECTL_PROGRAM"], "run", f"--server={server.grpc}"]
-        refused = subprocess.run([*command, "--durability=sync"], capture_output=True, text=True)
-        assert refused.returncode == 1
-        assert "durability: expected NONE" in refused.stderr
-        refused = subprocess.run([*command, "--durability=ever"], capture_output=True, text=True)
+        assert "durability: expected NONE" in server.spikectl("run", "--durability=sync", status=1).stderr
+        refused = server.spikectl("run", "--durability=ever", status=1)
         assert "--durability: expected none, async or sync" in refused.stderr
 
 
@@ -162,10 +159,10 @@ def test_operators_reach_any_server(fleet):  # noqa: F811
     command = [os.environ["SPIKECTL_PROGRAM"], f"--server={fleet.addresses}"]
     for replica in fleet.replicas:
         replica.kill()
-        subprocess.run([*command, "policies"], check=True, capture_output=True)
-        listed = subprocess.run([*command, "admin", "sessions"], capture_output=True, text=True)
+        run(*command, "policies")
+        listed = run(*command, "admin", "sessions", status=1)
         replica.start()
-        assert listed.returncode == 1 and f"1 of 3 servers failed: {replica.address}" in listed.stderr
+        assert f"1 of 3 servers failed: {replica.address}" in listed.stderr
 
 
 @pytest.fixture(scope="module")
@@ -180,8 +177,7 @@ def quick_fleet():
 def test_spikeload_uses_all_servers(quick_fleet, mode, durability):
     command = [os.environ["SPIKELOAD_PROGRAM"], f"--server={quick_fleet.addresses}", f"--mode={mode}"]
     flags = [f"--durability={durability}", "--sessions=32", "--duration=1s", "--episode_steps=10"]
-    loaded = subprocess.run([*command, *flags], capture_output=True, text=True)
-    assert loaded.returncode == 0 and "\n0 errors\n" in loaded.stdout, loaded
+    assert "\n0 errors\n" in run(*command, *flags).stdout
 
 
 def test_spikeload_with_retries_sees_only_waits(fleet):  # noqa: F811

@@ -1,7 +1,5 @@
 """Mistakes are refused before anything is played, with a hint about what to do."""
 
-import os
-import subprocess
 import sys
 import textwrap
 
@@ -9,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 import spikeserve
-from serving import DEADLINE_SECONDS
+from serving import run
 
 FLATTEN = "gymnasium.wrappers.FlattenObservation"
 OBSERVATION = [0.01, -0.02, 0.03, 0.1]
@@ -147,13 +145,7 @@ def test_evaluate_takes_an_environment_and_leaves_it_open(client):
 )
 def test_adapt_refuses_before_it_plays(flags, message):
     # No server listens there: the flags are checked before the connection.
-    ended = subprocess.run(
-        [os.environ["SPIKECTL_PROGRAM"], "adapt", "--server=127.0.0.1:1", *flags],
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_SECONDS,
-    )
-    assert ended.returncode == 1
+    ended = run("spikectl", "adapt", "--server=127.0.0.1:1", *flags, status=1)
     assert message in ended.stderr, ended.stderr
 
 
@@ -166,7 +158,7 @@ def test_evaluate_needs_gymnasium_only_for_an_id():
         print(spikeserve.evaluate.__name__)
         """
     )
-    out = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
+    out = run(sys.executable, "-c", script)
     assert out.stdout == "evaluate\n"
 
 

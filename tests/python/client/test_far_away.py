@@ -7,13 +7,14 @@ import subprocess
 import pytest
 import spikeserve
 from links import Link
+from serving import run
 
 SEED = 5000
 
 
 def spikectl(*arguments):
     """Runs spikectl. Returns the finished process."""
-    return subprocess.run([os.environ["SPIKECTL_PROGRAM"], *arguments], capture_output=True, text=True)
+    return run("spikectl", *arguments, status=None)
 
 
 def returns_of(address, *arguments):

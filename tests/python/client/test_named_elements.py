@@ -1,8 +1,6 @@
 """Robots that name their elements: another order simply works, and another name is refused."""
 
 import json
-import os
-import subprocess
 
 import grpc
 import gymnasium
@@ -117,10 +115,9 @@ def test_other_names_units_and_rates_are_refused(client, options, expected):
 
 
 def test_a_client_that_cannot_reorder_is_told_the_permutation(server):
-    with grpc.insecure_channel(server.grpc) as channel:
-        request, open_session = method_of(channel, "spikeserve.v1.PolicyService", "OpenSession")
-        with pytest.raises(grpc.RpcError) as refused:
-            open_session(request(policy="cartpole", observation_names=ROBOT))
+    request, open_session = method_of(server.channel, "spikeserve.v1.PolicyService", "OpenSession")
+    with pytest.raises(grpc.RpcError) as refused:
+        open_session(request(policy="cartpole", observation_names=ROBOT))
     assert refused.value.code() == grpc.StatusCode.INVALID_ARGUMENT
     assert 'observation_names[0]: expected "cart_position", received "pole_angle"' in refused.value.details()
     assert "the policy's order is [1, 3, 0, 2] of the received elements" in refused.value.details()
@@ -162,8 +159,7 @@ def test_a_vector_environment_of_dicts(client):
 
 
 def test_spikectl_lists_the_features(server):
-    command = [os.environ["SPIKECTL_PROGRAM"], f"--server={server.grpc}", "policies", "--features"]
-    text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    text = server.spikectl("policies", "--features").stdout
     assert "cartpole/2 at 50 Hz within 10 %\n  observation[0] cart_position m from -4.8 to 4.8 in track\n" in text
-    listed = json.loads(subprocess.run([*command, "--json"], check=True, capture_output=True, text=True).stdout)
+    listed = json.loads(server.spikectl("policies", "--features", "--json").stdout)
     assert all(policy["observation_features"] for policy in listed["policies"])

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from serving import running_server
+from serving import run, running_server
 
 PROTO = pathlib.Path(__file__).parents[3] / "proto"
 CONTRACT = ("spikeserve/v1/policy_service.proto", "spikeserve/v1/policy_admin.proto")
@@ -44,10 +44,5 @@ def test_stubs_are_importable_beside_the_package(first, stubs):
     path = [str(stubs), package] if first == "stubs" else [package, str(stubs)]
     script = CALL if first == "stubs" else f"import spikeserve\n{CALL}"
     with running_server() as server:
-        done = subprocess.run(
-            [sys.executable, "-c", script, server.grpc],
-            capture_output=True,
-            text=True,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(path)},
-        )
-    assert done.stdout == "equal\n", done.stderr
+        done = run(sys.executable, "-c", script, server.grpc, env=os.environ | {"PYTHONPATH": os.pathsep.join(path)})
+    assert done.stdout == "equal\n"

@@ -20,6 +20,7 @@ from pyarrow import parquet
 from spikeserve.conversion import Selection, child, convert
 from spikeserve.conversion.converting import read
 from spikeserve.imitation.datasets import open_dataset
+from serving import run
 
 MIB = 1 << 20
 FITS = r"source: expected data that fit into (6[4-9]|7\d|8\d) MiB, received more"
@@ -139,9 +140,7 @@ def test_spiketrain_does_not_read_other_files(prying, tmp_path):
     if "SPIKETRAIN_PROGRAM" not in os.environ:
         pytest.skip("the build has no spiketrain")
     folder, _ = prying
-    command = [os.environ["SPIKETRAIN_PROGRAM"], "train", f"--data={folder}", f"--out={tmp_path}/out"]
-    trained = subprocess.run(command, capture_output=True, text=True)
-    assert trained.returncode == 1
+    trained = run("spiketrain", "train", f"--data={folder}", f"--out={tmp_path}/out", status=1)
     assert "episode_0/observations: expected numbers in this file, received those of another one" in trained.stderr
 
 

@@ -13,13 +13,14 @@ import safetensors
 from gymnasium import spaces
 from minari.data_collector.episode_buffer import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
+from serving import run
 
 SPIKETRAIN = os.environ["SPIKETRAIN_PROGRAM"]
 TINY = "--hidden_size=16 --heads=2 --context=4 --iterations=2 --batch=2 --episodes=1".split()
 
 
 def spiketrain(*arguments: str) -> str:
-    return subprocess.run([SPIKETRAIN, *arguments], check=True, capture_output=True, text=True).stdout
+    return run("spiketrain", *arguments).stdout
 
 
 def test_minari_loads_a_recording_and_gymnasium_replays_it(tmp_path, monkeypatch):

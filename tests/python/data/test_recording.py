@@ -1,8 +1,6 @@
 """Minari reads the episodes that a server recorded and spiketrain converted."""
 
 import json
-import os
-import subprocess
 
 import cbor2
 import gymnasium
@@ -11,18 +9,12 @@ import numpy as np
 import pytest
 import spikeserve
 from policy_file import read_policy
-from serving import SHIPPED_POLICIES, running_server
+from serving import SHIPPED_POLICIES, run, running_server
 from tritonclient import grpc as triton
 from tritonclient.utils import InferenceServerException
 
 SEED = 1_000_000
 EPISODES = 2
-
-
-def run(program, *arguments):
-    return subprocess.run(
-        [os.environ[program], *arguments], check=True, capture_output=True, text=True
-    ).stdout
 
 
 @pytest.fixture(scope="module")
@@ -81,13 +73,12 @@ def test_sequences_of_tritons_client_are_recorded(tmp_path, monkeypatch):
         recording, observations, actions = play_sequence(client, environment, 7, SEED)
         client.close()
     with running_server() as server:
-        arguments = (f"--recording={folder / recording}", f"--server={server.grpc}", "--json")
-        replay = json.loads(run("SPIKECTL_PROGRAM", "replay", *arguments))
+        replay = json.loads(server.spikectl("replay", f"--recording={folder / recording}", "--json").stdout)
     assert replay["identical"]
     assert replay["decisions"] == len(actions)
 
     out = tmp_path / "sequence-v0"
-    run("SPIKETRAIN_PROGRAM", "dataset", f"--recordings={folder}", f"--out={out}")
+    run("spiketrain", "dataset", f"--recordings={folder}", f"--out={out}")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     (read,) = minari.load_dataset("sequence-v0").iterate_episodes()
     # The recording has the observation of the request with sequence_end, but not its answer.
@@ -132,12 +123,7 @@ def play(environment, session, seed):
 
 def test_minari_reads_what_was_played(played, tmp_path, monkeypatch):
     folder, episodes = played
-    run(
-        "SPIKETRAIN_PROGRAM",
-        "dataset",
-        f"--recordings={folder}",
-        f"--out={tmp_path}/cartpole-served-v0",
-    )
+    run("spiketrain", "dataset", f"--recordings={folder}", f"--out={tmp_path}/cartpole-served-v0")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     dataset = minari.load_dataset("cartpole-served-v0")
     assert dataset.total_episodes == EPISODES
@@ -154,23 +140,10 @@ def test_minari_reads_what_was_played(played, tmp_path, monkeypatch):
 
 def test_spiketrain_trains_on_it(played, tmp_path):
     folder, _ = played
-    run("SPIKETRAIN_PROGRAM", "dataset", f"--recordings={folder}", f"--out={tmp_path}/served.cbor")
-    report = run(
-        "SPIKETRAIN_PROGRAM",
-        "train",
-        f"--data={tmp_path}/served.cbor",
-        f"--out={tmp_path}/policy",
-        "--hidden_size=8",
-        "--heads=2",
-        "--layers=1",
-        "--ticks=4",
-        "--context=4",
-        "--iterations=2",
-        "--batch=2",
-        "--episodes=1",
-        "--json",
-    )
-    assert json.loads(report)
+    run("spiketrain", "dataset", f"--recordings={folder}", f"--out={tmp_path}/served.cbor")
+    tiny = "--hidden_size=8 --heads=2 --layers=1 --ticks=4 --context=4 --iterations=2 --batch=2 --episodes=1".split()
+    report = run("spiketrain", "train", f"--data={tmp_path}/served.cbor", f"--out={tmp_path}/policy", *tiny, "--json")
+    assert json.loads(report.stdout)
     trained, served = (
         {kind: [element["name"] for element in features[kind]] for kind in ("observation", "action")}
         for path in (tmp_path / "policy", SHIPPED_POLICIES / "cartpole/2")
@@ -183,15 +156,7 @@ def test_the_whole_recording_is_replayed(played):
     folder, episodes = played
     (recording,) = folder.iterdir()
     with running_server() as server:
-        replay = json.loads(
-            run(
-                "SPIKECTL_PROGRAM",
-                "replay",
-                f"--recording={recording}",
-                f"--server={server.grpc}",
-                "--json",
-            )
-        )
+        replay = json.loads(server.spikectl("replay", f"--recording={recording}", "--json").stdout)
     assert replay["identical"]
     assert replay["episodes"] == EPISODES
     assert replay["decisions"] == sum(len(actions) for _, actions, *_ in episodes)

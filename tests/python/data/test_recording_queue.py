@@ -2,10 +2,9 @@
 
 import subprocess
 
-import grpc
 import pytest
 from security import OBSERVATION, until
-from serving import Service, message_class, metric, running_server
+from serving import message_class, metric, running_server
 
 STEPS = 200
 LONGEST_FILE = 8192  # bytes; shorter than an episode of STEPS, longer than the log
@@ -15,12 +14,12 @@ EPISODES = 100
 class Player:
     """Plays recorded episodes."""
 
-    def __init__(self, channel, record=True):
-        self._policy = Service(channel, "spikeserve.v1.PolicyService")
+    def __init__(self, server, record=True):
+        self._policy = server.agent
         opened = self._policy.OpenSession(policy="cartpole-small", record=record)
         self._session = opened.session_id
         self.recording = opened.recording
-        states = message_class(channel, "spikeserve.v1.EndEpisodeResponse").DESCRIPTOR
+        states = message_class(server.channel, "spikeserve.v1.EndEpisodeResponse").DESCRIPTOR
         self._states = states.fields_by_name["recording"].enum_type.values_by_number
 
     def play(self, steps=STEPS):
@@ -39,11 +38,8 @@ class Player:
 
 
 def test_stored_means_that_the_file_is_there(tmp_path):
-    with (
-        running_server(flags=[f"--record_dir={tmp_path}"]) as addresses,
-        grpc.insecure_channel(addresses.grpc) as channel,
-    ):
-        player = Player(channel)
+    with running_server(flags=[f"--record_dir={tmp_path}"]) as addresses:
+        player = Player(addresses)
         for episode in range(5):
             path = tmp_path / player.recording / f"{episode:06}.cbor"
             if player.play(steps=3) == "QUEUED":
@@ -51,7 +47,7 @@ def test_stored_means_that_the_file_is_there(tmp_path):
             assert path.exists()
         until(lambda: metric(addresses, "spikeserve_recording_queue_episodes") == 0)
         assert metric(addresses, "spikeserve_recording_queue_bytes") == 0
-        assert Player(channel, record=False).play(steps=3) == "NOT_RECORDED"
+        assert Player(addresses, record=False).play(steps=3) == "NOT_RECORDED"
 
 
 @pytest.mark.parametrize("sessions", [1, 3])
@@ -64,9 +60,8 @@ def test_a_full_disk_is_one_line_in_the_log(tmp_path, sessions):
             log=log,
             prefix=["prlimit", f"--fsize={LONGEST_FILE}:"],
         ) as addresses,
-        grpc.insecure_channel(addresses.grpc) as channel,
     ):
-        players = [Player(channel) for _ in range(sessions)]
+        players = [Player(addresses) for _ in range(sessions)]
         for _ in range(EPISODES // sessions):
             for player in players:
                 player.play()

@@ -1,8 +1,6 @@
 """Recordings of one tenant leave room for those of others, on the disk, too, and the figures and the log say so."""
 
-import json
-
-from security import OBSERVATION, TOKENS, service_with
+from security import OBSERVATION, service_with
 from serving import metric, running_server
 
 LIMIT = 400_000  # bytes
@@ -20,9 +18,8 @@ def played(service):
     return state
 
 
-def test_a_tenant_leaves_others_their_share_of_the_disk(tmp_path):
-    tokens, log = tmp_path / "tokens.json", tmp_path / "log"
-    tokens.write_text(json.dumps(TOKENS))
+def test_a_tenant_leaves_others_their_share_of_the_disk(tmp_path, tokens):
+    log = tmp_path / "log"
     flags = [f"--tokens={tokens}", f"--record_dir={tmp_path}/records", f"--max_recorded_bytes={LIMIT}"]
     with (
         log.open("w") as file,

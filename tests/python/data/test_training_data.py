@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import subprocess
 
 import cbor2
 import numpy as np
@@ -12,6 +11,7 @@ import safetensors
 from gymnasium import spaces
 from minari.data_collector.episode_buffer import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
+from serving import run
 
 SPIKETRAIN = os.environ["SPIKETRAIN_PROGRAM"]
 TINY = "--iterations=3 --hidden_size=16 --heads=2 --layers=1 --ticks=2 --context=4 --warmup=1 --batch=4".split()
@@ -60,9 +60,7 @@ def write(path, last, clean=7, space=None, environment="Robot-v0", **changes):
 
 
 def train(data, out, *flags):
-    return subprocess.run(
-        [SPIKETRAIN, "train", f"--data={data}", f"--out={out}", *TINY, *flags], capture_output=True, text=True
-    )
+    return run("spiketrain", "train", f"--data={data}", f"--out={out}", *TINY, *flags, status=None)
 
 
 FINITE = "expected a finite number"

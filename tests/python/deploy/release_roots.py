@@ -3,17 +3,11 @@
 import os
 import pathlib
 import shutil
-import subprocess
+
+from serving import run
 
 ROOT = pathlib.Path(__file__).parents[3]
 BUILD = pathlib.Path(os.environ["SPIKESERVE_BUILD_DIR"])
-
-
-def run(*command, **options):
-    """Runs a command to its end and returns what it printed."""
-    finished = subprocess.run([*map(str, command)], capture_output=True, text=True, **options)
-    assert finished.returncode == 0, f"{command}: {finished.stdout[-2000:]}{finished.stderr[-2000:]}"
-    return finished.stdout
 
 
 def bare_root():

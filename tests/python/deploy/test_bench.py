@@ -3,16 +3,16 @@
 import os
 import pathlib
 import re
-import subprocess
 import sys
+
+from serving import run
 
 BENCH = pathlib.Path(__file__).parents[3] / "loadtest/bench.py"
 
 
 def test_every_row_has_figures():
     programs = pathlib.Path(os.environ["SPIKESERVE_PROGRAM"]).parent
-    command = [sys.executable, BENCH, f"--bin={programs}", "--seconds=0.2"]
-    lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
+    lines = run(sys.executable, BENCH, f"--bin={programs}", "--seconds=0.2").stdout.splitlines()
     assert [line[:32].strip() for line in lines] == [
         *("policy cartpole", "engine, baseline", "engine, full", "memory, full"),
         *(f"server, {mode}, {count} sessions" for mode, count in (("unary", 1), ("unary", 64), ("stream", 64), ("batch", 64))),

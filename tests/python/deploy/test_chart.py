@@ -7,7 +7,6 @@ import json
 import os
 import pathlib
 import re
-import subprocess
 import sys
 
 import grpc
@@ -18,8 +17,8 @@ import yaml
 ROOT = pathlib.Path(__file__).parents[3]
 sys.path.insert(0, str(ROOT))
 
-from security import ADMIN, HEALTH, TOKENS, Bearer, credentials  # noqa: E402
-from serving import DEADLINE_SECONDS, DEPLOY, SHIPPED_POLICIES, Service, running_server  # noqa: E402
+from security import ADMIN, HEALTH, TOKENS, Bearer, code_of, credentials  # noqa: E402
+from serving import DEPLOY, SHIPPED_POLICIES, Service, run, running_server  # noqa: E402
 
 from tests.kubernetes.chart import (  # noqa: E402
     CASES,
@@ -101,7 +100,7 @@ def test_the_schema_is_strict_everywhere():
 
 def flags(program):
     """Returns the flags of a program, those included that --help only counts."""
-    manual = subprocess.run([program, "--generate=man"], capture_output=True, text=True, check=True).stdout
+    manual = run(program, "--generate=man").stdout
     return set(re.findall(r"--(\w+)", manual.replace("\\-", "-")))
 
 
@@ -146,10 +145,7 @@ def test_kubernetes_knows_every_field(case, tmp_path):
     documents = [document for document in rendered(case) if "monitoring.coreos.com" not in document["apiVersion"]]
     objects = tmp_path / "objects.yaml"
     objects.write_text(yaml.safe_dump_all(documents))
-    finished = subprocess.run(
-        [KUBERNETES_VALIDATE, "--strict", "--kubernetes-version", "1.34", objects], capture_output=True, text=True
-    )
-    assert finished.returncode == 0, finished.stdout + finished.stderr
+    run(KUBERNETES_VALIDATE, "--strict", "--kubernetes-version", "1.34", objects)
 
 
 def container(case):
@@ -242,13 +238,8 @@ class Pod:
         variables = {name: value for name, value in self._variables.items() if name.startswith("SPIKECTL_")}
         host = variables["SPIKECTL_SERVER"].split(":")[0]
         assert host in ("127.0.0.1", "localhost")
-        finished = subprocess.run(
-            [os.environ["SPIKECTL_PROGRAM"], *self._probe[1:]],
-            env=variables | {"SPIKECTL_SERVER": f"{host}:{address.split(':')[1]}"},
-            capture_output=True,
-            text=True,
-            timeout=DEADLINE_SECONDS,
-        )
+        own = variables | {"SPIKECTL_SERVER": f"{host}:{address.split(':')[1]}"}
+        finished = run("spikectl", *self._probe[1:], env=own, status=None)
         return finished.returncode, finished.stdout + finished.stderr
 
 
@@ -271,9 +262,7 @@ def test_the_default_pod_is_ready_and_a_drained_one_is_not(folder, certificates)
         assert pod.probe(addresses.grpc) == (0, "SERVING\n")
         target = f"localhost:{addresses.grpc.split(':')[1]}"
         with grpc.secure_channel(target, credentials(certificates)) as channel:
-            with pytest.raises(grpc.RpcError) as refused:
-                Service(channel, ADMIN).Drain()
-            assert refused.value.code() == grpc.StatusCode.UNAUTHENTICATED
+            assert code_of(Service(channel, ADMIN).Drain) == grpc.StatusCode.UNAUTHENTICATED
             Service(channel, ADMIN, grpc.intercept_channel(channel, Bearer("operator"))).Drain()
         status, text = pod.probe(addresses.grpc)
         assert status != 0

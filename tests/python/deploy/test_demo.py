@@ -9,7 +9,7 @@ import signal
 import subprocess
 
 from security import until
-from serving import DEPLOY, SHIPPED_POLICIES
+from serving import DEPLOY, SHIPPED_POLICIES, run
 from test_watching import get
 
 BIN = pathlib.Path(os.environ["SPIKESERVE_PROGRAM"]).parent
@@ -36,8 +36,7 @@ def check(lines):
 
 
 def spikectl(server, *arguments):
-    command = [os.environ["SPIKECTL_PROGRAM"], *arguments, f"--server={server.grpc}"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    return server.spikectl(*arguments).stdout.splitlines()
 
 
 def test_the_table_of_policies_fits_a_page(server):
@@ -58,7 +57,7 @@ def test_the_table_of_policies_fits_a_page(server):
 
 
 def test_without_a_terminal_it_prints_the_result_and_ends():
-    played = subprocess.run([DEPLOY / "demo.sh", BIN], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True)
+    played = run(DEPLOY / "demo.sh", BIN, stdin=subprocess.DEVNULL)
     *lines, following = played.stdout.splitlines()
     assert len(lines) < MOST_LINES
     check(lines)

@@ -34,7 +34,7 @@ class Buildah:
         self._command = ["buildah", "--storage-driver", "vfs", "--root", folder / "root", "--runroot", folder / "run"]
 
     def __call__(self, *arguments, **options):
-        return run(*self._command, *arguments, **options).strip()
+        return run(*self._command, *arguments, **options).stdout.strip()
 
 
 @pytest.fixture(scope="module")
@@ -128,12 +128,8 @@ def test_it_serves_as_process_1_and_ends_in_order(files, configuration):
         status = pathlib.Path(f"/proc/{server}/status").read_text()
         assert f"Uid:\t{USER}\t{USER}" in status
         assert status.split("NSpid:")[1].split()[1] == "1"
-        healthy = subprocess.run(
-            ["chroot", f"--userspec={USER}:{USER}", files, "/usr/bin/spikectl", "health", f"--server={address}"],
-            capture_output=True,
-            text=True,
-        )
-        assert (healthy.returncode, healthy.stdout) == (0, "SERVING\n"), healthy.stderr
+        inside = ("chroot", f"--userspec={USER}:{USER}", files)
+        assert run(*inside, "/usr/bin/spikectl", "health", f"--server={address}").stdout == "SERVING\n"
         with grpc.insecure_channel(address) as channel:
             service = Service(channel, "spikeserve.v1.PolicyService")
             session = service.OpenSession(policy="cartpole").session_id

@@ -5,25 +5,14 @@ import os
 import pathlib
 import re
 import shlex
-import signal
 import subprocess
 
 import pytest
-from serving import running_server
+from serving import run, running_server
 
 BUILD = pathlib.Path(os.environ["SPIKESERVE_BUILD_DIR"])
 VERSION = os.environ["SPIKESERVE_VERSION"]
 CONSUMER = pathlib.Path(__file__).parents[2] / "install" / "consumer"
-DEADLINE_SECONDS = 300
-
-
-def run(*command, **keywords):
-    """Runs a command to its end and returns what it printed."""
-    finished = subprocess.run(
-        command, capture_output=True, text=True, timeout=DEADLINE_SECONDS, **keywords
-    )
-    assert finished.returncode == 0, f"{command}: {finished.stdout}{finished.stderr}"
-    return finished.stdout
 
 
 @pytest.fixture(scope="module")
@@ -36,26 +25,26 @@ def prefix(tmp_path_factory):
 
 def expect_an_action(program):
     with running_server() as addresses:
-        assert run(program, addresses.grpc) in ("action 0\n", "action 1\n")
+        assert run(program, addresses.grpc).stdout in ("action 0\n", "action 1\n")
 
 
 def test_find_package(prefix, tmp_path):
     run("cmake", "-S", CONSUMER, "-B", tmp_path, "-G", "Ninja", f"-DCMAKE_PREFIX_PATH={prefix}")
     run("cmake", "--build", tmp_path)
     expect_an_action(tmp_path / "consumer")
-    with running_server(status=-signal.SIGKILL) as addresses:
+    with running_server() as addresses:
         robot = subprocess.Popen([tmp_path / "robot", addresses.grpc], stdout=subprocess.PIPE, text=True)
         with robot:
             assert robot.stdout.readline() == "fresh\n"
-            addresses.process.kill()
+            addresses.kill()
             assert robot.stdout.readline() == "local\n"
 
 
 def test_pkg_config(prefix, tmp_path):
     [pc] = prefix.rglob("spikeserve.pc")
     environment = {**os.environ, "PKG_CONFIG_PATH": str(pc.parent)}
-    assert run("pkg-config", "--modversion", "spikeserve", env=environment).strip() == VERSION
-    flags = shlex.split(run("pkg-config", "--cflags", "--libs", "spikeserve", env=environment))
+    assert run("pkg-config", "--modversion", "spikeserve", env=environment).stdout.strip() == VERSION
+    flags = shlex.split(run("pkg-config", "--cflags", "--libs", "spikeserve", env=environment).stdout)
     program = tmp_path / "consumer"
     run("g++", "-std=c++20", CONSUMER / "main.cc", "-o", program, *flags)
     expect_an_action(program)
@@ -86,11 +75,5 @@ def test_an_older_minor_version_is_refused(prefix, tmp_path):
     assert replaced == 1
     (tmp_path / "CMakeLists.txt").write_text(lists)
     (tmp_path / "main.cc").write_text("int main() {}\n")
-    refused = subprocess.run(
-        ["cmake", "-S", tmp_path, "-B", tmp_path / "build", f"-DCMAKE_PREFIX_PATH={prefix}"],
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_SECONDS,
-    )
-    assert refused.returncode != 0
+    refused = run("cmake", "-S", tmp_path, "-B", tmp_path / "build", f"-DCMAKE_PREFIX_PATH={prefix}", status=1)
     assert "spikeserve" in refused.stderr

@@ -3,16 +3,16 @@
 import json
 import os
 import pathlib
-import subprocess
 import sys
+
+from serving import run
 
 SCRIPT = pathlib.Path(__file__).parents[3] / "deploy/library_cves.py"
 
 
 def table(*flags):
     """Returns the rows of the script's table by package."""
-    command = [sys.executable, SCRIPT, os.environ["SPIKESERVE_PROGRAM"], *flags]
-    lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
+    lines = run(sys.executable, SCRIPT, os.environ["SPIKESERVE_PROGRAM"], *flags).stdout.splitlines()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     return {row[0]: row[1:] for row in rows[2:]}
 

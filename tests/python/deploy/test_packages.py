@@ -9,11 +9,11 @@ import os
 import pathlib
 import re
 import shutil
-import subprocess
 import sys
 import textwrap
 
 import pytest
+from serving import run
 
 BUILD = pathlib.Path(os.environ["SPIKESERVE_BUILD_DIR"])
 VERSION = os.environ["SPIKESERVE_VERSION"]
@@ -104,10 +104,7 @@ OUTSIDE = textwrap.dedent(
 def packages():
     """Returns the folder with the packages that cpack makes from the build."""
     shutil.rmtree(BUILD / "packages", ignore_errors=True)
-    finished = subprocess.run(
-        ["cpack", "-G", "DEB"], cwd=BUILD, capture_output=True, text=True, timeout=DEADLINE_SECONDS
-    )
-    assert finished.returncode == 0, finished.stdout + finished.stderr
+    run("cpack", "-G", "DEB", cwd=BUILD)
     return BUILD / "packages"
 
 
@@ -119,8 +116,7 @@ def test_every_component_is_a_package_of_the_one_version(packages):
 def paths_in(packages, name):
     """Returns the paths in a package, without the leading slash."""
     [package] = packages.glob(f"{name}_*.deb")
-    listed = subprocess.run(["dpkg-deb", "-c", package], capture_output=True, text=True, check=True)
-    return re.findall(r" \./(\S*)", listed.stdout)
+    return re.findall(r" \./(\S*)", run("dpkg-deb", "-c", package).stdout)
 
 
 @pytest.mark.parametrize(("package", "program"), [("spikeserve", "spikeserve"), ("spikeserve-tools", "spikectl")])
@@ -139,16 +135,10 @@ def test_the_package_holds_no_path_of_the_machine_that_built_it(packages):
 
 
 def test_the_server_installs_starts_answers_and_goes(packages, tmp_path):
-    finished = subprocess.run(
-        [
-            *("unshare", "--mount", "bash", "-c", OUTSIDE, "bash", tmp_path, packages, INSIDE),
-            *(sys.executable, ROBOT, pathlib.Path(__file__).parents[1]),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_SECONDS,
+    finished = run(
+        *("unshare", "--mount", "bash", "-c", OUTSIDE, "bash", tmp_path, packages, INSIDE),
+        *(sys.executable, ROBOT, pathlib.Path(__file__).parents[1])
     )
-    assert finished.returncode == 0, finished.stdout + finished.stderr
     lines = finished.stdout.splitlines()
     assert lines[0] == "user spikeserve:/var/lib/spikeserve"
     assert "unit verified" in lines

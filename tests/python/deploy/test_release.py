@@ -5,13 +5,12 @@ import json
 import os
 import pathlib
 import re
-import subprocess
 import sys
 import sysconfig
 import tarfile
 
 import pytest
-from serving import SHIPPED_POLICIES
+from serving import SHIPPED_POLICIES, run
 
 ROOT = pathlib.Path(__file__).parents[3]
 BUILD = pathlib.Path(os.environ["SPIKESERVE_BUILD_DIR"])
@@ -27,19 +26,13 @@ OFFLINE = {
 }
 
 
-def run(*command, **options):
-    finished = subprocess.run([*map(str, command)], capture_output=True, text=True, **options)
-    assert finished.returncode == 0, f"{command}: {finished.stdout}{finished.stderr}"
-    return finished.stdout
-
-
 @pytest.fixture(scope="module")
 def dist(tmp_path_factory):
     """Returns the folder that deploy/release/make.sh fills, with a wheel of the engine for this interpreter alone."""
     folder = tmp_path_factory.mktemp("dist") / "dist"
     binaries = str(pathlib.Path(sys.executable).parent)
     environment = os.environ | OFFLINE | {"PYTHONS": OWN_VERSION, "PATH": f"{binaries}:{os.environ['PATH']}"}
-    print(run(ROOT / "deploy/release/make.sh", folder, BUILD, env=environment))
+    print(run(ROOT / "deploy/release/make.sh", folder, BUILD, env=environment).stdout)
     return folder
 
 
@@ -83,10 +76,7 @@ def test_twine_is_content(dist):
 
 
 def test_lintian_is_content(dist):
-    finished = subprocess.run(
-        ["lintian", "--fail-on", "error", *dist.glob("*.deb")], capture_output=True, text=True
-    )
-    assert finished.returncode == 0, finished.stdout
+    run("lintian", "--fail-on", "error", *dist.glob("*.deb"))
 
 
 def test_the_notes_are_those_of_the_changelog(dist):
@@ -98,7 +88,7 @@ def test_the_notes_are_those_of_the_changelog(dist):
 def test_the_source_archive_is_the_commit(dist):
     with tarfile.open(dist / f"spikeserve-{VERSION}.src.tar.gz") as archive:
         held = {name.removeprefix(f"spikeserve-{VERSION}/") for name in archive.getnames()}
-    assert set(run("git", "-C", ROOT, "ls-tree", "-r", "--name-only", "HEAD").splitlines()) <= held
+    assert set(run("git", "-C", ROOT, "ls-tree", "-r", "--name-only", "HEAD").stdout.splitlines()) <= held
 
 
 @pytest.mark.parametrize("kind", ["*.whl", "spikeserve*[0-9].tar.gz"], ids=["wheels", "sdists"])
@@ -114,7 +104,7 @@ def test_the_python_packages_install_in_an_empty_environment(dist, kind, tmp_pat
         f"session = spikeserve.engine.Engine({str(policy)!r}).session()\n"
         "print(session.act([0.01, 0.0, 0.02, 0.0]).action, spikeserve_engine.__file__)"
     )
-    action, file = run(python, "-c", script, env=environment).split()
+    action, file = run(python, "-c", script, env=environment).stdout.split()
     assert action in "01"
     assert pathlib.Path(file).is_relative_to(tmp_path)
 
@@ -122,7 +112,7 @@ def test_the_python_packages_install_in_an_empty_environment(dist, kind, tmp_pat
 def test_no_hint_names_a_package_that_nobody_published():
     """Anybody may register the name of an unpublished package, so no text may tell people to install it by its name."""
     by_name = re.compile(r"pip install [^\n]*(?<![\w/.-])spikeserve(-engine|-train)?(\[[\w,]*\])?(?![\w/.-])")
-    for path in run("git", "-C", ROOT, "ls-files").splitlines():
+    for path in run("git", "-C", ROOT, "ls-files").stdout.splitlines():
         file = ROOT / path
         if file.suffix in {".md", ".py", ".sh", ".toml", ".txt", ".cc"} and file.is_file() and file.name != "test_release.py":
             assert not by_name.search(file.read_text()), path

@@ -3,10 +3,10 @@
 import json
 import os
 import pathlib
-import subprocess
 
 import pytest
 from documentation import Shell
+from serving import run
 
 ROOT = pathlib.Path(__file__).parents[3]
 
@@ -45,7 +45,7 @@ def test_secure_it(shell, tmp_path):
     # A newcomer runs the page in a checkout, and nobody wants to commit a key.
     made = {path.name for path in set(tmp_path.iterdir()) - before}
     assert {"ca.key", "operator.token", "tokens.json"} <= made
-    ignored = subprocess.run(["git", "check-ignore", *made], cwd=ROOT, capture_output=True, text=True).stdout.split()
+    ignored = run("git", "check-ignore", *made, status=None, cwd=ROOT).stdout.split()
     assert set(ignored) == made
 
 

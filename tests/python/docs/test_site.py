@@ -9,6 +9,7 @@ import subprocess
 import urllib.parse
 
 import pytest
+from serving import run
 
 ROOT = pathlib.Path(__file__).parents[3]
 MKDOCS = ROOT / "build/release-tools/venv/bin/mkdocs"
@@ -17,12 +18,8 @@ pytestmark = pytest.mark.skipif(not MKDOCS.exists(), reason="without mkdocs")
 
 
 def build(folder, configuration=ROOT / "mkdocs.yml"):
-    return subprocess.run(
-        [MKDOCS, "build", "--strict", "--config-file", configuration, "--site-dir", folder],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
-    )
+    command = [MKDOCS, "build", "--strict", "--config-file", configuration, "--site-dir", folder]
+    return run(*command, status=None, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"})
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from documentation import page_of
 from exported_populations import check_imported, exported_policies
 from integer_engine import IntegerEngine
 from policy_file import read_policy
-from serving import SHIPPED_POLICIES, running_server
+from serving import SHIPPED_POLICIES, run, running_server
 from spikeserve.export import to_nir
 
 STEPS = 12
@@ -143,8 +143,7 @@ def test_snntorch_imports_every_version(tmp_path):
 
 def neurobench(name, recordings):
     arguments = [f"--policy={shipped(name)}", f"--recordings={recordings[name]}", "--json"]
-    program = os.environ["SPIKETRAIN_PROGRAM"]
-    return json.loads(subprocess.run([program, "neurobench", *arguments], check=True, capture_output=True).stdout)
+    return json.loads(run("spiketrain", "neurobench", *arguments).stdout)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -4,12 +4,11 @@ import os
 import subprocess
 
 import gymnasium
-import grpc
 import numpy as np
 import pytest
 from operation_count import CountedIntegerEngine
 from policy_file import read_policy, without_norms, write_policy
-from serving import RELEASED_POLICIES, Service, running_server
+from serving import RELEASED_POLICIES, running_server
 
 PROGRAM = os.environ["INTEGER_DECISIONS_PROGRAM"]
 STEPS = 30  # longer than the context
@@ -34,8 +33,8 @@ def policies(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def service(policies):
-    with running_server(policies) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        yield Service(channel, "spikeserve.v1.PolicyService")
+    with running_server(policies) as addresses:
+        yield addresses.agent
 
 
 @pytest.mark.parametrize("name", NAMES)

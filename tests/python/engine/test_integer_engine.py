@@ -1,20 +1,16 @@
 """Policies in integer arithmetic give the spikes and readouts that docs/design/integer.md gives in NumPy."""
 
 import json
-import os
-import subprocess
 
 import gymnasium
-import grpc
 import numpy as np
 import pytest
 from dense_engine import DenseEngine
 from integer_engine import IntegerEngine
 from policy_file import read_policy
 from random_policy import export_random
-from serving import SHIPPED_POLICIES, Service, running_server
+from serving import SHIPPED_POLICIES, run, running_server
 
-PROGRAM = os.environ["INTEGER_DECISIONS_PROGRAM"]
 STEPS = 24  # longer than the context
 CASES = [  # environment, config, mode of the integer policy
     ("CartPole-v1", {"mode": "full"}, "full"),
@@ -33,13 +29,10 @@ CASES = [  # environment, config, mode of the integer policy
 SHIPPED = sorted(SHIPPED_POLICIES.glob("*/*/policy.safetensors"))
 
 
-def run(source, target, mode, lines=()):
+def decide(*arguments, lines=(), status=0):
+    """Runs the program with a policy, or with one, the file to write it to as integers, and its mode."""
     text = "".join(json.dumps(line) + "\n" for line in lines)
-    return decide([str(source), str(target), mode], text)
-
-
-def decide(arguments, text):
-    return subprocess.run([PROGRAM, *arguments], input=text, capture_output=True, text=True, timeout=120, check=False)
+    return run("integer_decisions", *arguments, input=text, status=status)
 
 
 def episode(tensors, action_size):
@@ -74,8 +67,7 @@ def test_every_decision_is_that_of_the_page(tmp_path, environment, config, mode)
     source, target = tmp_path / "random/1/policy.safetensors", tmp_path / "integer.safetensors"
     tensors, _ = read_policy(source)
     lines = list(episode(tensors, len(tensors["head.bias"])))
-    result = run(source, target, mode, lines)
-    assert result.returncode == 0, result.stderr
+    result = decide(source, target, mode, lines=lines)
     assert check_decisions(target, lines, result.stdout).config["mode"] == mode
 
 
@@ -83,8 +75,7 @@ def test_every_decision_is_that_of_the_page(tmp_path, environment, config, mode)
 def test_every_decision_of_a_shipped_policy_is_that_of_the_page(path):
     tensors, _ = read_policy(path)
     lines = list(episode(tensors, len(tensors["head.bias"])))
-    result = decide([str(path)], "".join(json.dumps(line) + "\n" for line in lines))
-    assert result.returncode == 0, result.stderr
+    result = decide(path, lines=lines)
     check_decisions(path, lines, result.stdout)
 
 
@@ -94,8 +85,7 @@ def test_a_dense_decision_is_that_of_the_page(tmp_path, sizes):
     tensors, _ = read_policy(tmp_path / "dense/1/policy.safetensors")
     target = tmp_path / "integer.safetensors"
     lines = list(episode(tensors, 2))
-    result = run(tmp_path / "dense/1/policy.safetensors", target, "dense", lines)
-    assert result.returncode == 0, result.stderr
+    result = decide(tmp_path / "dense/1/policy.safetensors", target, "dense", lines=lines)
     engine = DenseEngine(*read_policy(target))
     readouts = []
     for step, (line, answer) in enumerate(zip(lines, result.stdout.splitlines(), strict=True)):
@@ -115,8 +105,7 @@ def export(folder, **config):
 
 def test_a_part_that_the_policy_lacks_is_refused(tmp_path):
     source = export(tmp_path, mode="baseline")
-    result = run(source, tmp_path / "integer.safetensors", "full")
-    assert result.returncode == 1
+    result = decide(source, tmp_path / "integer.safetensors", "full", status=1)
     assert "mode: expected one whose parts mode baseline has, received full" in result.stderr
     assert not (tmp_path / "integer.safetensors").exists()
 
@@ -124,20 +113,18 @@ def test_a_part_that_the_policy_lacks_is_refused(tmp_path):
 def test_a_server_serves_and_explains_it(tmp_path):
     target = tmp_path / "policies/integers/1/policy.safetensors"
     target.parent.mkdir(parents=True)
-    result = run(export(tmp_path), target, "full")
-    assert result.returncode == 0, result.stderr
+    decide(export(tmp_path), target, "full")
     tensors, metadata = read_policy(target)
     engine = IntegerEngine(tensors, metadata)
     last_action = None
-    with running_server(tmp_path / "policies") as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, "spikeserve.v1.PolicyService")
-        session = service.OpenSession(policy="integers").session_id
+    with running_server(tmp_path / "policies") as addresses:
+        session = addresses.agent.OpenSession(policy="integers").session_id
         for step, line in enumerate(episode(tensors, 2)):
-            answer = service.Act(session_id=session, step=step, observation=line["observation"], reward=1.0)
+            answer = addresses.agent.Act(session_id=session, step=step, observation=line["observation"], reward=1.0)
             spikes, _ = engine.decide(answer.return_to_go, line["observation"], last_action)
             stages = answer.stats.spikes_by_stage
             assert {stage: getattr(stages, stage) for stage in spikes} == spikes, f"step {step}"
             assert 0 < answer.stats.energy_joules < 1e-6
             last_action = np.eye(2)[answer.action.discrete]
-        explained = service.Explain(session_id=session)
+        explained = addresses.agent.Explain(session_id=session)
         assert explained.answer.stats.spikes == sum(spikes.values())

@@ -6,7 +6,6 @@ import hashlib
 import http.server
 import json
 import pathlib
-import subprocess
 import threading
 
 import gymnasium
@@ -14,7 +13,7 @@ import pytest
 from spikeserve_engine import Engine
 
 from browser import SCREENSHOTS, chromium
-from serving import SHIPPED_POLICIES
+from serving import SHIPPED_POLICIES, run
 
 ROOT = pathlib.Path(__file__).parents[3]
 WASM = ROOT / "build/wasm"
@@ -40,8 +39,7 @@ def versions():
 def test_golden_answers_with_and_without_simd():
     names = versions()
     # Emscripten would otherwise fetch its file, as in a browser.
-    command = ["node", "--no-experimental-fetch", WASM / "bin/golden_play.js", *names]
-    played = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    played = run("node", "--no-experimental-fetch", WASM / "bin/golden_play.js", *names).stdout
     hashes = collections.defaultdict(dict)
     for line in played.splitlines():
         file, kind, target, answers = line.split()

@@ -5,8 +5,8 @@ import shutil
 
 import pytest
 from redis_servers import WITHOUT_REDIS
-from security import ADMIN, code_of, until
-from serving import SHIPPED_POLICIES, Service
+from security import code_of, until
+from serving import SHIPPED_POLICIES
 from stored_sessions import replicas_on
 
 pytestmark = WITHOUT_REDIS
@@ -51,7 +51,7 @@ def ending(i):
 
 
 def updates(server):
-    head = Service(server.channel, ADMIN).GetHead(policy="cartpole", version=1)
+    head = server.admin.GetHead(policy="cartpole", version=1)
     return head.updates + head.rejected_updates
 
 

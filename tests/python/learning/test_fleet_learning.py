@@ -9,7 +9,8 @@ import grpc
 import numpy as np
 import pytest
 from policy_file import read_policy
-from serving import RELEASED_POLICIES, SHIPPED_POLICIES, Service, metric, running_server
+from security import code_of, fails_with
+from serving import RELEASED_POLICIES, SHIPPED_POLICIES, metric, running_server
 
 FLEET = {"scope": "FLEET", "learning_rate": 0.3}
 SAMPLING = {"action_selection": "SAMPLE", "temperature": 4.0}
@@ -22,10 +23,9 @@ def folder(tmp_path, request):
     return tmp_path
 
 
-class Server:
-    def __init__(self, channel):
-        self.policy = Service(channel, "spikeserve.v1.PolicyService")
-        self.admin = Service(channel, "spikeserve.v1.PolicyAdmin")
+class Learner:
+    def __init__(self, server):
+        self.policy, self.admin = server.agent, server.admin
 
     def open(self, **fields):
         return self.policy.OpenSession(policy="cartpole", **fields).session_id
@@ -51,8 +51,8 @@ class Server:
 @pytest.fixture
 def serve(folder):
     def run(act):
-        with running_server(folder) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-            return act(Server(channel))
+        with running_server(folder) as addresses:
+            return act(Learner(addresses))
 
     return run
 
@@ -147,9 +147,7 @@ def test_absurd_rewards_harm_neither_others_nor_the_fleet_beyond_its_bound(serve
                 head = server.admin.GetHead(policy="cartpole", include_weights=True)
                 assert np.isfinite(head.delta).all()
                 assert head.drift <= 2 + 1e-6
-        with pytest.raises(grpc.RpcError) as error:
-            server.play(poisoner, reward=lambda step: float("nan"))
-        assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+        assert code_of(server.play, poisoner, reward=lambda step: float("nan")) == grpc.StatusCode.INVALID_ARGUMENT
         assert server.play(frozen)[0] == before
         member = server.open(learning=FLEET, **SAMPLING)
         assert np.isfinite(server.play(member)[0]).all()
@@ -207,20 +205,19 @@ def test_the_fleets_head_does_not_depend_on_who_ends_first(serve):
 def test_the_guard_rolls_back_and_says_so(folder, tmp_path_factory, scope):
     path = tmp_path_factory.mktemp("log") / "stderr"
     with path.open("w") as log, running_server(folder, log=log) as addresses:
-        with grpc.insecure_channel(addresses.grpc) as channel:
-            server = Server(channel)
-            session_id = server.open(seed=1, learning={"scope": scope.upper()}, **SAMPLING)
-            for episode in range(40):
-                reward = 1.0 if episode < 20 else 0.5  # half the return in the second window
-                _, ended = server.play(session_id, reward=lambda step, r=reward: r, terminated=True)
-                assert ended.learning.rolled_back == (episode == 39)
-                assert (ended.learning.head_drift > 0) == (episode < 39)
-            assert ended.learning.watched_return == pytest.approx(6)
-            assert server.policy.GetSession(session_id=session_id).rollbacks == 1
-            assert server.admin.GetHead(policy="cartpole").rollbacks == (scope == "fleet")
-            assert metric(addresses, "spikeserve_learning_rollbacks_total", scope=scope) == 1
-            assert metric(addresses, "spikeserve_learning_return", scope=scope) == pytest.approx(6)
-            assert metric(addresses, "spikeserve_head_drift_ratio", scope=scope) == 0
+        server = Learner(addresses)
+        session_id = server.open(seed=1, learning={"scope": scope.upper()}, **SAMPLING)
+        for episode in range(40):
+            reward = 1.0 if episode < 20 else 0.5  # half the return in the second window
+            _, ended = server.play(session_id, reward=lambda step, r=reward: r, terminated=True)
+            assert ended.learning.rolled_back == (episode == 39)
+            assert (ended.learning.head_drift > 0) == (episode < 39)
+        assert ended.learning.watched_return == pytest.approx(6)
+        assert server.policy.GetSession(session_id=session_id).rollbacks == 1
+        assert server.admin.GetHead(policy="cartpole").rollbacks == (scope == "fleet")
+        assert metric(addresses, "spikeserve_learning_rollbacks_total", scope=scope) == 1
+        assert metric(addresses, "spikeserve_learning_return", scope=scope) == pytest.approx(6)
+        assert metric(addresses, "spikeserve_head_drift_ratio", scope=scope) == 0
     logged = f'warning action head rolled back policy="cartpole/1" scope="{scope}" watched_return="6"\n'
     assert path.read_text().count(logged) == 1
 
@@ -237,22 +234,16 @@ def test_the_guard_rolls_back_and_says_so(folder, tmp_path_factory, scope):
 )
 def test_what_would_do_nothing_or_harm_is_refused(serve, fields, message):
     def refuse(server):
-        with pytest.raises(grpc.RpcError) as error:
+        with fails_with(grpc.StatusCode.INVALID_ARGUMENT, message):
             server.open(**fields)
-        assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
-        assert message in error.value.details()
 
     serve(refuse)
 
 
 def test_what_was_not_learned_is_not_promoted(serve):
     def promote(server):
-        with pytest.raises(grpc.RpcError) as error:
-            server.admin.PromoteHead(policy="cartpole")
-        assert error.value.code() == grpc.StatusCode.FAILED_PRECONDITION
+        assert code_of(server.admin.PromoteHead, policy="cartpole") == grpc.StatusCode.FAILED_PRECONDITION
         for call in [server.admin.GetHead, server.admin.RollbackHead, server.admin.PauseLearning]:
-            with pytest.raises(grpc.RpcError) as error:
-                call(policy="nobody")
-            assert error.value.code() == grpc.StatusCode.NOT_FOUND
+            assert code_of(call, policy="nobody") == grpc.StatusCode.NOT_FOUND
 
     serve(promote)

@@ -3,7 +3,6 @@
 import json
 import pathlib
 import shutil
-import signal
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -72,16 +71,11 @@ def replicas_on(port, tmp_path):
     yield start_one
     for replica in started:
         replica.close()
-        replica.stack.close()
         replica.log.close()
 
 
-def admin(replica):
-    return Service(replica.channel, ADMIN)
-
-
 def head_of(replica):
-    return admin(replica).GetHead(policy="cartpole", version=1, include_weights=True)
+    return replica.admin.GetHead(policy="cartpole", version=1, include_weights=True)
 
 
 def weights(replica):
@@ -178,20 +172,20 @@ def test_what_one_replica_does_all_see(start):
     play(second, theirs)
     assert head_of(first).updates == 2 and weights(second) == weights(first)
 
-    admin(second).PauseLearning(policy="cartpole")
+    second.admin.PauseLearning(policy="cartpole")
     before = weights(first)
     until(lambda: head_of(first).paused)
     play(first, ours)
     assert weights(first) == weights(second) == before
-    admin(first).ResumeLearning()
+    first.admin.ResumeLearning()
     until(lambda: not head_of(second).paused)
     play(second, theirs)
     assert head_of(first).updates == 3 and weights(second) == weights(first)
 
-    promoted = admin(second).PromoteHead(policy="cartpole", version=1)
+    promoted = second.admin.PromoteHead(policy="cartpole", version=1)
     until(lambda: code_of(first.OpenSession, policy="cartpole", version=promoted.version) == grpc.StatusCode.OK)
     drift = head_of(first).drift
-    assert admin(second).RollbackHead(policy="cartpole", version=1).drift == drift > 0
+    assert second.admin.RollbackHead(policy="cartpole", version=1).drift == drift > 0
     assert weights(first) == weights(second)
     head = head_of(first)
     assert (head.drift, head.updates, head.rollbacks) == (0, 0, 1)
@@ -211,7 +205,7 @@ def test_a_pause_refuses_what_is_under_way(start):
     sessions = [open_learner(first, seed) for seed in range(8)]
     for session in sessions:
         act(first, session)
-    admin(second).PauseLearning(policy="cartpole")
+    second.admin.PauseLearning(policy="cartpole")
     with ThreadPoolExecutor() as pool:
         list(pool.map(lambda each: first.EndEpisode(session_id=each, reward=1.0, terminated=True), sessions))
     assert [head_of(each).updates for each in (first, second)] == [0, 0]
@@ -283,13 +277,13 @@ def test_a_lost_entry_is_noticed_and_the_head_reloaded(redis, start):
     session = open_learner(first)
     play(first, session)
     assert weights(second) == weights(first)
-    second.addresses.process.send_signal(19)  # SIGSTOP
+    second.stop()
     for _ in range(3):
         play(first, session)
     log = key_of(redis, "fl")
     lost = redis.command(f"XRANGE {log} - +")[2][0].decode()
     assert redis.command(f"XDEL {log} {lost}") == 1
-    second.addresses.process.send_signal(18)  # SIGCONT
+    second.resume()
     until(lambda: metric(second, "spikeserve_head_log_reloads_total", outcome="reloaded") == 1)
     assert weights(second) == weights(first)
     assert "error the log of shared heads lacks entries" in logged(second)
@@ -353,7 +347,7 @@ def test_a_log_that_is_gone_behind_its_snapshot(redis, start, more):
     play(second, open_learner(second, seed=2), steps=1)
     play(first, session, steps=1)
     assert contributions(first) == contributions(second) == 3 + more
-    admin(second).PauseLearning(policy="cartpole")
+    second.admin.PauseLearning(policy="cartpole")
     until(lambda: head_of(first).paused)
     assert weights(first) == weights(second) == weights(start())
 
@@ -383,21 +377,21 @@ def at_the_first_entry(first, second):
 
 def go_on_alone(first, second, session):
     """The first replica appends more, and both stop."""
-    second.addresses.process.send_signal(signal.SIGSTOP)
+    second.stop()
     for _ in range(4):
         play(first, session, steps=1)
-    first.addresses.process.send_signal(signal.SIGSTOP)
+    first.stop()
 
 
 def end_before_the_other_looks(redis, first, second, end, log):
     """The second replica is ready to append. The first one, which has more, comes back meanwhile."""
-    second.addresses.process.send_signal(signal.SIGCONT)
+    second.resume()
     ok = grpc.StatusCode.OK
     with ThreadPoolExecutor() as pool:
         ended = pool.submit(until, lambda: code_of(second.EndEpisode, **end) == ok)
         since = f"HGET fs{log[2:]} since"
         until(lambda: ended.done() or (redis.command(since) or b"0") != b"0")
-        first.addresses.process.send_signal(signal.SIGCONT)
+        first.resume()
         ended.result()
     assert contributions(first) == contributions(second) == 6
     assert weights(first) == weights(second)
@@ -439,9 +433,9 @@ def test_redis_is_away(redis, start):
     end = {"session_id": session, "reward": 1.0, "terminated": True, "episode": 1, "steps": STEPS}
     assert code_of(first.EndEpisode, **end) == grpc.StatusCode.UNAVAILABLE
     assert weights(first) == before
-    for action in (admin(first).RollbackHead, admin(first).PromoteHead):
+    for action in (first.admin.RollbackHead, first.admin.PromoteHead):
         assert code_of(action, policy="cartpole", version=1) == grpc.StatusCode.UNAVAILABLE
-    assert code_of(admin(first).PauseLearning, policy="cartpole") == grpc.StatusCode.UNAVAILABLE
+    assert code_of(first.admin.PauseLearning, policy="cartpole") == grpc.StatusCode.UNAVAILABLE
     redis.start()
     until(lambda: code_of(first.EndEpisode, **end) == grpc.StatusCode.OK)
     assert head_of(first).updates == 2

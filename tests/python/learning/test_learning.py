@@ -13,7 +13,8 @@ import gymnasium
 import numpy as np
 import pytest
 from policy_file import read_policy, write_policy
-from serving import DEPLOY, Service, running_server
+from security import fails_with
+from serving import DEPLOY, running_server
 
 SHIPPED = DEPLOY / "policies/cartpole/2/policy.safetensors"
 LOW, HIGH = np.array([-2.0, 0.0]), np.array([2.0, 5.0])
@@ -60,16 +61,19 @@ def policies(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def policy_service(policies):
-    with running_server(policies[0]) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, "spikeserve.v1.PolicyService")
-        service.channel = channel
-        yield service
+def server(policies):
+    with running_server(policies[0]) as started:
+        yield started
 
 
 @pytest.fixture(scope="module")
-def admin(policies, policy_service):
-    yield Service(policy_service.channel, "spikeserve.v1.PolicyAdmin")
+def policy_service(server):
+    return server.agent
+
+
+@pytest.fixture(scope="module")
+def admin(server):
+    return server.admin
 
 
 def norm(matrix):
@@ -383,9 +387,8 @@ def test_absurd_rewards_stay_within_the_bounds(policy_service, modulator):
             reward = 1e30 * (-1) ** step
             request = {"session_id": session_id, "observation": [0.01 * step] * 4}
             if step > 0:
-                with pytest.raises(grpc.RpcError) as error:
+                with fails_with(grpc.StatusCode.INVALID_ARGUMENT):
                     policy_service.Act(step=step, reward=float("nan"), **request)
-                assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
             answer = policy_service.Act(step=step, reward=reward, **request)
             assert np.isfinite(answer.action_probabilities).all()
         end = policy_service.EndEpisode(session_id=session_id, reward=1e30)

@@ -6,8 +6,8 @@ import subprocess
 
 import grpc
 import pytest
-from security import ADMIN, POLICY, code_of
-from serving import Service, running_server
+from security import code_of
+from serving import running_server
 
 CALLS = 60
 LIMIT = 60_000  # bytes; room for some of the lines
@@ -17,11 +17,8 @@ OK, UNAVAILABLE = grpc.StatusCode.OK, grpc.StatusCode.UNAVAILABLE
 @contextlib.contextmanager
 def served(log, *flags, limit="unlimited"):
     flags = (f"--audit_log={log}", *flags)
-    with (
-        running_server(flags=flags, prefix=["prlimit", f"--fsize={limit}:"]) as addresses,
-        grpc.insecure_channel(addresses.grpc) as channel,
-    ):
-        yield addresses.process, Service(channel, POLICY), Service(channel, ADMIN)
+    with running_server(flags=flags, prefix=["prlimit", f"--fsize={limit}:"]) as addresses:
+        yield addresses.process, addresses.agent, addresses.admin
 
 
 def entries(log):

@@ -29,13 +29,11 @@ def play_over_a_backup(store, backup, restored):
         play(server, range(BEFORE))
         backup()
         lost = play(server, range(BEFORE, BEFORE + AFTER))
-        server.close()
     with Restartable(restored()) as server:
         with pytest.raises(grpc.RpcError) as error:
             server.Act(**acting(SESSION, 0, BEFORE + AFTER))
         assert expected_decision(server.channel, error.value) == BEFORE
         assert play(server, range(BEFORE, BEFORE + AFTER)) == lost
-        server.close()
 
 
 @pytest.mark.skipif(shutil.which("mdb_copy") is None, reason="without mdb_copy of lmdb-utils")
@@ -58,13 +56,10 @@ def test_a_file_store_of_a_stopped_server(tmp_path):
     with Restartable(f"file:{tmp_path}/store") as server:
         server.OpenSession(**opening(SESSION))
         answers = play(server, range(BEFORE))
-        server.close()
     shutil.copytree(tmp_path / "store", tmp_path / "restored")
     with Restartable(f"file:{tmp_path}/store") as before, Restartable(f"file:{tmp_path}/restored") as after:
         assert play(before, range(BEFORE, BEFORE + AFTER)) == play(after, range(BEFORE, BEFORE + AFTER))
         assert len(answers) == BEFORE
-        before.close()
-        after.close()
 
 
 @WITHOUT_REDIS
@@ -94,4 +89,3 @@ def test_redis(tmp_path):
         fresh.start()
         with Restartable(f"redis://127.0.0.1:{fresh.port}") as server:
             assert server.GetSession(**{"session_id": opening(SESSION)["session_id"]}).decisions == BEFORE + AFTER
-            server.close()

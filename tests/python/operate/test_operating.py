@@ -4,14 +4,12 @@ import contextlib
 import json
 import os
 import shutil
-import subprocess
-import urllib.request
 
 import grpc
 import pytest
 from overflowing_policy import FAR, add_overflowing
-from security import ADMIN, OBSERVATION, POLICY, code_of, entry, until
-from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, running_server
+from security import OBSERVATION, code_of, entry, until
+from serving import SHIPPED_POLICIES, page_of, refusal_at_start, run, running_server
 
 SPIKECTL = os.environ["SPIKECTL_PROGRAM"]
 
@@ -35,25 +33,21 @@ def add_version(directory, version):
 class Operated:
     """A running server, and what an operator and robots do with it."""
 
-    def __init__(self, addresses, channel, flags):
-        """Without a channel it has spikectl alone."""
+    def __init__(self, addresses, flags):
         self.addresses = addresses
-        if channel is not None:
-            self.agent = Service(channel, POLICY)
-            self.admin = Service(channel, ADMIN)
         self._flags = flags
+
+    @property
+    def agent(self):
+        return self.addresses.agent
+
+    @property
+    def admin(self):
+        return self.addresses.admin
 
     def spikectl(self, *arguments):
         """Runs spikectl and returns its output."""
-        finished = subprocess.run(
-            [SPIKECTL, *arguments, f"--server={self.addresses.grpc}", *self._flags],
-            check=False,
-            capture_output=True,
-            text=True,
-            timeout=DEADLINE_SECONDS,
-        )
-        assert finished.returncode == 0, finished.stderr
-        return finished.stdout
+        return self.addresses.spikectl(*arguments, *self._flags).stdout
 
     def spikectl_json(self, *arguments):
         return json.loads(self.spikectl(*arguments, "--json"))
@@ -97,9 +91,7 @@ class Operated:
         return self.rollout()
 
     def get(self, path):
-        url = f"http://{self.addresses.http}{path}"
-        with urllib.request.urlopen(url, timeout=DEADLINE_SECONDS) as page:
-            return page.read().decode()
+        return page_of(self.addresses, path)
 
     def traffic(self):
         """Returns the exported traffic share of each version."""
@@ -113,11 +105,8 @@ class Operated:
 
 @contextlib.contextmanager
 def operated(policies, *flags, client_flags=()):
-    with (
-        running_server(policies, flags) as addresses,
-        grpc.insecure_channel(addresses.grpc) as channel,
-    ):
-        yield Operated(addresses, channel, client_flags)
+    with running_server(policies, flags) as addresses:
+        yield Operated(addresses, client_flags)
 
 
 def served_versions(server):
@@ -338,7 +327,7 @@ def test_the_history_says_who_changed_what(policies, tmp_path, certificates):
         f"--token_file={token}",
     )
     with running_server(policies, flags) as addresses:
-        server = Operated(addresses, None, client_flags)
+        server = Operated(addresses, client_flags)
         server.act_on("traffic", "--shadow=1")
         with pytest.raises(AssertionError, match="NOT_FOUND"):
             server.act_on("default", "--version=9")
@@ -366,28 +355,16 @@ def test_the_history_says_who_changed_what(policies, tmp_path, certificates):
 
 
 def test_an_audit_log_that_cannot_be_written_stops_the_start(policies):
-    finished = subprocess.run(
-        [os.environ["SPIKESERVE_PROGRAM"], f"--policies={policies}", "--audit_log=/proc/audit.jsonl"],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_SECONDS,
-    )
-    assert finished.returncode == 1
-    assert "--audit_log: expected a file that the server can append to: /proc/audit.jsonl" in finished.stderr
+    said = refusal_at_start("--audit_log=/proc/audit.jsonl", policies=policies)
+    assert "--audit_log: expected a file that the server can append to: /proc/audit.jsonl" in said
 
 
 def test_health(policies):
     """spikectl health fails without a server, and while the server does not take sessions."""
     with running_server(policies) as addresses:
-        command = [SPIKECTL, "health", f"--server={addresses.grpc}"]
-        healthy = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
-        assert (healthy.returncode, healthy.stdout) == (0, "SERVING\n")
-        healthy = subprocess.run([*command, "--json"], capture_output=True, text=True, timeout=DEADLINE_SECONDS)
-        assert json.loads(healthy.stdout) == {"health": "SERVING"}
-    gone = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
-    assert gone.returncode != 0
-    assert "UNAVAILABLE" in gone.stderr
+        assert addresses.spikectl("health").stdout == "SERVING\n"
+        assert json.loads(addresses.spikectl("health", "--json").stdout) == {"health": "SERVING"}
+    assert "UNAVAILABLE" in addresses.spikectl("health", status=1).stderr
 
 
 def test_commands_go_to_every_server(policies, tmp_path):
@@ -399,8 +376,7 @@ def test_commands_go_to_every_server(policies, tmp_path):
         both = f"{first.addresses.grpc},{second.addresses.grpc}"
 
         def spikectl(*arguments):
-            command = [SPIKECTL, *arguments, f"--server={both}"]
-            return subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
+            return run("spikectl", *arguments, f"--server={both}", status=None)
 
         load = ("admin", "load", "--policy=cartpole", "--version=2")
         loaded = spikectl(*load)
@@ -453,10 +429,10 @@ def test_a_run_without_a_version_reaches_the_canary(policies):
     with operated(policies) as server:
         server.act_on("default", "--version=1")
         server.act_on("traffic", "--shares=1:50,2:50")
-        run = ("run", "--env=CartPole-v1", "--policy=cartpole", "--quiet")
 
         def played(*more):
-            return server.spikectl(*run, *more).split("with policy ")[1].split()[0]
+            play = ("run", "--env=CartPole-v1", "--policy=cartpole", "--quiet")
+            return server.spikectl(*play, *more).split("with policy ")[1].split()[0]
 
         assert {played(f"--seed={seed}") for seed in range(12)} == {"cartpole/1", "cartpole/2"}
         assert [played(f"--version={version}") for version in (1, 2)] == ["cartpole/1", "cartpole/2"]
@@ -466,16 +442,14 @@ def test_names_of_earlier_releases_are_understood_with_a_hint(policies):
     with operated(policies) as server:
 
         def spikectl(action):
-            command = [SPIKECTL, "admin", action, "--policy=cartpole", f"--server={server.addresses.grpc}"]
-            return subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
+            return server.addresses.spikectl("admin", action, "--policy=cartpole")
 
         for old, new in (("rollback", "reset_head"), ("pause", "pause_learning"), ("resume", "resume_learning")):
             was, now = spikectl(old), spikectl(new)
-            assert (was.returncode, was.stdout) == (now.returncode, now.stdout) == (0, was.stdout)
-            assert now.stderr == ""
+            assert (was.stdout, now.stderr) == (now.stdout, "")
             assert was.stderr.startswith(f"spikectl: admin {old} is called admin {new} now")
         assert "admin default --version=N" in spikectl("rollback").stderr
-        shown = subprocess.run([SPIKECTL, "admin", "--help"], capture_output=True, text=True).stdout
+        shown = run("spikectl", "admin", "--help").stdout
         assert "reset_head" in shown and "rollback" not in shown
 
 

@@ -4,8 +4,8 @@ import shutil
 
 import grpc
 import pytest
-from security import ADMIN, OBSERVATION, POLICY, code_of
-from serving import SHIPPED_POLICIES, Service, running_server
+from security import OBSERVATION, code_of
+from serving import SHIPPED_POLICIES, running_server
 
 REFUSED = grpc.StatusCode.INVALID_ARGUMENT
 
@@ -37,31 +37,29 @@ def policies(tmp_path, outside):
 def test_links_that_lead_out_are_refused(policies, outside, tmp_path):
     beside = tmp_path / "mounted"
     beside.symlink_to(policies)
-    with running_server(beside) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        agent, admin = Service(channel, POLICY), Service(channel, ADMIN)
-        served = {(policy.name, policy.version) for policy in agent.ListPolicies().policies}
+    with running_server(beside) as addresses:
+        served = {(policy.name, policy.version) for policy in addresses.agent.ListPolicies().policies}
         assert served == {("cartpole", 1), ("cartpole", 4)}
-        refused = " ".join(admin.ReloadPolicies().refused)
+        refused = " ".join(addresses.admin.ReloadPolicies().refused)
         for name in ("linked", "cartpole/2", "cartpole/3/policy.safetensors"):
             assert f"{beside}/{name}: expected a file within {beside}, received a symbolic link" in refused
         assert "private-name" not in refused
         for version in (2, 3):
-            assert code_of(admin.LoadPolicy, policy="cartpole", version=version) == REFUSED
-        assert code_of(admin.LoadPolicy, policy="linked", version=7) == REFUSED
+            assert code_of(addresses.admin.LoadPolicy, policy="cartpole", version=version) == REFUSED
+        assert code_of(addresses.admin.LoadPolicy, policy="linked", version=7) == REFUSED
     assert (outside / "secret" / ".unfinished-other").is_dir()
 
 
 def test_a_promoted_head_is_not_written_elsewhere(policies, outside):
-    with running_server(policies) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        agent, admin = Service(channel, POLICY), Service(channel, ADMIN)
+    with running_server(policies) as addresses:
         learning = {"scope": "FLEET"}
-        session = agent.OpenSession(policy="cartpole", version=1, learning=learning).session_id
+        session = addresses.agent.OpenSession(policy="cartpole", version=1, learning=learning).session_id
         for step in range(5):
-            agent.Act(session_id=session, step=step, observation=OBSERVATION, reward=float(step))
-        agent.EndEpisode(session_id=session, reward=9.0, terminated=True)
-        assert admin.GetHead(policy="cartpole", version=1).drift > 0
+            addresses.agent.Act(session_id=session, step=step, observation=OBSERVATION, reward=float(step))
+        addresses.agent.EndEpisode(session_id=session, reward=9.0, terminated=True)
+        assert addresses.admin.GetHead(policy="cartpole", version=1).drift > 0
         (policies / "cartpole").rename(outside / "cartpole")
         before = sorted(path.name for path in (outside / "cartpole").iterdir())
         (policies / "cartpole").symlink_to(outside / "cartpole")
-        assert code_of(admin.PromoteHead, policy="cartpole", version=1) == REFUSED
+        assert code_of(addresses.admin.PromoteHead, policy="cartpole", version=1) == REFUSED
         assert sorted(path.name for path in (outside / "cartpole").iterdir()) == before

@@ -13,7 +13,7 @@ import pytest
 from policy_file import read_policy
 from random_policy import export_random
 from security import until
-from serving import Service, running_server
+from serving import running_server
 
 PROMOTIONS = 1000
 LONGEST_FILE = 4096  # bytes; shorter than a policy
@@ -29,9 +29,8 @@ def folder(tmp_path):
 class Trainer:
     """Teaches the shared head of a version, and promotes it."""
 
-    def __init__(self, channel):
-        self._policy = Service(channel, "spikeserve.v1.PolicyService")
-        self.admin = Service(channel, "spikeserve.v1.PolicyAdmin")
+    def __init__(self, server):
+        self._policy, self.admin = server.agent, server.admin
 
     def teach(self, version):
         session = self._policy.OpenSession(
@@ -53,8 +52,8 @@ def contents(folder):
 
 
 def test_many_promotions_in_a_row(folder):
-    with running_server(folder) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        trainer = Trainer(channel)
+    with running_server(folder) as addresses:
+        trainer = Trainer(addresses)
         version = 1
         for _ in range(PROMOTIONS):
             promoted = trainer.promote(version)
@@ -70,11 +69,8 @@ def test_many_promotions_in_a_row(folder):
 
 def test_a_promotion_on_a_full_disk_is_an_error_and_leaves_nothing(folder):
     before = contents(folder)
-    with (
-        running_server(folder, prefix=["prlimit", f"--fsize={LONGEST_FILE}:"]) as addresses,
-        grpc.insecure_channel(addresses.grpc) as channel,
-    ):
-        trainer = Trainer(channel)
+    with running_server(folder, prefix=["prlimit", f"--fsize={LONGEST_FILE}:"]) as addresses:
+        trainer = Trainer(addresses)
         with pytest.raises(grpc.RpcError) as error:
             trainer.promote(1)
         assert "policy.safetensors: cannot write" in error.value.details()
@@ -101,14 +97,10 @@ def test_what_killed_promotions_have_left_is_swept_at_the_start(folder):
     for name in (".unfinished-abcdef/policy.safetensors.Xy12Zz", "3/policy.safetensors.Ab34Cd"):
         (small / name).write_bytes(b"part of a policy")
         age(small / name)
-    with (
-        running_server(folder) as addresses,
-        grpc.insecure_channel(addresses.grpc) as channel,
-    ):
-        admin = Service(channel, "spikeserve.v1.PolicyAdmin")
+    with running_server(folder) as addresses:
         assert contents(folder) == before
         (small / "4").mkdir()  # appears later: ignored until it has a file
-        assert admin.ReloadPolicies().refused == []
+        assert addresses.admin.ReloadPolicies().refused == []
 
 
 def promote_until_killed(admin):
@@ -118,22 +110,17 @@ def promote_until_killed(admin):
 
 
 def test_a_server_killed_while_it_promotes_leaves_whole_versions_only(folder):
-    with (
-        contextlib.suppress(AssertionError),  # the server does not end with status 0
-        running_server(folder) as addresses,
-        grpc.insecure_channel(addresses.grpc) as channel,
-    ):
-        trainer = Trainer(channel)
+    with running_server(folder) as addresses:
+        trainer = Trainer(addresses)
         trainer.teach(1)
         thread = threading.Thread(target=promote_until_killed, args=[trainer.admin])
         thread.start()
         until(lambda: sum(name.isdigit() for name in os.listdir(folder / "small")) > 6)
-        addresses.process.kill()
+        addresses.kill()
         thread.join()
-    with running_server(folder) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        admin = Service(channel, "spikeserve.v1.PolicyAdmin")
-        assert admin.ReloadPolicies().refused == []
-        served = Service(channel, "spikeserve.v1.PolicyService").ListPolicies().policies
+    with running_server(folder) as addresses:
+        assert addresses.admin.ReloadPolicies().refused == []
+        served = addresses.agent.ListPolicies().policies
     versions = [f"{policy.version}" for policy in served]
     files = [f"{version}/policy.safetensors" for version in versions]
     assert contents(folder) == sorted(f"small/{path}" for path in versions + files)

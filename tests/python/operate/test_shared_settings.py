@@ -1,18 +1,16 @@
 """Replicas share the settings of operators and promoted versions."""
 
 import json
-import os
 import re
 import shutil
-import subprocess
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 
 import grpc
 import pytest
 from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, stopping
-from security import ADMIN, HEALTH, SERVING, code_of, entry, service_with, until
-from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, status_of
+from security import HEALTH, SERVING, code_of, entry, fails_with, service_with, until
+from serving import SHIPPED_POLICIES, Service, run, status_of
 from stored_sessions import Restartable, comparable
 
 pytestmark = WITHOUT_REDIS
@@ -45,11 +43,6 @@ def start(redis, tmp_path):
     yield start_one
     for replica in started:
         replica.close()
-        replica.stack.close()
-
-
-def admin(replica):
-    return Service(replica.channel, ADMIN)
 
 
 def opened_version(replica, **fields):
@@ -62,21 +55,21 @@ def health_of(replica):
 
 def test_a_change_on_one_replica_reaches_all(start):
     first, second = start("a"), start("b")
-    admin(first).SetDefaultVersion(policy="cartpole", version=1)
+    first.admin.SetDefaultVersion(policy="cartpole", version=1)
     until(lambda: opened_version(second) == 1)
-    admin(second).SetLabel(policy="cartpole", version=2, label="canary")
+    second.admin.SetLabel(policy="cartpole", version=2, label="canary")
     until(lambda: code_of(first.OpenSession, policy="cartpole", version_label="canary") == grpc.StatusCode.OK)
     assert opened_version(first, version_label="canary") == 2
-    admin(first).SetTraffic(
+    first.admin.SetTraffic(
         policy="cartpole", shares=[{"version": 1, "percent": 0}, {"version": 2, "percent": 100}], shadow_version=1
     )
     until(lambda: opened_version(second) == 2)
-    admin(second).PauseLearning(policy="cartpole")
-    until(lambda: admin(first).GetHead(policy="cartpole").paused)
-    admin(second).UnloadPolicy(policy="pendulum", version=1)
+    second.admin.PauseLearning(policy="cartpole")
+    until(lambda: first.admin.GetHead(policy="cartpole").paused)
+    second.admin.UnloadPolicy(policy="pendulum", version=1)
     missing = grpc.StatusCode.NOT_FOUND
     until(lambda: code_of(first.OpenSession, policy="pendulum", version=1) == missing)
-    admin(first).LoadPolicy(policy="pendulum", version=1)
+    first.admin.LoadPolicy(policy="pendulum", version=1)
     until(lambda: code_of(second.OpenSession, policy="pendulum", version=1) == grpc.StatusCode.OK)
 
 
@@ -85,7 +78,7 @@ def test_changes_at_the_same_time_are_all_made(start):
     replicas = [start(name) for name in "abc"]
 
     def set_labels(n):
-        operator = admin(replicas[n])
+        operator = replicas[n].admin
         for i in range(20):
             operator.SetLabel(policy="cartpole", version=1, label=f"label-{n}-{i}")
 
@@ -103,7 +96,7 @@ def test_changes_at_the_same_time_are_all_made(start):
 
 def test_a_new_replica_takes_over_the_settings_before_it_serves(start):
     first = start("a")
-    admin(first).SetDefaultVersion(policy="cartpole", version=1)
+    first.admin.SetDefaultVersion(policy="cartpole", version=1)
     second = start("b")
     assert health_of(second) == SERVING
     assert opened_version(second) == 1
@@ -119,7 +112,7 @@ def test_a_replica_without_settings_does_not_serve(redis, start):
     redis.kill()
     replica = start("a")
     assert health_of(replica) == 2  # NOT_SERVING
-    assert code_of(admin(replica).SetDefaultVersion, policy="cartpole", version=1) == grpc.StatusCode.UNAVAILABLE
+    assert code_of(replica.admin.SetDefaultVersion, policy="cartpole", version=1) == grpc.StatusCode.UNAVAILABLE
     redis.start()
     until(lambda: health_of(replica) == SERVING)
 
@@ -127,7 +120,7 @@ def test_a_replica_without_settings_does_not_serve(redis, start):
 def test_redis_loses_the_settings(redis, start):
     """The replicas write what they have."""
     first, second = start("a"), start("b")
-    admin(first).SetDefaultVersion(policy="cartpole", version=1)
+    first.admin.SetDefaultVersion(policy="cartpole", version=1)
     until(lambda: opened_version(second) == 1)
     redis.command("FLUSHALL")
     until(lambda: redis.command("HGET cfg revision") == b"1")
@@ -137,7 +130,7 @@ def test_redis_loses_the_settings(redis, start):
 def test_settings_lost_while_no_replica_lives(redis, start, tmp_path):
     """The next server says that it begins with the defaults."""
     first = start("a")
-    admin(first).SetDefaultVersion(policy="cartpole", version=1)
+    first.admin.SetDefaultVersion(policy="cartpole", version=1)
     first.kill()
     redis.command("FLUSHALL")
     with (tmp_path / "log").open("w") as log:
@@ -162,7 +155,7 @@ def learn(replica):
 def test_a_promoted_version_travels(start):
     first, second = start("a"), start("b")
     learn(first)
-    promoted = admin(first).PromoteHead(policy="cartpole", make_default=True)
+    promoted = first.admin.PromoteHead(policy="cartpole", make_default=True)
     assert promoted.version == 3
     until(lambda: opened_version(second) == 3)
     files = [each.folder / "cartpole" / "3" / "policy.safetensors" for each in (first, second)]
@@ -181,7 +174,7 @@ def test_two_replicas_promote_at_the_same_time(start):
     for replica in replicas:
         learn(replica)
     with ThreadPoolExecutor() as pool:
-        promoted = list(pool.map(lambda each: admin(each).PromoteHead(policy="cartpole"), replicas))
+        promoted = list(pool.map(lambda each: each.admin.PromoteHead(policy="cartpole"), replicas))
     assert sorted(each.version for each in promoted) == [3, 4]
     for replica in replicas:
         for version in (3, 4):
@@ -203,13 +196,10 @@ def test_other_bytes_of_a_version(start, tmp_path):
     shutil.copy(SHIPPED_POLICIES / "cartpole" / "1" / "policy.safetensors", file)
     session = first.OpenSession(policy="cartpole", version=2, durability="SYNC").session_id
     second = start("b")
-    second.kill()
-    second.stack.close()
     second.policies = tmp_path / "other"
-    second.start()
-    with pytest.raises(grpc.RpcError) as error:
+    second.restart()
+    with fails_with(grpc.StatusCode.UNAVAILABLE) as error:
         second.Act(session_id=session, observation=[0.0] * 4)
-    assert error.value.code() == grpc.StatusCode.UNAVAILABLE
     assert error.value.details() == (
         "session_id: expected a session whose policy this server has, received one of cartpole version 2, "
         "whose file is another one here"
@@ -221,12 +211,7 @@ def test_other_bytes_of_a_version(start, tmp_path):
 def spikectl(replicas, *arguments):
     """Runs `spikectl admin` on all replicas. Returns its exit status, its rows by address, and its error."""
     addresses = [replica.addresses.grpc for replica in replicas]
-    finished = subprocess.run(
-        [os.environ["SPIKECTL_PROGRAM"], "admin", *arguments, f"--server={','.join(addresses)}", "--json"],
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_SECONDS,
-    )
+    finished = run("spikectl", "admin", *arguments, f"--server={','.join(addresses)}", "--json", status=None)
     rows = json.loads(finished.stdout)["servers"]
     assert [row["server"] for row in rows] == addresses
     return finished.returncode, rows, finished.stderr
@@ -295,7 +280,6 @@ def test_limits_are_divided(start, tmp_path):
     with service_with(second.addresses, "agent") as service:
         session = service.OpenSession(policy="cartpole").session_id
         service.Act(session_id=session, observation=[0.0] * 4)
-        with pytest.raises(grpc.RpcError) as error:
+        with fails_with(grpc.StatusCode.RESOURCE_EXHAUSTED) as error:
             service.Act(session_id=session, step=1, observation=[0.0] * 4)
-    assert error.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
     assert int(re.search(r"try again in (\d+)m", error.value.details())[1]) > 20

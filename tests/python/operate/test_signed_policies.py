@@ -3,14 +3,13 @@
 import contextlib
 import os
 import shutil
-import subprocess
 
 import grpc
 import pytest
 from documentation import Shell
 from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, stopping
-from security import ADMIN, POLICY, code_of, openssl, until
-from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, running_server
+from security import code_of, fails_with, openssl, until
+from serving import SHIPPED_POLICIES, refusal_at_start, running_server
 
 SIGNATURE_BYTES = 64
 LONG_AGO = 1_000_000_000
@@ -63,22 +62,8 @@ def served(service):
 
 @contextlib.contextmanager
 def services(folder, flags, log=None):
-    with running_server(folder, flags, log=log) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        yield Service(channel, POLICY), Service(channel, ADMIN)
-
-
-def refusal_at_start(folder, flags):
-    """Returns what a server that does not start says."""
-    command = [
-        os.environ["SPIKESERVE_PROGRAM"],
-        f"--policies={folder}",
-        "--listen=127.0.0.1:0",
-        "--http_listen=",
-        *flags,
-    ]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_SECONDS, check=False)
-    assert ended.returncode != 0
-    return ended.stderr
+    with running_server(folder, flags, log=log) as addresses:
+        yield addresses.agent, addresses.admin
 
 
 def test_versions_that_any_trusted_key_has_signed_are_served(keys, folder):
@@ -160,7 +145,7 @@ def test_a_version_is_refused_at_the_start(keys, folder, tmp_path, damage):
     assert reason in logged
     # Without any other version the server does not start.
     shutil.rmtree(folder / "cartpole/2")
-    said = refusal_at_start(folder, trusting(keys))
+    said = refusal_at_start(*trusting(keys), policies=folder)
     assert str(policy_file(folder)) in said
     assert reason in said
 
@@ -175,10 +160,8 @@ def test_a_version_is_refused_by_reload_and_load(keys, folder, damage):
         [refused] = admin.ReloadPolicies().refused
         assert refused.startswith(str(policy_file(folder)))
         assert reason in refused
-        with pytest.raises(grpc.RpcError) as error:
+        with fails_with(grpc.StatusCode.INVALID_ARGUMENT, whole=refused):
             admin.LoadPolicy(policy="cartpole", version=1)
-        assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
-        assert error.value.details() == refused
         assert served(service) == [1, 2]  # the version that was loaded before stays
         signature_file(folder).unlink(missing_ok=True)
         policy_file(folder).write_bytes(good)
@@ -224,9 +207,8 @@ def test_promotion_without_a_signing_key_is_refused(keys, folder):
         sign(keys, folder, version)
     with services(folder, trusting(keys)) as (service, admin):
         learn(service)
-        with pytest.raises(grpc.RpcError) as error:
+        with fails_with(grpc.StatusCode.FAILED_PRECONDITION) as error:
             admin.PromoteHead(policy="cartpole")
-    assert error.value.code() == grpc.StatusCode.FAILED_PRECONDITION
     assert error.value.details() == (
         "--signing_key: expected the key that signs promoted versions, because --trusted_keys refuses versions "
         "without a signature, received none"
@@ -271,20 +253,20 @@ BAD_TRUSTED_KEYS = [
 def test_a_bad_file_of_trusted_keys(keys, folder, tmp_path, content, reason):
     path = tmp_path / "bad.pem"
     path.write_text(content(keys, tmp_path))
-    assert f"--trusted_keys: {path}: {reason}" in refusal_at_start(folder, [f"--trusted_keys={path}"])
+    assert f"--trusted_keys: {path}: {reason}" in refusal_at_start(f"--trusted_keys={path}", policies=folder)
 
 
 def test_a_missing_file_of_trusted_keys(folder, tmp_path):
-    said = refusal_at_start(folder, [f"--trusted_keys={tmp_path}/missing.pem"])
+    said = refusal_at_start(f"--trusted_keys={tmp_path}/missing.pem", policies=folder)
     assert f"--trusted_keys: {tmp_path}/missing.pem: expected a file that can be read" in said
 
 
 def test_a_signing_key_must_be_trusted(keys, folder):
-    said = refusal_at_start(folder, trusting(keys, f"--signing_key={keys}/mallory.key"))
+    said = refusal_at_start(*trusting(keys, f"--signing_key={keys}/mallory.key"), policies=folder)
     assert f"--signing_key: {keys}/mallory.key: expected the private key of one of the keys in" in said
-    said = refusal_at_start(folder, trusting(keys, f"--signing_key={keys}/alice.pem"))
+    said = refusal_at_start(*trusting(keys, f"--signing_key={keys}/alice.pem"), policies=folder)
     assert f"{keys}/alice.pem: expected one block PRIVATE KEY, without a password, received a block PUBLIC KEY" in said
-    said = refusal_at_start(folder, [f"--signing_key={keys}/alice.key"])
+    said = refusal_at_start(f"--signing_key={keys}/alice.key", policies=folder)
     assert "--signing_key: expected --trusted_keys, too, received none" in said
 
 

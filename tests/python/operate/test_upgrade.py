@@ -1,15 +1,14 @@
 """A server continues with the files of former releases, which tests/releases has."""
 
 import json
-import os
 import shutil
-import subprocess
 
 import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS
 from release_files import RELEASES, SESSIONS, assert_contains, convert_int8, decide, opening, play_second_half, server_on
-from serving import running_server
+from security import fails_with
+from serving import refusal_at_start, running_server
 
 KINDS = ["file", pytest.param("redis", marks=WITHOUT_REDIS)]
 FOLDERS = sorted(path for path in RELEASES.iterdir() if path.is_dir())
@@ -19,15 +18,9 @@ BEFORE = FOLDERS[-1]  # the release before
 def copy_of(release, kind, folder):
     """Copies what the server of a release left behind."""
     shutil.copytree(release / "policies", folder / "policies")
-    return shutil.copytree(release / kind, folder / kind)
-
-
-def start_and_fail(*flags):
-    """Returns what a server says that does not start."""
-    command = [os.environ["SPIKESERVE_PROGRAM"], *flags, "--listen=127.0.0.1:0", "--http_listen="]
-    refused = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert refused.returncode != 0
-    return refused.stderr
+    state = shutil.copytree(release / kind, folder / kind)
+    shutil.unpack_archive(state / "recordings.tar", state)
+    return state
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -48,9 +41,8 @@ def test_sessions_and_settings_go_on_after_an_upgrade(release, kind, tmp_path):
         goes_on = [i for i in range(SESSIONS) if i not in ended]
         assert_contains(play_second_half(service, admin, goes_on), expected)
         for i in ended:
-            with pytest.raises(grpc.RpcError, match="whose file is another one here") as refused:
+            with fails_with(grpc.StatusCode.UNAVAILABLE, "whose file is another one here"):
                 decide(service, opening(i)["session_id"], 23, 13)
-            assert refused.value.code() == grpc.StatusCode.UNAVAILABLE
         admin.RemoveLabel(policy="cartpole-sparse", label="stable")
     assert len(ended) == SESSIONS / 2
     assert (state / "audit.jsonl").read_text().startswith(history)
@@ -60,7 +52,7 @@ def test_sessions_and_settings_go_on_after_an_upgrade(release, kind, tmp_path):
 @pytest.mark.parametrize("release", FOLDERS, ids=lambda folder: folder.name)
 def test_a_file_in_int8_is_refused_with_the_command_that_converts_it(release, tmp_path):
     shutil.copytree(release / "policies/cartpole-frugal", tmp_path / "policies/cartpole-frugal")
-    said = start_and_fail(f"--policies={tmp_path}/policies")  # beside others, it is logged
+    said = refusal_at_start(policies=tmp_path / "policies")  # beside others, it is logged
     assert "policy.safetensors: config.arithmetic: expected float32 or integer, received int8" in said
     assert "`spiketrain quantize --policy=OLD --out=NEW` converts the file" in said
 
@@ -73,12 +65,7 @@ def test_recordings_replay_after_an_upgrade(release, tmp_path):
     assert len(recordings) == SESSIONS
     with running_server(state.parent / "policies") as addresses:
         finished = [
-            subprocess.run(
-                [os.environ["SPIKECTL_PROGRAM"], "replay", f"--recording={recording}", f"--server={addresses.grpc}"],
-                capture_output=True,
-                text=True,
-            )
-            for recording in recordings
+            addresses.spikectl("replay", f"--recording={recording}", status=None) for recording in recordings
         ]
     # Sessions that learned cannot be replayed by any release.
     outcomes = ["learned" if "received one that learned" in run.stderr else run.stdout + run.stderr for run in finished]
@@ -94,5 +81,5 @@ def test_settings_of_a_later_release_are_refused_by_name(tmp_path):
     settings = json.loads((state / "settings.json").read_text())
     settings["policies"]["cartpole-sparse"]["of_a_later_release"] = 1
     (state / "settings.json").write_text(json.dumps(settings))
-    said = start_and_fail(f"--policies={tmp_path}/policies", f"--policy_settings={state}/settings.json")
+    said = refusal_at_start(f"--policy_settings={state}/settings.json", policies=tmp_path / "policies")
     assert "of_a_later_release" in said

@@ -1,13 +1,12 @@
 """What one caller sends is bounded: its memory, and how long other callers wait for it."""
 
 import concurrent.futures
-import json
 import os
 import threading
 
 import grpc
 import pytest
-from security import OBSERVATION, POLICY, TOKENS, service_with
+from security import OBSERVATION, POLICY, fails_with, service_with
 from serving import DEADLINE_SECONDS, message_class, running_server
 
 from tests.attacks.process import MEGABYTE, Process
@@ -18,10 +17,8 @@ REFUSED_CALLERS = 20
 
 
 @pytest.fixture(scope="module")
-def addresses(tmp_path_factory):
+def addresses(tokens):
     """Starts a server with one loop, so that all calls meet in it."""
-    tokens = tmp_path_factory.mktemp("tokens") / "tokens.json"
-    tokens.write_text(json.dumps(TOKENS))
     with running_server(flags=[f"--tokens={tokens}", "--loops=1"]) as started:
         yield started
 
@@ -113,15 +110,13 @@ def test_a_request_of_empty_elements_takes_four_times_its_size(addresses, method
     ],
 )
 def test_empty_items_are_refused_before_they_are_parsed(addresses, method, list_of, empty):
-    with grpc.insecure_channel(addresses.grpc) as channel:
-        call = channel.unary_unary(method)
-        with pytest.raises(grpc.RpcError) as refused:
-            call(
-                empty * ITEMS_MOST,
-                metadata=[("authorization", "Bearer agent")],
-                timeout=DEADLINE_SECONDS,
-            )
-    assert refused.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+    call = addresses.channel.unary_unary(method)
+    with fails_with(grpc.StatusCode.INVALID_ARGUMENT) as refused:
+        call(
+            empty * ITEMS_MOST,
+            metadata=[("authorization", "Bearer agent")],
+            timeout=DEADLINE_SECONDS,
+        )
     expected = f"{list_of}: expected items that are not empty, received an empty one"
     assert refused.value.details() == expected
 
@@ -131,14 +126,12 @@ BATCHES = 60  # at a time, which wait for their refusals
 BATCH_ROUNDS = 10
 
 
-def test_parsed_requests_and_answers_that_wait_count(tmp_path):
+def test_parsed_requests_and_answers_that_wait_count(tokens):
     """The tenant "slow" gets one batch of a thousand items of a few bytes after the other refused, which takes a while."""
-    tokens = tmp_path / "tokens.json"
-    tokens.write_text(json.dumps(TOKENS))
     item = b"\x0a\x03\x0a\x01x"  # a request for the session "x"
     flags = [f"--tokens={tokens}", f"--max_tenant_bytes={TENANT_BYTES}", "--loops=1"]
-    with running_server(flags=flags) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        batch = channel.unary_unary(f"/{POLICY}/ActBatch")
+    with running_server(flags=flags) as addresses:
+        batch = addresses.channel.unary_unary(f"/{POLICY}/ActBatch")
         process = Process(addresses.process.pid)
         idle = process.memory()
         process.reset_peak()
@@ -164,15 +157,12 @@ def test_parsed_requests_and_answers_that_wait_count(tmp_path):
 def test_a_batch_is_bounded_and_so_is_its_answer(addresses):
     with service_with(addresses, "agent") as agent:
         unknown = {"session_id": "0" * 32, "step": 1, "observation": OBSERVATION}
-        with pytest.raises(grpc.RpcError) as refused:
+        with fails_with(grpc.StatusCode.INVALID_ARGUMENT, whole="requests: expected at most 1024, received 1025"):
             agent.ActBatch(requests=[unknown] * (ITEMS_MOST + 1))
-        assert refused.value.code() == grpc.StatusCode.INVALID_ARGUMENT
-        assert refused.value.details() == "requests: expected at most 1024, received 1025"
 
-        with grpc.insecure_channel(addresses.grpc) as channel:
-            request = message_class(channel, "spikeserve.v1.ActBatchRequest")(
-                requests=[unknown] * ITEMS_MOST
-            )
+        request = message_class(addresses.channel, "spikeserve.v1.ActBatchRequest")(
+            requests=[unknown] * ITEMS_MOST
+        )
         answer = agent.ActBatch(requests=[unknown] * ITEMS_MOST)
         assert len(answer.results) == ITEMS_MOST
         assert answer.ByteSize() <= 4 * request.ByteSize()
@@ -206,13 +196,12 @@ def test_other_calls_are_answered_while_a_batch_is_decided(addresses):
     with (
         service_with(addresses, "agent") as agent,
         service_with(addresses, "rival") as rival,
-        grpc.insecure_channel(addresses.grpc) as channel,
     ):
         neighbour = rival.OpenSession(policy="cartpole").session_id
         step = 0
         answered = []
         for _ in range(5):  # the machine may stop one of the programs for a while
-            _, batch = start_batch(agent, channel)
+            _, batch = start_batch(agent, addresses.channel)
             first = step
             while not batch.done():
                 rival.Act(session_id=neighbour, step=step, observation=OBSERVATION)
@@ -224,13 +213,10 @@ def test_other_calls_are_answered_while_a_batch_is_decided(addresses):
 
 
 def test_a_cancelled_batch_is_decided_no_further(addresses):
-    with (
-        service_with(addresses, "agent") as agent,
-        grpc.insecure_channel(addresses.grpc) as channel,
-    ):
+    with service_with(addresses, "agent") as agent:
         decided = []
         for _ in range(5):  # as above
-            session, batch = start_batch(agent, channel)
+            session, batch = start_batch(agent, addresses.channel)
             while agent.GetSession(session_id=session).decisions == 0 and not batch.done():
                 pass
             batch.cancel()

@@ -95,7 +95,7 @@ def tenants():
 
 @pytest.fixture(scope="module")
 def servers(tmp_path_factory):
-    """Starts servers with one version of a policy and with many, and yields both Addresses."""
+    """Starts servers with one version of a policy and with many, and yields both."""
     folder = tmp_path_factory.mktemp("policies")
     export_random(folder / "one", "small", make("CartPole-v1"))
     file = folder / "one" / "small" / "1" / "policy.safetensors"
@@ -149,8 +149,7 @@ def called(service, name, request):
 
 @pytest.mark.parametrize("service", METHODS)
 def test_the_table_has_every_method(servers, service):
-    with grpc.insecure_channel(servers[0].grpc) as channel:
-        described = Service(channel, service)
+    described = Service(servers[0].channel, service)
     expected = {name for name, (_, request) in METHODS[service].items() if request is not None}
     assert {name for name in vars(described) if name[0].isupper()} == expected
 
@@ -190,16 +189,15 @@ RATED = [(service, name) for service, name in UNARY if name != "ModelInfer"]
 @pytest.mark.parametrize(("service", "name"), RATED)
 def test_every_call_has_a_rate(servers, service, name):
     cost, request = METHODS[service][name]
-    with grpc.insecure_channel(servers[0].grpc) as channel:
-        limited = Service(channel, service, grpc.intercept_channel(channel, Bearer(name)))
-        codes = []
-        for _ in range(3):
-            try:
-                answer = getattr(limited, name)(**with_session(request, "0" * 32))
-                codes += [result.code for result in getattr(answer, "results", [])]
-            except grpc.RpcError as error:
-                codes.append(error.code().value[0])
-                last = error
+    limited = Service(servers[0].channel, service, grpc.intercept_channel(servers[0].channel, Bearer(name)))
+    codes = []
+    for _ in range(3):
+        try:
+            answer = getattr(limited, name)(**with_session(request, "0" * 32))
+            codes += [result.code for result in getattr(answer, "results", [])]
+        except grpc.RpcError as error:
+            codes.append(error.code().value[0])
+            last = error
     exhausted = grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
     assert codes[-2:] == [exhausted] * 2
     if cost != "decision":
@@ -207,12 +205,11 @@ def test_every_call_has_a_rate(servers, service, name):
 
 
 def test_an_empty_batch_counts(servers):
-    with grpc.insecure_channel(servers[0].grpc) as channel:
-        token = Bearer("ActBatch")
-        batch = Service(channel, POLICY, grpc.intercept_channel(channel, token)).ActBatch
-        with pytest.raises(grpc.RpcError, match="decisions_per_second"):
-            for _ in range(3):
-                batch(requests=[])
+    token = Bearer("ActBatch")
+    batch = Service(servers[0].channel, POLICY, grpc.intercept_channel(servers[0].channel, token)).ActBatch
+    with pytest.raises(grpc.RpcError, match="decisions_per_second"):
+        for _ in range(3):
+            batch(requests=[])
 
 
 def test_a_rate_of_an_unknown_class_is_refused(tmp_path):

@@ -9,14 +9,13 @@ import sys
 
 import grpc
 import pytest
-from security import OBSERVATION, POLICY, code_of, http_body, service_with, until
-from serving import running_server
+from security import OBSERVATION, POLICY, code_of, service_with, until
+from serving import metric, running_server
 
 from tests.attacks import frames
 
 MOST = 40  # connections of the server
 HOSTS = 250  # addresses of a /24
-VIEWER = "Bearer viewer"
 
 
 class Stranger:
@@ -86,14 +85,6 @@ def known(address, sources):
         yield connections
 
 
-def metric(addresses, name):
-    """Returns the value of a time series, or None."""
-    for line in http_body(addresses.http, "/metrics", VIEWER).decode().splitlines():
-        if line.startswith(f"{name} "):
-            return float(line.split()[-1])
-    return None
-
-
 @pytest.fixture
 def log(tmp_path):
     with (tmp_path / "log").open("w+") as file:
@@ -120,10 +111,10 @@ def test_strangers_hold_no_place_that_a_client_needs(small, log):
             agent.Act(session_id=session, step=0, observation=OBSERVATION)
             with strangers(small.grpc, hosts(8, 3 * MOST)):
                 agent.Act(session_id=session, step=1, observation=OBSERVATION)
-            assert metric(small, 'spikeserve_connections{state="known"}') == 1
-            assert metric(small, 'spikeserve_connections{state="unauthenticated"}') <= 3 * MOST / 4
-            assert metric(small, "spikeserve_connections_limit") == MOST
-            dropped = metric(small, 'spikeserve_connections_dropped_total{limit="reserve"}')
+            assert metric(small, "spikeserve_connections", token="viewer", state="known") == 1
+            assert metric(small, "spikeserve_connections", token="viewer", state="unauthenticated") <= 3 * MOST / 4
+            assert metric(small, "spikeserve_connections_limit", token="viewer") == MOST
+            dropped = metric(small, "spikeserve_connections_dropped_total", token="viewer", limit="reserve")
             assert dropped >= 2 * MOST
         assert not all(stranger.is_open() for stranger in crowd)
     assert 'unauthenticated connection dropped client="127.0.' in pathlib.Path(log.name).read_text()
@@ -136,11 +127,11 @@ def test_a_crowd_of_one_network_makes_room_for_strangers_of_others(small):
 
 def test_known_connections_are_refused_above_the_limit(small):
     with known(small.grpc, hosts(7, MOST)) as admitted:
-        assert metric(small, 'spikeserve_connections{state="known"}') == MOST
+        assert metric(small, "spikeserve_connections", token="viewer", state="known") == MOST
         with strangers(small.grpc, ["127.0.8.1"]) as late:
             until(lambda: not late[0].is_open())
         assert all(connection.is_open() for connection in admitted)
-    assert metric(small, 'spikeserve_connections_refused_total{limit="max_connections"}') >= 1
+    assert metric(small, "spikeserve_connections_refused_total", token="viewer", limit="max_connections") >= 1
 
 
 def test_a_network_has_a_share(tokens):
@@ -157,7 +148,7 @@ def test_the_memory_of_strangers_is_bounded(tokens):
     budget = 4 << 20
     flags = [f"--tokens={tokens}", f"--max_unauthenticated_bytes={budget}"]
     with running_server(flags=flags) as addresses, strangers(addresses.grpc, hosts(7, 1000)) as crowd:
-        until(lambda: metric(addresses, 'spikeserve_bytes_in_flight{of="unauthenticated"}') <= budget)
+        until(lambda: metric(addresses, "spikeserve_bytes_in_flight", token="viewer", of="unauthenticated") <= budget)
         assert sum(stranger.is_open() for stranger in crowd) < 400
         with service_with(addresses, "agent") as agent:
             assert code_of(agent.ListPolicies) == grpc.StatusCode.OK

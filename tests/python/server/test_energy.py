@@ -1,12 +1,10 @@
 """Each energy model shows what it counts, and has figures only for the policies to which it applies."""
 
-
 import gymnasium
-import grpc
 import pytest
 from documentation import page_of
 from random_policy import SMALL, export_random
-from serving import Service, running_server, status_of
+from serving import running_server, status_of
 
 STEPS = 7
 MULTIPLY_ACCUMULATE = 4.6e-12  # joules, of horowitz_45nm
@@ -37,17 +35,15 @@ def addresses(tmp_path_factory):
 @pytest.fixture(scope="module")
 def stats(addresses):
     """Plays an episode with every policy. Returns the stats of its decisions, by policy."""
-    with grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, "spikeserve.v1.PolicyService")
-        played = {}
-        for policy in APPLYING:
-            session = service.OpenSession(policy=policy).session_id
-            observations = [[0.1 * step, 0.2, -0.1 * step, 0.3] for step in range(STEPS)]
-            played[policy] = [
-                service.Act(session_id=session, step=step, observation=observation).stats
-                for step, observation in enumerate(observations)
-            ]
-        yield played
+    played = {}
+    for policy in APPLYING:
+        session = addresses.agent.OpenSession(policy=policy).session_id
+        observations = [[0.1 * step, 0.2, -0.1 * step, 0.3] for step in range(STEPS)]
+        played[policy] = [
+            addresses.agent.Act(session_id=session, step=step, observation=observation).stats
+            for step, observation in enumerate(observations)
+        ]
+    yield played
 
 
 @pytest.mark.parametrize("policy", APPLYING)
@@ -75,11 +71,10 @@ def test_the_metrics_have_the_same_figures_and_no_others(addresses, stats, polic
 def test_a_policy_has_the_energy_of_its_dense_baseline_beside_it(addresses, stats):
     """A dense policy with the same sizes is played, in float32, until its window is full."""
     assert set(stats) >= {"integers", "floats"}, "policies that were played"
-    with grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, "spikeserve.v1.PolicyService")
-        session = service.OpenSession(policy="dense").session_id
-        for step in range(SMALL["context"] + 1):
-            answer = service.Act(session_id=session, step=step, observation=[0.1 * step, 0.2, -0.1 * step, 0.3], reward=1.0)
+    session = addresses.agent.OpenSession(policy="dense").session_id
+    for step in range(SMALL["context"] + 1):
+        observation = [0.1 * step, 0.2, -0.1 * step, 0.3]
+        answer = addresses.agent.Act(session_id=session, step=step, observation=observation, reward=1.0)
     found = {}
     for entry in status_of(addresses)["metrics"]["spikeserve_dense_energy_joules"]:
         found.setdefault(entry["labels"]["policy"], {})[entry["labels"]["energy_model"]] = entry["value"]

@@ -4,15 +4,14 @@ import asyncio
 import json
 import os
 import shutil
-import subprocess
-import time
 
 import gymnasium
 import numpy as np
 import pytest
 import spikeserve
 from policy_file import read_policy, write_policy
-from serving import DEPLOY, running_server
+from security import until
+from serving import DEPLOY, run, running_server
 
 CARTPOLE = DEPLOY / "policies/cartpole/1/policy.safetensors"
 PENDULUM = DEPLOY / "policies/pendulum"
@@ -169,26 +168,14 @@ def test_recordings_hold_it_and_replay_honours_it(server, client, tmp_path, samp
             session.end_episode(reward, terminated, over, executed_action=torque)
     assert not np.array_equal(answered, executed)
 
-    def spikectl(*arguments):
-        command = [os.environ["SPIKECTL_PROGRAM"], *arguments, f"--server={address}", "--json"]
-        return subprocess.run(command, capture_output=True, text=True)
-
     folder = recordings / recording
-    deadline = time.monotonic() + 60
-    while len(list(folder.glob("*.cbor"))) < 2:  # another thread of the server writes the episodes
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    replay = spikectl("replay", f"--recording={folder}")
-    assert replay.returncode == 0, replay.stderr
+    until(lambda: len(list(folder.glob("*.cbor"))) == 2)  # another thread of the server writes the episodes
+    replay = run("spikectl", "replay", f"--recording={folder}", f"--server={address}", "--json")
     result = json.loads(replay.stdout)
     assert result["identical"] and result["decisions"] == len(answered)
     if "SPIKETRAIN_PROGRAM" in os.environ:
         out = tmp_path / "served.cbor"
-        subprocess.run(
-            [os.environ["SPIKETRAIN_PROGRAM"], "dataset", f"--recordings={folder}", f"--out={out}"],
-            check=True,
-            capture_output=True,
-        )
+        run("spiketrain", "dataset", f"--recordings={folder}", f"--out={out}")
         content = out.read_bytes()
         assert np.array(0.7, ">f4").tobytes() in content
         assert b"answered_actions" in content

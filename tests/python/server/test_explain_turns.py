@@ -1,14 +1,13 @@
 """Explanations take long: tenants take turns, and a cancelled call is not computed."""
 
 import json
-import re
 import threading
 import time
 
 import grpc
 import pytest
-from security import OBSERVATION, POLICY, TOKENS, http_body, service_with
-from serving import DEADLINE_SECONDS, message_class, running_server
+from security import OBSERVATION, POLICY, TOKENS, service_with
+from serving import DEADLINE_SECONDS, message_class, running_server, series
 
 CALLERS = 24
 ANSWERS = 12
@@ -92,19 +91,14 @@ def test_24_callers_of_one_tenant_leave_another_one_half(addresses):
 
 
 def computed(addresses):
-    page = http_body(addresses.http, "/metrics", "Bearer watchman").decode()
-    pattern = r'spikeserve_rpc_duration_seconds_count\{[^}]*method="Explain"[^}]*\} (\d+)'
-    return sum(int(count) for count in re.findall(pattern, page))
+    return sum(series(addresses, "spikeserve_rpc_duration_seconds_count", token="watchman", method="Explain"))
 
 
 def test_a_cancelled_call_is_not_computed(addresses):
-    with (
-        service_with(addresses, "agent") as agent,
-        grpc.insecure_channel(addresses.grpc) as channel,
-    ):
+    with service_with(addresses, "agent") as agent:
         session = explainable(agent)
-        request = message_class(channel, "spikeserve.v1.ExplainRequest")(session_id=session)
-        explain = channel.unary_unary(f"/{POLICY}/Explain")
+        request = message_class(addresses.channel, "spikeserve.v1.ExplainRequest")(session_id=session)
+        explain = addresses.channel.unary_unary(f"/{POLICY}/Explain")
         metadata = [("authorization", "Bearer agent")]
         before = computed(addresses)
         waiting = [

@@ -4,14 +4,13 @@ import base64
 import contextlib
 import http.client
 import http.server
-import json
 import subprocess
 import threading
 
 import grpc
 import pytest
-from security import ADMIN, POLICY, TOKENS
-from serving import DEADLINE_SECONDS, message_class, running_server
+from security import ADMIN, POLICY
+from serving import DEADLINE_SECONDS, http_call, message_class, running_server
 
 BINARY, TEXT = "application/grpc-web+proto", "application/grpc-web-text+proto"
 
@@ -22,15 +21,7 @@ def framed(message, flag=0):
 
 def post(server, path, body, content_type=BINARY, **headers):
     """Returns the code, the headers and the body of the answer."""
-    connection = http.client.HTTPConnection(server.http, timeout=DEADLINE_SECONDS)
-    headers = {"Content-Type": content_type} | {
-        name.replace("_", "-"): value for name, value in headers.items()
-    }
-    connection.request("POST", path, body, headers)
-    response = connection.getresponse()
-    content = response.read()
-    connection.close()
-    return response.status, response.headers, content
+    return http_call(server.http, "POST", path, body, Content_Type=content_type, **headers)
 
 
 def parts(body):
@@ -62,11 +53,10 @@ def status(server, path, body, **arguments):
 
 
 def test_the_text_form_is_the_binary_one_in_base64(server):
-    with grpc.insecure_channel(server.grpc) as channel:
-        request = message_class(channel, "spikeserve.v1.OpenSessionRequest")(
-            policy="cartpole"
-        ).SerializeToString()
-        response = message_class(channel, "spikeserve.v1.OpenSessionResponse")
+    request = message_class(server.channel, "spikeserve.v1.OpenSessionRequest")(
+        policy="cartpole"
+    ).SerializeToString()
+    response = message_class(server.channel, "spikeserve.v1.OpenSessionResponse")
     path = f"/{POLICY}/OpenSession"
     code, headers, body = post(
         server, path, base64.b64encode(framed(request)), TEXT, Accept=TEXT
@@ -155,9 +145,7 @@ def test_a_body_has_the_length_of_a_message(server):
     assert code == 413 and b"--max_message_bytes" in body
 
 
-def test_tokens_roles_and_rates_count(tmp_path):
-    tokens = tmp_path / "tokens.json"
-    tokens.write_text(json.dumps(TOKENS))
+def test_tokens_roles_and_rates_count(tokens):
     with running_server(flags=[f"--tokens={tokens}"]) as server:
         path = f"/{POLICY}/ListPolicies"
         assert status(server, path, framed(b""))[0] == "UNAUTHENTICATED"

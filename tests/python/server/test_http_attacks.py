@@ -1,13 +1,12 @@
 """What strangers send to the status page: many ranges, names of other sites, requests that do not end."""
 
 import contextlib
-import http.client
 import socket
 import threading
 import time
 
 import pytest
-from serving import running_server
+from serving import http_call, running_server
 
 from tests.attacks.process import MEGABYTE, Process
 
@@ -21,15 +20,7 @@ def addresses():
 
 
 def get(addresses, path, **headers):
-    connection = http.client.HTTPConnection(addresses.http, timeout=30)
-    connection.putrequest("GET", path, skip_host="Host" in headers)
-    for name, value in headers.items():
-        connection.putheader(name, value)
-    connection.endheaders()
-    response = connection.getresponse()
-    body = response.read()
-    connection.close()
-    return response.status, body
+    return http_call(addresses.http, "GET", path, **headers)[::2]
 
 
 def test_ranges_are_ignored(addresses):

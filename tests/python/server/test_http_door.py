@@ -17,12 +17,9 @@ from security import (
     POLICY,
     TOKENS,
     entry,
-    http_body,
-    make_authority,
-    make_certificate,
     tls_flags,
 )
-from serving import DEADLINE_SECONDS, running_server
+from serving import DEADLINE_SECONDS, http_call, running_server, series
 from test_grpc_web import BINARY, framed, parts
 from test_http_inference import infer_body
 
@@ -44,15 +41,9 @@ def door(tmp_path_factory):
 
 def ask(address, method, path, body=None, token=None, **headers):
     """Returns the code, the body, and the seconds that the answer took."""
-    connection = http.client.HTTPConnection(address, timeout=DEADLINE_SECONDS)
-    if token is not None:
-        headers["Authorization"] = f"Bearer {token}"
     start = time.monotonic()
-    connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
-    response = connection.getresponse()
-    content = response.read()
-    connection.close()
-    return response.status, content, time.monotonic() - start
+    status, _, content = http_call(address, method, path, body, token, **headers)
+    return status, content, time.monotonic() - start
 
 
 def raw(address, *pieces):
@@ -131,9 +122,8 @@ def test_pages_have_a_rate(door):
 
 def test_refusals_are_counted(door):
     def count():
-        page = http_body(door.http, "/metrics", "Bearer watchman").decode()
-        wanted = 'spikeserve_rpc_duration_seconds_count{code="UNAUTHENTICATED",method="ModelInfer"}'
-        return sum(float(line.split()[-1]) for line in page.splitlines() if line.startswith(wanted))
+        name = "spikeserve_rpc_duration_seconds_count"
+        return sum(series(door, name, token="watchman", code="UNAUTHENTICATED", method="ModelInfer"))
 
     before = count()
     assert infer(door.http, "refused", "wrong")[0] == 401
@@ -201,16 +191,12 @@ def test_targets_in_absolute_form(server, target, code):
     assert raw(server.http, f"GET {target} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())[0].split()[1] == code
 
 
-def test_changes_by_grpc_web_are_recorded_with_the_certificate(tmp_path):
-    make_authority(tmp_path, "ca")
-    for name in ("server", "client"):
-        make_certificate(tmp_path, name, "ca")
-    (tmp_path / "tokens.json").write_text(json.dumps(TOKENS))
+def test_changes_by_grpc_web_are_recorded_with_the_certificate(tmp_path, certificates, tokens):
     log = tmp_path / "audit.jsonl"
-    flags = tls_flags(tmp_path, f"--tls_client_ca={tmp_path}/ca.pem", f"--tokens={tmp_path}/tokens.json", f"--audit_log={log}")
+    flags = tls_flags(certificates, f"--tls_client_ca={certificates}/ca.pem", f"--tokens={tokens}", f"--audit_log={log}")
     with running_server(flags=flags) as addresses:
-        context = ssl.create_default_context(cafile=tmp_path / "ca.pem")
-        context.load_cert_chain(tmp_path / "client.pem", tmp_path / "client.key")
+        context = ssl.create_default_context(cafile=certificates / "ca.pem")
+        context.load_cert_chain(certificates / "client.pem", certificates / "client.key")
         host, _, port = addresses.http.rpartition(":")
         connection = http.client.HTTPSConnection(host, int(port), context=context, timeout=DEADLINE_SECONDS)
         headers = {"Content-Type": BINARY, "Authorization": "Bearer machine"}

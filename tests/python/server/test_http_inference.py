@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tritonclient.http
 from security import TOKENS
-from serving import running_server
+from serving import http_call, run, running_server, series
 from tritonclient import grpc as triton_grpc
 from tritonclient.utils import InferenceServerException
 
@@ -23,17 +23,9 @@ LIMIT = 4 << 20  # bytes of a body
 
 def call(server, method, path, body=None, token=None, **headers):
     """Returns the code, the headers and the body, parsed if it is JSON, of a request."""
-    connection = http.client.HTTPConnection(server.http, timeout=30)
-    if token is not None:
-        headers["Authorization"] = f"Bearer {token}"
     body = json.dumps(body) if isinstance(body, dict) else body
-    connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
-    response = connection.getresponse()
-    content = response.read()
-    connection.close()
-    if response.headers["Content-Type"] == "application/json":
-        content = json.loads(content)
-    return response.status, response.headers, content
+    status, headers, content = http_call(server.http, method, path, body, token, **headers)
+    return status, headers, json.loads(content) if headers["Content-Type"] == "application/json" else content
 
 
 def infer_body(sequence, *, start=False, end=False, reward=0.0, observation=OBSERVATION, **more):
@@ -129,8 +121,7 @@ def test_tritons_client_plays(server, binary):
 
 def test_curl_sends_a_request(server):
     body = json.dumps(infer_body("curl", start=True))
-    command = ["curl", "--silent", "--fail-with-body", "--data", body, f"http://{server.http}/v2/models/cartpole/infer"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = run("curl", "--silent", "--fail-with-body", "--data", body, f"http://{server.http}/v2/models/cartpole/infer")
     assert json.loads(done.stdout)["outputs"][0]["name"] == "action"
 
 
@@ -287,9 +278,7 @@ def test_versions_keep_their_sequences_apart(server):
 
 def test_metrics_count_the_calls(server):
     def count():
-        text = call(server, "GET", "/metrics")[2].decode()
-        name = 'spikeserve_rpc_duration_seconds_count{code="OK",method="ModelInfer"} '
-        return sum(float(line.removeprefix(name)) for line in text.splitlines() if line.startswith(name))
+        return sum(series(server, "spikeserve_rpc_duration_seconds_count", code="OK", method="ModelInfer"))
 
     before = count()
     assert infer(server, infer_body("metrics", start=True))[0] == 200

@@ -24,7 +24,7 @@ VIEWERS = 12
 
 @pytest.fixture(scope="module")
 def servers(tmp_path_factory):
-    """Starts servers with few and with many versions of a policy, all of which play, and yields both Addresses."""
+    """Starts servers with few and with many versions of a policy, all of which play, and yields both."""
     folder = tmp_path_factory.mktemp("policies")
     export_random(folder / "one", "small", make("CartPole-v1"))
     file = folder / "one" / "small" / "1" / "policy.safetensors"

@@ -1,15 +1,13 @@
 """The clients of this repository call a server that requires TLS and tokens."""
 
-import os
-import subprocess
-
 import pytest
 import spikeserve
 from security import OBSERVATION, credentials, tls_flags
-from serving import DEADLINE_SECONDS, running_server
+from serving import DEADLINE_SECONDS, run, running_server
 
 
-def test_the_programs_speak_tls_and_send_tokens(certificates, tokens):
+def test_the_programs_speak_tls_and_send_tokens(certificates, tokens, monkeypatch):
+    monkeypatch.delenv("SPIKESERVE_TOKEN", raising=False)
     flags = tls_flags(certificates, f"--tls_client_ca={certificates}/ca.pem", f"--tokens={tokens}")
     with running_server(flags=flags) as addresses:
         security = [
@@ -19,34 +17,15 @@ def test_the_programs_speak_tls_and_send_tokens(certificates, tokens):
             f"--tls_key={certificates}/client.key",
         ]
 
-        def run(program, *arguments, token=None):
-            environment = {**os.environ}
-            environment.pop("SPIKESERVE_TOKEN", None)
-            if token is not None:
-                environment["SPIKESERVE_TOKEN"] = token
-            return subprocess.run(
-                [os.environ[program], *arguments, *security],
-                env=environment,
-                check=False,
-                capture_output=True,
-                text=True,
-                timeout=DEADLINE_SECONDS,
-            )
-
-        assert "UNAUTHENTICATED" in run("SPIKECTL_PROGRAM", "policies").stderr
-        assert run("SPIKECTL_PROGRAM", "policies", token="agent").returncode == 0
-        played = run("SPIKECTL_PROGRAM", "run", "--env=CartPole-v1", token="agent")
-        assert played.returncode == 0, played.stderr
-        assert (
-            "PERMISSION_DENIED" in run("SPIKECTL_PROGRAM", "admin", "drain", token="agent").stderr
-        )
+        assert "UNAUTHENTICATED" in run("spikectl", "policies", *security, status=1).stderr
         token_file = certificates / "token"
         token_file.write_text("operator\n")
-        listed = run("SPIKECTL_PROGRAM", "admin", "sessions", f"--token_file={token_file}")
-        assert listed.returncode == 0, listed.stderr
-        load = ["--duration=200ms", "--sessions=4", "--mode=stream"]
-        loaded = run("SPIKELOAD_PROGRAM", *load, token="agent")
-        assert loaded.returncode == 0, loaded.stderr
+        run("spikectl", "admin", "sessions", f"--token_file={token_file}", *security)
+        monkeypatch.setenv("SPIKESERVE_TOKEN", "agent")
+        run("spikectl", "policies", *security)
+        run("spikectl", "run", "--env=CartPole-v1", *security)
+        assert "PERMISSION_DENIED" in run("spikectl", "admin", "drain", *security, status=1).stderr
+        run("spikeload", "--duration=200ms", "--sessions=4", "--mode=stream", *security)
 
 
 def test_the_python_client_speaks_tls_and_sends_tokens(certificates, tokens, monkeypatch):

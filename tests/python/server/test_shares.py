@@ -5,7 +5,6 @@ import contextlib
 import json
 import os
 import shutil
-import signal
 import statistics
 import time
 
@@ -78,19 +77,18 @@ def test_a_single_tenant_opens_all_sessions(tmp_path):
 
 
 def open_many(addresses, count):
-    with grpc.insecure_channel(addresses.grpc) as channel:
-        request = message_class(channel, "spikeserve.v1.OpenSessionRequest")(
-            policy="cartpole-small", labels={"robot": "x" * 40}
-        ).SerializeToString()
-        call = channel.unary_unary(f"/{POLICY}/OpenSession")
-        metadata = [("authorization", "Bearer agent")]
-        for start in range(0, count, 500):
-            calls = [
-                call.future(request, metadata=metadata, timeout=DEADLINE_SECONDS)
-                for _ in range(start, min(start + 500, count))
-            ]
-            for opened in calls:
-                opened.result()
+    request = message_class(addresses.channel, "spikeserve.v1.OpenSessionRequest")(
+        policy="cartpole-small", labels={"robot": "x" * 40}
+    ).SerializeToString()
+    call = addresses.channel.unary_unary(f"/{POLICY}/OpenSession")
+    metadata = [("authorization", "Bearer agent")]
+    for start in range(0, count, 500):
+        calls = [
+            call.future(request, metadata=metadata, timeout=DEADLINE_SECONDS)
+            for _ in range(start, min(start + 500, count))
+        ]
+        for opened in calls:
+            opened.result()
 
 
 def test_lists_of_sessions_need_memory_for_one_page(tmp_path):
@@ -207,10 +205,9 @@ def test_a_server_that_was_stopped_reads_requests_before_it_reaps(tmp_path, atte
     with (
         served(tmp_path, *flags) as addresses,
         service_with(addresses, "agent") as agent,
-        grpc.insecure_channel(addresses.grpc) as channel,
     ):
-        request_class = message_class(channel, "spikeserve.v1.ActRequest")
-        act = channel.unary_unary(
+        request_class = message_class(addresses.channel, "spikeserve.v1.ActRequest")
+        act = addresses.channel.unary_unary(
             f"/{POLICY}/Act", request_serializer=request_class.SerializeToString
         )
         sessions = [agent.OpenSession(policy="cartpole").session_id for _ in range(20)]
@@ -227,9 +224,9 @@ def test_a_server_that_was_stopped_reads_requests_before_it_reaps(tmp_path, atte
 
         for call in acts(0):
             call.result()
-        addresses.process.send_signal(signal.SIGSTOP)
+        addresses.stop()
         waiting = acts(1)
         time.sleep(3 * TIME_TO_LIVE)  # longer than the time-to-live, which is what is tested
-        addresses.process.send_signal(signal.SIGCONT)
+        addresses.resume()
         for call in waiting:
             call.result()

@@ -66,15 +66,14 @@ def test_looking_stops_at_the_tenant_unless_the_token_sees_all(addresses):
 
 def test_tenants_may_use_equal_sequence_ids(addresses):
     def start(token):
-        with grpc.insecure_channel(addresses.grpc) as channel:
-            calls = grpc.intercept_channel(channel, Bearer(token))
-            request_class, call = method_of(channel, "inference.GRPCInferenceService", "ModelInfer", calls)
-            request = request_class(model_name="cartpole")
-            request.parameters["sequence_id"].int64_param = 7
-            request.parameters["sequence_start"].bool_param = True
-            tensor = request.inputs.add(name="observation", datatype="FP32", shape=[4])
-            tensor.contents.fp32_contents.extend(OBSERVATION)
-            return code_of(call, request=request, timeout=DEADLINE_SECONDS)
+        calls = grpc.intercept_channel(addresses.channel, Bearer(token))
+        request_class, call = method_of(addresses.channel, "inference.GRPCInferenceService", "ModelInfer", calls)
+        request = request_class(model_name="cartpole")
+        request.parameters["sequence_id"].int64_param = 7
+        request.parameters["sequence_start"].bool_param = True
+        tensor = request.inputs.add(name="observation", datatype="FP32", shape=[4])
+        tensor.contents.fp32_contents.extend(OBSERVATION)
+        return code_of(call, request=request, timeout=DEADLINE_SECONDS)
 
     for token in ("agent", "rival", "agent"):
         assert start(token) == grpc.StatusCode.OK, token

@@ -39,8 +39,7 @@ def can_connect(channel):
 def test_tls_encrypts_and_plain_text_is_refused(certificates):
     with running_server(flags=tls_flags(certificates)) as addresses:
         assert reaches(addresses.grpc, credentials(certificates))
-        with grpc.insecure_channel(addresses.grpc) as channel:
-            assert not can_connect(channel)
+        assert not can_connect(addresses.channel)
 
 
 def test_mutual_tls_asks_clients_for_a_certificate(certificates):
@@ -124,7 +123,7 @@ def replace(folder, name):
 
 @contextlib.contextmanager
 def logged_server(folder, *flags):
-    """Starts a server with the certificate of a folder. Yields its Addresses and a function that reads its log."""
+    """Starts a server with the certificate of a folder. Yields it and a function that reads its log."""
     log = folder / "log"
     with log.open("w") as file, running_server(flags=tls_flags(folder, *flags), log=file) as addresses:
         yield addresses, log.read_text

@@ -30,9 +30,8 @@ def test_a_token_that_is_missing_wrong_or_expired_is_unauthenticated(addresses, 
 
 
 def test_a_stream_without_a_token_ends_unauthenticated(addresses):
-    with grpc.insecure_channel(addresses.grpc) as channel:
-        stream = channel.stream_stream(f"/{POLICY}/ActStream")(iter([]), timeout=DEADLINE_SECONDS)
-        assert stream.code() == grpc.StatusCode.UNAUTHENTICATED
+    stream = addresses.channel.stream_stream(f"/{POLICY}/ActStream")(iter([]), timeout=DEADLINE_SECONDS)
+    assert stream.code() == grpc.StatusCode.UNAUTHENTICATED
 
 
 def test_a_token_that_is_taken_back_ends_what_its_streams_may_do(tmp_path):
@@ -42,10 +41,9 @@ def test_a_token_that_is_taken_back_ends_what_its_streams_may_do(tmp_path):
     with (
         running_server(flags=[f"--tokens={path}"]) as addresses,
         service_with(addresses, "agent") as policies,
-        grpc.insecure_channel(addresses.grpc) as channel,
     ):
         session = policies.OpenSession(policy="cartpole").session_id
-        request_class, call = method_of(channel, POLICY, "ActStream")
+        request_class, call = method_of(addresses.channel, POLICY, "ActStream")
 
         def requests():
             yield request_class(session_id=session, step=0, observation=OBSERVATION)
@@ -63,8 +61,7 @@ def test_a_token_that_is_taken_back_ends_what_its_streams_may_do(tmp_path):
 
 
 def test_health_needs_no_token(addresses):
-    with grpc.insecure_channel(addresses.grpc) as channel:
-        assert Service(channel, HEALTH).Check().status == SERVING
+    assert Service(addresses.channel, HEALTH).Check().status == SERVING
 
 
 def test_roles_decide_what_may_be_called(addresses):

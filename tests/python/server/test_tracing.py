@@ -3,7 +3,6 @@
 import os
 import re
 import subprocess
-import urllib.request
 
 import grpc
 import pytest
@@ -13,7 +12,7 @@ from opentelemetry.sdk.trace import TracerProvider
 from redis_servers import WITHOUT_REDIS, free_port
 from replicated import running_fleet
 from security import until
-from serving import SHIPPED_POLICIES, Service, running_server
+from serving import SHIPPED_POLICIES, Service, http_call, page_of, running_server
 from traces import collecting, environment
 
 SERVICE = "spikeserve.v1.PolicyService"
@@ -76,9 +75,9 @@ class Caller:
         return method(request, metadata=metadata, timeout=WAIT)
 
 
-def counted(http):
+def counted(server):
     """Returns spikeserve_trace_spans_total by outcome."""
-    page = urllib.request.urlopen(f"http://{http}/metrics").read().decode()
+    page = page_of(server, "/metrics")
     pattern = r'spikeserve_trace_spans_total\{outcome="(\w+)"\} (\d+)'
     return {outcome: int(count) for outcome, count in re.findall(pattern, page)}
 
@@ -183,12 +182,12 @@ def test_without_an_endpoint_nothing_is_sent_and_the_rest_is_not_read(collector,
     monkeypatch.setenv("OTEL_TRACES_SAMPLER", "nonsense of another program")
     with running_server() as addresses, Caller(addresses.grpc) as caller:
         caller.act(header("a" * 32, True))
-        assert counted(addresses.http) == {}
+        assert counted(addresses) == {}
     for name, value in environment(collector.port, SDK_DISABLED="true").items():
         monkeypatch.setenv(name, value)
     with running_server() as addresses, Caller(addresses.grpc) as caller:
         caller.act(header("a" * 32, True))
-        assert counted(addresses.http) == {}
+        assert counted(addresses) == {}
 
 
 @pytest.mark.parametrize(
@@ -227,8 +226,8 @@ def test_a_full_buffer_drops_and_counts_and_nothing_waits_for_it(monkeypatch):
         for _ in range(50):
             caller.act()
         # Each call has two spans. The buffer holds 8, and a batch of 4 waits for the next try.
-        assert counted(addresses.http)["dropped"] >= 50
-        assert counted(addresses.http)["exported"] == 0
+        assert counted(addresses)["dropped"] >= 50
+        assert counted(addresses)["exported"] == 0
 
 
 def test_a_collector_that_comes_back_gets_what_waits(serve, collector):
@@ -239,15 +238,15 @@ def test_a_collector_that_comes_back_gets_what_waits(serve, collector):
         caller.act(header("b" * 32, True))
         with collecting(port=collector.port) as again:
             again.find("decide", trace="b" * 32)
-            until(lambda: counted(addresses.http)["failed"] == 0)
+            until(lambda: counted(addresses)["failed"] == 0)
 
 
 def test_what_a_collector_refuses_is_counted(serve, collector):
     collector.status = grpc.StatusCode.INVALID_ARGUMENT
     with serve() as addresses, Caller(addresses.grpc) as caller:
         caller.act()
-        until(lambda: counted(addresses.http)["failed"] >= 2)
-        assert counted(addresses.http)["exported"] == 0
+        until(lambda: counted(addresses)["failed"] >= 2)
+        assert counted(addresses)["exported"] == 0
 
 
 def test_the_last_spans_are_sent_before_the_server_ends(serve, collector):
@@ -280,8 +279,7 @@ def test_loads_are_traced_and_those_of_an_operator_belong_to_his_call(serve, col
     with serve() as addresses:
         start = collector.find("load", spikeserve_policy="cartpole", spikeserve_policy_version=1)
         assert start.parent == ""
-        with grpc.insecure_channel(addresses.grpc) as channel:
-            Service(channel, "spikeserve.v1.PolicyAdmin").LoadPolicy(policy="cartpole", version=1)
+        addresses.admin.LoadPolicy(policy="cartpole", version=1)
         call = collector.find("spikeserve.v1.PolicyAdmin/LoadPolicy")
         collector.find("load", trace=call.trace, parent=call.id, spikeserve_policy="cartpole")
 
@@ -297,9 +295,7 @@ def test_an_error_of_the_caller_is_none_of_the_server(serve, collector):
 
 def test_http_inference_passes_its_header_on(serve, collector):
     with serve() as addresses:
-        headers = {"traceparent": header("a" * 32, True)}
-        request = urllib.request.Request(f"http://{addresses.http}/v2/health/live", headers=headers)
-        urllib.request.urlopen(request).read()
+        http_call(addresses.http, "GET", "/v2/health/live", traceparent=header("a" * 32, True))
         collector.find("inference.GRPCInferenceService/ServerLive", trace="a" * 32)
 
 

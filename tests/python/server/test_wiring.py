@@ -1,8 +1,6 @@
 """The server recognises a robot whose elements are wired otherwise than those of the training data."""
 
 import contextlib
-import os
-import subprocess
 
 import gymnasium
 import numpy as np
@@ -11,7 +9,7 @@ import spikeserve
 from cpp_pilot import CppPilot
 from restartable_server import restartable_server
 from security import until
-from serving import metric, page_of, running_server
+from serving import metric, page_of, refusal_at_start, running_server
 
 STEPS = 50
 
@@ -166,13 +164,8 @@ def test_the_doctor_names_what_a_recording_and_a_session_show(server, client, re
 
 
 def doctor(server, *flags):
-    command = [os.environ["SPIKECTL_PROGRAM"], f"--server={server.grpc}", "doctor", *flags]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return server.spikectl("doctor", *flags).stdout
 
 
 def test_rules_are_refused_by_the_flag():
-    finished = subprocess.run(
-        [os.environ["SPIKESERVE_PROGRAM"], "--policies=.", "--wiring=arm=stop"], capture_output=True, text=True
-    )
-    assert finished.returncode == 1
-    assert "--wiring: expected count, warn or safe" in finished.stderr
+    assert "--wiring: expected count, warn or safe" in refusal_at_start("--wiring=arm=stop")

@@ -126,7 +126,6 @@ def undisturbed():
                     without_id(server.Act(**request(session, i, episode, step, True))) for step in range(STEPS)
                 ]
                 answers[i].append(server.EndEpisode(**end_of(session, episode, True)).SerializeToString())
-        server.close()
     return answers
 
 

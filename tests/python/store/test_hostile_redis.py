@@ -10,7 +10,7 @@ import grpc
 import pytest
 from fake_redis import NIL, NOTHING, FakeRedis, array, integer, primary, string
 from security import until
-from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, running_server, Service
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, running_server
 from stored_sessions import opening
 
 LARGEST = 2**63 - 1
@@ -33,14 +33,12 @@ def starts_with(url, log, *flags):
     """Asserts that a server starts, serves sessions without a store and refuses others. Returns its log."""
     flags = [f"--session_store={url}", *flags]
     with log.open("w") as file, running_server(flags=flags, log=file) as addresses:
-        with grpc.insecure_channel(addresses.grpc) as channel:
-            service = Service(channel, "spikeserve.v1.PolicyService")
-            with pytest.raises(grpc.RpcError) as error:
-                service.OpenSession(**opening(0))
-            # A script that always answers 0 says that the session exists.
-            assert error.value.code() in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.ALREADY_EXISTS)
-            session = service.OpenSession(policy="cartpole", durability="NONE").session_id
-            assert service.Act(session_id=session, observation=[0.0] * 4).step == 0
+        with pytest.raises(grpc.RpcError) as error:
+            addresses.agent.OpenSession(**opening(0))
+        # A script that always answers 0 says that the session exists.
+        assert error.value.code() in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.ALREADY_EXISTS)
+        session = addresses.agent.OpenSession(policy="cartpole", durability="NONE").session_id
+        assert addresses.agent.Act(session_id=session, observation=[0.0] * 4).step == 0
     return log.read_text()
 
 

@@ -1,11 +1,10 @@
 """Replies of Redis that come after the server has stopped waiting for them."""
 
-import contextlib
-import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from links import Link
 from redis_servers import WITHOUT_REDIS
 from security import until
 from stored_sessions import Restartable, decide, opening
@@ -25,77 +24,32 @@ COMMANDS = {
 }
 
 
-class LateRoute:
-    """Forwards connections to Redis.
+class LateRoute(Link):
+    """Keeps the replies to the next command with `marker`, and to what was sent with it.
 
-    hold(): replies to the next command with a marker, and to what was sent with it, are kept until the server sends
-    another command on this connection, or gives it up.
+    They are forwarded when the server sends another command on this connection, or gives it up.
     """
 
-    def __init__(self, port):
-        self._target = ("127.0.0.1", port)
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port = self._listener.getsockname()[1]
-        self._mutex = threading.Lock()
-        self._marker = None
-        self._sockets = []
+    def __init__(self, target):
+        super().__init__(target)
+        self.marker = None
         self.held = threading.Event()
-        threading.Thread(target=self._accept, daemon=True).start()
 
-    def hold(self, marker):
-        with self._mutex:
-            self._marker = marker
+    def pieces(self, pipe):
+        for data in super().pieces(pipe):
+            if pipe.answers is not None:
+                self._hold(pipe.answers, data)
+            yield data
+        if pipe.answers is not None:
+            self._hold(pipe.answers, b"")
 
-    def drop(self):
-        """Ends all connections that are open."""
-        with self._mutex:
-            sockets, self._sockets = self._sockets, []
-        for each in sockets:
-            with contextlib.suppress(OSError):
-                each.shutdown(socket.SHUT_RDWR)
-
-    def close(self):
-        self._listener.close()
-        self.drop()
-
-    def _accept(self):
-        with contextlib.suppress(OSError):
-            while True:
-                client, _ = self._listener.accept()
-                redis = socket.create_connection(self._target)
-                with self._mutex:
-                    self._sockets += [client, redis]
-                is_open = threading.Event()
-                is_open.set()
-                for forward in (self._commands, self._replies):
-                    threading.Thread(target=forward, args=(client, redis, is_open), daemon=True).start()
-
-    def _is_to_be_held(self, data):
-        with self._mutex:
-            if self._marker is None or self._marker not in data:
-                return False
-            self._marker = None
-            return True
-
-    def _commands(self, client, redis, is_open):
-        with contextlib.suppress(OSError):
-            while data := client.recv(1 << 20):
-                is_open.set()
-                if self._is_to_be_held(data):
-                    is_open.clear()
-                    self.held.set()
-                redis.sendall(data)
-        is_open.set()
-        with contextlib.suppress(OSError):
-            redis.shutdown(socket.SHUT_RDWR)
-
-    def _replies(self, client, redis, is_open):
-        with contextlib.suppress(OSError):
-            while data := redis.recv(1 << 16):
-                is_open.wait()
-                client.sendall(data)
-        with contextlib.suppress(OSError):
-            client.shutdown(socket.SHUT_RDWR)
+    def _hold(self, answers, data):
+        with self.changed:
+            answers.is_forgotten = self.marker is not None and self.marker in data
+            if answers.is_forgotten:
+                self.marker = None
+                self.held.set()
+            self.changed.notify_all()
 
 
 def decide_all(server, decision):
@@ -110,15 +64,13 @@ def undisturbed():
         for i in SESSIONS:
             server.OpenSession(**opening(i) | {"durability": "NONE"})
         answers = [decide_all(server, decision) for decision in range(ALL)]
-        server.close()
         return answers
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_late_replies_are_not_taken_for_those_of_other_commands(redis, undisturbed, command):
-    route = LateRoute(redis.port)
     with (
-        contextlib.closing(route),
+        LateRoute(f"127.0.0.1:{redis.port}") as route,
         Restartable(f"redis://127.0.0.1:{redis.port}") as other,
         Restartable(f"redis://127.0.0.1:{route.port}", ["--store_timeout=300ms"]) as server,
     ):
@@ -126,7 +78,7 @@ def test_late_replies_are_not_taken_for_those_of_other_commands(redis, undisturb
             until(lambda i=i: server.OpenSession(**opening(i)).session_id != "")
         answers = [decide_all(server, decision) for decision in range(BEFORE)]
         answers.append(decide_all(other, BEFORE))
-        route.hold(COMMANDS[command])
+        route.marker = COMMANDS[command]
         if command == "read a setting":
             route.drop()
         # The copies here are old ones: their records are refused, and the sessions are claimed.

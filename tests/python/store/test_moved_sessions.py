@@ -70,7 +70,6 @@ def test_pipelined_requests_behind_a_restart_find_their_sessions(tmp_path):
         for group in requests:
             of_session = [answer for answer in answers if answer.session_id == group[0]["session_id"]]
             check_in_order(group, of_session)
-        server.close()
 
 
 def test_a_request_that_is_ahead_says_what_is_expected(tmp_path):
@@ -92,7 +91,6 @@ def test_a_request_that_is_ahead_says_what_is_expected(tmp_path):
         assert expected_decision(server.channel, refused.value) == EPISODES * STEPS
         [result] = server.ActBatch(requests=[ahead]).results
         assert (result.expected_decision, result.expected_episode, result.expected_step) == (18, 3, 0)
-        server.close()
 
 
 class EpisodicRobot(Robot):
@@ -145,8 +143,6 @@ def owner_behind_a_link():
         near = Restartable(f"redis://127.0.0.1:{redis.port}")
         with Restartable(f"redis://{link.address}") as owner, near as other:
             yield link, owner, other
-            owner.close()
-            other.close()
 
 
 @WITHOUT_REDIS
@@ -158,7 +154,6 @@ def test_an_acknowledged_end_that_was_not_kept_comes_again(kind, tmp_path):
         expected, _ = play(undisturbed, disturb=lambda: None)
         undisturbed.act(observed_at=1)
         value = undisturbed.value()
-        server.close()
     with owner_behind_a_link() as (link, owner, other):
         robot = EpisodicRobot(owner, **KINDS[kind], durability="ASYNC")
 

@@ -45,14 +45,6 @@ def lose(redis, i):
     redis.command("CLIENT KILL TYPE normal")
 
 
-def pause(server):
-    server.addresses.process.send_signal(signal.SIGSTOP)
-
-
-def resume(server):
-    server.addresses.process.send_signal(signal.SIGCONT)
-
-
 def is_stored(redis, i):
     return redis.command(f"EXISTS ss:{{{i:032x}}}:o") == 1
 
@@ -64,10 +56,10 @@ def test_the_newest_copy_replaces_an_older_one_of_any_owner(redis, replicas, und
     first.OpenSession(**opening(i))
     answers = decisions(first, i, 0, 4) + decisions(second, i, 4, 8) + decisions(third, i, 8, 12)
     second.kill()
-    pause(third)
+    third.stop()
     lose(redis, i)
     until(lambda: is_stored(redis, i))
-    resume(third)
+    third.resume()
     answers += decisions(third, i, 12, 14) + decisions(first, i, 14, 16)
     assert answers == undisturbed[i][:16]
 
@@ -78,11 +70,11 @@ def test_the_newest_copy_replaces_what_was_made_of_an_older_one(redis, replicas,
     first, second, third = replicas
     first.OpenSession(**opening(i))
     answers = decisions(first, i, 0, 4) + decisions(third, i, 4, 12)
-    pause(third)
+    third.stop()
     lose(redis, i)
     until(lambda: is_stored(redis, i))
     assert decisions(second, i, 4, 6) == undisturbed[i][4:6]  # sent again
-    resume(third)
+    third.resume()
     answers += decisions(third, i, 12, 14) + decisions(second, i, 14, 16)
     assert answers == undisturbed[i][:16]
 
@@ -93,11 +85,11 @@ def test_an_older_copy_replaces_nothing(redis, replicas, undisturbed, i):
     first, second, _ = replicas
     first.OpenSession(**opening(i))
     answers = decisions(first, i, 0, 4) + decisions(second, i, 4, 5)
-    pause(second)
+    second.stop()
     lose(redis, i)
     until(lambda: is_stored(redis, i))
     answers += decisions(first, i, 4, 8)[1:]
-    resume(second)
+    second.resume()
     until(lambda: metric(second, "spikeserve_store_fences_total") + metric(second, "spikeserve_store_reseeds_total") > 0)
     answers += decisions(first, i, 8, 10) + decisions(second, i, 10, 12)
     assert answers == undisturbed[i][:12]
@@ -110,10 +102,10 @@ def test_the_end_of_an_episode_makes_a_copy_newer(redis, replicas):
     decisions(second, 0, STEPS - 1, STEPS)
     until_answered(lambda: third.EndEpisode(**ending(0, 0)))
     second.kill()
-    pause(third)
+    third.stop()
     lose(redis, 0)
     until(lambda: is_stored(redis, 0))
-    resume(third)
+    third.resume()
     until_answered(lambda: third.Act(**acting(0, 1, 0)))
     assert until_answered(lambda: third.GetSession(session_id=opening(0)["session_id"])).episode == 1
 
@@ -136,7 +128,6 @@ def test_a_copy_that_was_given_up_while_redis_lost_its_record_goes_on(redis):
         redis.process.send_signal(signal.SIGCONT)
         assert deciding.result() == grpc.StatusCode.UNAVAILABLE
         assert decide(server, 0, 5)
-        server.close()
 
 
 def test_a_copy_that_was_given_up_is_not_forgotten_for_an_older_one(redis, replicas):
@@ -145,8 +136,8 @@ def test_a_copy_that_was_given_up_is_not_forgotten_for_an_older_one(redis, repli
     second.OpenSession(**opening(0))
     decisions(second, 0, 0, 4)
     decisions(first, 0, 4, 12)
-    pause(first)
+    first.stop()
     lose(redis, 0)
     until(lambda: is_stored(redis, 0))
-    resume(first)
+    first.resume()
     assert decision_instead_of(first, 0, 20) == 12

@@ -1,11 +1,10 @@
 """Sessions survive in Redis over TLS, behind Sentinels, and in a Cluster."""
 
 import contextlib
-import socket
-import threading
 
 import grpc
 import pytest
+from links import Link
 from redis_servers import (
     PASSWORD,
     WITHOUT_REDIS,
@@ -80,7 +79,6 @@ def test_tls(tmp_path, password, undisturbed):
                     server.restart()
 
             assert play(lambda: server, disturb) == undisturbed
-            server.close()
 
 
 def test_tls_with_strangers(tmp_path, password):
@@ -99,7 +97,6 @@ def test_tls_with_strangers(tmp_path, password):
             ) as server:
                 until(lambda: code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.UNAVAILABLE)
                 until(lambda expected=expected: expected in log.read_text())
-                server.close()
 
 
 # What a server needs, and no more.
@@ -117,7 +114,6 @@ def test_a_user_of_the_access_control_list(tmp_path, password, undisturbed, by_f
         user = "" if by_flag else "robots@"
         with Restartable(f"redis://{user}127.0.0.1:{redis.port}/3", flags) as server:
             assert play(lambda: server) == undisturbed
-            server.close()
         assert redis.command("DBSIZE", database=3) > 0
         log = tmp_path / "log"
         file.write_text("another")
@@ -126,7 +122,6 @@ def test_a_user_of_the_access_control_list(tmp_path, password, undisturbed, by_f
         ) as server:
             assert code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.UNAVAILABLE
             assert "WRONGPASS" in log.read_text()
-            server.close()
 
 
 def test_a_user_of_redis_whom_sentinels_do_not_know(tmp_path):
@@ -141,47 +136,17 @@ def test_a_user_of_redis_whom_sentinels_do_not_know(tmp_path):
         store = f"redis+sentinel://robots@127.0.0.1:{sentinel.port}/mymaster"
         with Restartable(store, [f"--store_password_file={file}"]) as server:
             until(lambda: code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.OK)
-            server.close()
-
-
-@contextlib.contextmanager
-def far_away(redis, seconds):
-    """Yields a port at which Redis answers each piece of the conversation `seconds` later."""
-
-    def carry(source, target):
-        with contextlib.suppress(OSError):
-            while piece := source.recv(1 << 16):
-                threading.Timer(seconds, target.sendall, [piece]).start()
-
-    def accept():
-        with contextlib.suppress(OSError):
-            while True:
-                near, _ = listener.accept()
-                far = socket.create_connection(("127.0.0.1", redis.port))
-                threading.Thread(target=pass_on, args=(near, far), daemon=True).start()
-                threading.Thread(target=carry, args=(far, near), daemon=True).start()
-
-    def pass_on(near, far):
-        with contextlib.suppress(OSError):
-            while piece := near.recv(1 << 16):
-                far.sendall(piece)
-
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        threading.Thread(target=accept, daemon=True).start()
-        yield listener.getsockname()[1]
-        listener.shutdown(socket.SHUT_RDWR)
 
 
 def test_a_redis_that_is_far_away(password):
     """Its answers take 1.2 s."""
-    with stopping([Redis()]) as [redis], far_away(redis, 1.2) as port, Restartable(
-        f"redis://127.0.0.1:{port}", [password, "--store_timeout=20s"]
+    with stopping([Redis()]) as [redis], Link(f"127.0.0.1:{redis.port}", delay=0.6) as link, Restartable(
+        f"redis://{link.address}", [password, "--store_timeout=20s"]
     ) as server:
         until(lambda: code_of(server.OpenSession, **opening(0)) in (grpc.StatusCode.OK, grpc.StatusCode.ALREADY_EXISTS))
         session = opening(0)["session_id"]
         until(lambda: redis.command(f"HGET ss:{{{session}}}:o state") == b"open")
         until(lambda: code_of(server.Act, **acting(0, 0, 0)) == grpc.StatusCode.OK)
-        server.close()
 
 
 def test_sentinels_name_the_new_primary(tmp_path, password, undisturbed):
@@ -207,7 +172,6 @@ def test_sentinels_name_the_new_primary(tmp_path, password, undisturbed):
 
             assert play_patiently(lambda: server, disturb) == undisturbed
             assert primary_port(sentinels[0]) != primary.port
-            server.close()
 
 
 def test_too_few_replicas(password):
@@ -218,7 +182,6 @@ def test_too_few_replicas(password):
             assert code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.UNAVAILABLE
             servers.append(Redis("--replicaof", "127.0.0.1", str(primary.port)))
             until(lambda: code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.OK)
-            server.close()
 
 
 def test_a_replica_of_redis_is_no_store(password):
@@ -230,7 +193,6 @@ def test_a_replica_of_redis_is_no_store(password):
         until(lambda: b"role:slave" in servers[1].command("INFO replication"))
         with Restartable(f"redis://{addresses}", [password]) as server:
             until(lambda: code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.OK)
-            server.close()
 
 
 def test_cluster_whose_slots_move(password, undisturbed):
@@ -251,7 +213,6 @@ def test_cluster_whose_slots_move(password, undisturbed):
 
             assert play_patiently(lambda: server, disturb) == undisturbed
             assert sum(holds(each) for each in servers) == 3
-            server.close()
 
 
 @pytest.mark.parametrize("which", [0, -1])
@@ -274,7 +235,6 @@ def test_a_half_moved_slot_is_unavailable(password, which):
             assert code_of(server.Act, **acting(0, 0, 1)) == grpc.StatusCode.UNAVAILABLE
             move_slot(slot, source, target, servers)
             until(lambda: code_of(server.Act, **acting(0, 0, 1)) == grpc.StatusCode.OK)
-            server.close()
 
 
 def test_a_snapshot_in_a_slot_that_is_about_to_move(password):
@@ -298,7 +258,6 @@ def test_a_snapshot_in_a_slot_that_is_about_to_move(password):
             server.restart()
             answers += decisions(server, 0, len(answers), 24)
             assert answers == undisturbed_answers([0])[0][:24]
-            server.close()
 
 
 def test_a_half_moved_slot_holds_no_other_session(password):
@@ -329,7 +288,6 @@ def test_a_half_moved_slot_holds_no_other_session(password):
             move_slot(slot, source, target, servers)
             answers += decisions(server, 0, step, 24)
             assert answers == undisturbed_answers([0])[0][:24]
-            server.close()
 
 
 def test_a_renewed_password_is_read_again(tmp_path):
@@ -346,7 +304,6 @@ def test_a_renewed_password_is_read_again(tmp_path):
         until(lambda: code_of(server.Act, **acting(0, 0, 0)) == grpc.StatusCode.UNAVAILABLE)
         file.write_text("renewed")
         until(lambda: code_of(server.Act, **acting(0, 0, 0)) == grpc.StatusCode.OK)
-        server.close()
 
 
 def holds(server):
@@ -390,4 +347,3 @@ def test_cluster_has_one_database(tmp_path, password):
         ) as server:
             assert code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.UNAVAILABLE
             assert "SELECT is not allowed in cluster mode" in log.read_text()
-            server.close()

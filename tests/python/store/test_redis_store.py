@@ -2,18 +2,16 @@
 
 import contextlib
 import json
-import os
 import queue
 import shutil
 import signal
-import subprocess
 import time
 
 import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis
-from security import ADMIN, POLICY, TOKENS, code_of, service_with, until
-from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, method_of, metric, running_server
+from security import POLICY, TOKENS, code_of, fails_with, service_with, until
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, method_of, metric, refusal_at_start, running_server
 from stored_sessions import (
     SESSIONS,
     Restartable,
@@ -39,18 +37,13 @@ def redis():
 
 
 @pytest.fixture
-def replicas(redis, tmp_path):
+def replicas(redis, password):
     """Two servers with one store."""
     redis.command("FLUSHALL")
-    password = tmp_path / "password"
-    password.write_text("secret\n")
-    flags = [f"--store_password_file={password}"]
     store = f"redis://127.0.0.1:{redis.port}/1"
-    with Restartable(store, flags) as first, Restartable(store, flags) as second:
+    with Restartable(store, [password]) as first, Restartable(store, [password]) as second:
         yield first, second
         redis.process.send_signal(signal.SIGCONT)
-        first.close()
-        second.close()
 
 
 def act(server, i, step, session=None):
@@ -67,8 +60,7 @@ def test_the_other_replica_goes_on_after_a_kill(replicas):
             serving[0].kill()
             serving[0] = second if serving[0] is first else first
             if (episode, step) == (0, 21):
-                first.stack.close()
-                first.start()
+                first.restart()
 
     assert play(lambda: serving[0], disturb) == undisturbed_play()
     assert metric(serving[0], 'spikeserve_store_claims_total{outcome="claimed"}') >= SESSIONS
@@ -142,9 +134,8 @@ def test_redis_does_not_answer(redis, replicas):
     asynchronous = first.OpenSession(**opening(2) | {"durability": "ASYNC"}).session_id
     act(first, 0, 0)
     redis.process.send_signal(signal.SIGSTOP)
-    with pytest.raises(grpc.RpcError) as error:
+    with fails_with(grpc.StatusCode.UNAVAILABLE) as error:
         act(first, 0, 1)
-    assert error.value.code() == grpc.StatusCode.UNAVAILABLE
     assert "grpc-status-details-bin" in dict(error.value.trailing_metadata())
     for step in range(LARGEST_LEAD):
         act(first, 2, step, asynchronous)
@@ -160,9 +151,9 @@ def test_redis_does_not_answer(redis, replicas):
     assert second.GetSession(session_id=opening(0)["session_id"]).decisions == 2
 
 
-def test_a_stream_decides_while_the_store_is_slow(redis, tmp_path):
+def test_a_stream_decides_while_the_store_is_slow(redis, tmp_path, password):
     """Its answers wait for the store, but its next requests are decided, although the tenant has a limit."""
-    with limited_server(redis, tmp_path, decisions_per_second=1000) as server:
+    with limited_server(redis, tmp_path, password, decisions_per_second=1000) as server:
         with service_with(server.addresses, "agent") as service:
             opened = [service.OpenSession(policy="cartpole").session_id for _ in range(3)]
             redis.process.send_signal(signal.SIGSTOP)
@@ -173,11 +164,10 @@ def test_a_stream_decides_while_the_store_is_slow(redis, tmp_path):
             for session in opened:
                 until(lambda session=session: code_of(service.GetSession, session_id=session) == grpc.StatusCode.OK)
                 assert service.GetSession(session_id=session).decisions == 1
-        server.close()
 
 
-def test_a_refusal_on_a_stream_waits_for_the_answers_before_it(redis, tmp_path):
-    with limited_server(redis, tmp_path, decisions_per_second=2) as server:
+def test_a_refusal_on_a_stream_waits_for_the_answers_before_it(redis, tmp_path, password):
+    with limited_server(redis, tmp_path, password, decisions_per_second=2) as server:
         with service_with(server.addresses, "agent") as service:
             session = service.OpenSession(policy="cartpole").session_id
             redis.process.send_signal(signal.SIGSTOP)
@@ -188,16 +178,14 @@ def test_a_refusal_on_a_stream_waits_for_the_answers_before_it(redis, tmp_path):
         codes = [answer.error.code for answer in answers]
         assert codes[0] == grpc.StatusCode.UNAVAILABLE.value[0]
         assert grpc.StatusCode.RESOURCE_EXHAUSTED.value[0] in codes
-        server.close()
 
 
 @contextlib.contextmanager
-def limited_server(redis, tmp_path, **limits):
+def limited_server(redis, tmp_path, password, **limits):
     """Starts a server whose tenant has limits, and the token "agent"."""
-    tokens, password = tmp_path / "tokens.json", tmp_path / "password"
+    tokens = tmp_path / "tokens.json"
     tokens.write_text(json.dumps({"tenants": {"fleet": limits}, "tokens": TOKENS["tokens"][:1]}))
-    password.write_text("secret\n")
-    flags = [f"--tokens={tokens}", f"--store_password_file={password}", "--durability=sync"]
+    flags = [f"--tokens={tokens}", password, "--durability=sync"]
     with Restartable(f"redis://127.0.0.1:{redis.port}/2", flags) as server:
         yield server
 
@@ -230,9 +218,7 @@ def test_a_closed_session_is_closed_for_all(replicas):
     first, second = replicas
     first.OpenSession(**opening(0))
     second.CloseSession(session_id=opening(0)["session_id"])
-    with pytest.raises(grpc.RpcError) as error:
-        second.OpenSession(**opening(0))
-    assert error.value.code() == grpc.StatusCode.ALREADY_EXISTS
+    assert code_of(second.OpenSession, **opening(0)) == grpc.StatusCode.ALREADY_EXISTS
 
 
 def test_a_former_owner_closes_the_session_for_all_or_not_at_all(redis, replicas):
@@ -250,52 +236,41 @@ def test_a_former_owner_closes_the_session_for_all_or_not_at_all(redis, replicas
     until(lambda: code_of(act, second, 0, 2) == grpc.StatusCode.NOT_FOUND)
 
 
-def test_a_replica_with_other_bytes_of_the_policy_leaves_the_session_to_its_owner(redis, tmp_path):
+def test_a_replica_with_other_bytes_of_the_policy_leaves_the_session_to_its_owner(redis, tmp_path, password):
     redis.command("FLUSHALL")
-    password = tmp_path / "password"
-    password.write_text("secret\n")
     policies = tmp_path / "policies"
     shutil.copytree(SHIPPED_POLICIES / "cartpole" / "2", policies / "cartpole" / "1")
-    store, flags = f"redis://127.0.0.1:{redis.port}", [f"--store_password_file={password}"]
+    store, flags = f"redis://127.0.0.1:{redis.port}", [password]
     with Restartable(store, flags) as owner, Restartable(store, flags, policies) as other:
         owner.OpenSession(**opening(0))
         for step in range(4):
-            with pytest.raises(grpc.RpcError) as error:
+            with fails_with(grpc.StatusCode.UNAVAILABLE, "whose file is another one here"):
                 act(other, 0, step)
-            assert error.value.code() == grpc.StatusCode.UNAVAILABLE
-            assert "whose file is another one here" in error.value.details()
             assert act(owner, 0, step).step == step
         assert metric(owner, "spikeserve_store_fences_total") == 0
         assert metric(other, 'spikeserve_store_claims_total{outcome="failed"}') == 4
         assert redis.command(f"HGET ss:{{{opening(0)['session_id']}}}:o epoch") == b"1"
-        owner.close()
-        other.close()
 
 
-def test_a_replica_with_other_bytes_of_the_policy_opens_no_session_on_it(redis, tmp_path):
+def test_a_replica_with_other_bytes_of_the_policy_opens_no_session_on_it(redis, tmp_path, password):
     redis.command("FLUSHALL")
-    password = tmp_path / "password"
-    password.write_text("secret\n")
     policies = tmp_path / "policies"
     shutil.copytree(SHIPPED_POLICIES / "cartpole" / "2", policies / "cartpole" / "1")
     shutil.copytree(SHIPPED_POLICIES / "cartpole" / "2", policies / "cartpole" / "2")
-    store, flags = f"redis://127.0.0.1:{redis.port}", [f"--store_password_file={password}"]
+    store, flags = f"redis://127.0.0.1:{redis.port}", [password]
 
     def open_at(server, **fields):
         server.OpenSession(**{"policy": "cartpole", "version": 1, "durability": "ASYNC"} | fields)
 
     with Restartable(store, flags) as first, Restartable(store, flags, policies) as other:
-        with pytest.raises(grpc.RpcError, match="whose file is another one here") as error:
+        with fails_with(grpc.StatusCode.UNAVAILABLE, "whose file is another one here"):
             open_at(other)
-        assert error.value.code() == grpc.StatusCode.UNAVAILABLE
         open_at(other, durability="NONE")
         open_at(other, version=2)
         open_at(first)
         shutil.copy(SHIPPED_POLICIES / "cartpole" / "1" / "policy.safetensors", policies / "cartpole" / "1")
-        Service(other.channel, ADMIN).ReloadPolicies()
+        other.admin.ReloadPolicies()
         until(lambda: code_of(other.OpenSession, policy="cartpole", version=1) == grpc.StatusCode.OK)
-        first.close()
-        other.close()
 
 
 def commands_of(redis):
@@ -305,11 +280,9 @@ def commands_of(redis):
 
 
 @pytest.fixture
-def server_with(redis, tmp_path):
+def server_with(redis, tmp_path, password):
     """Returns a function that makes a server with so many versions of a policy."""
     redis.command("FLUSHALL")
-    password = tmp_path / "password"
-    password.write_text("secret\n")
 
     def make(versions):
         policies = tmp_path / str(versions) / "cartpole"
@@ -317,8 +290,7 @@ def server_with(redis, tmp_path):
         for version in range(2, versions + 1):
             (policies / str(version)).mkdir()
             (policies / str(version) / "policy.safetensors").hardlink_to(policies / "1" / "policy.safetensors")
-        flags = [f"--store_password_file={password}"]
-        return Restartable(f"redis://127.0.0.1:{redis.port}", flags, policies.parent)
+        return Restartable(f"redis://127.0.0.1:{redis.port}", [password], policies.parent)
 
     return make
 
@@ -346,8 +318,6 @@ def test_claims_do_not_grow_with_the_versions(redis, server_with):
             with monitored(redis, [session.encode()]) as commands:
                 act(other, 0, 0, session)
             sizes.append(sum(map(len, commands)))
-            owner.close()
-            other.close()
     print(sizes)
     assert abs(sizes[1] - sizes[0]) < 64  # numbers of different lengths
 
@@ -361,51 +331,47 @@ def test_polling_does_not_grow_with_the_versions(redis, server_with):
         time.sleep(window)  # the interval that is measured
         # Three commands for each of at most 48 logs a second, and some for the settings.
         assert commands_of(redis) - begin < window * 256
-        server.close()
 
 
-def test_flags():
-    program = os.environ["SPIKESERVE_PROGRAM"]
+PLAIN, SECURE, NAMED = (f"--session_store={url}" for url in ("redis://host", "rediss://host", "redis://robot@host"))
 
-    def refusal(*flags):
-        run = subprocess.run(
-            [program, "--policies=/", *flags], capture_output=True, text=True, timeout=DEADLINE_SECONDS
-        )
-        assert run.returncode == 1
-        return run.stderr
 
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (["--store_password_file=/x"], "--store_password_file: expected none"),
+        (["--store_replicas=1"], "--store_replicas: expected 0 without a store in Redis, received 1"),
+        ([PLAIN, "--store_ca=/x"], "--store_ca: expected none unless --session_store begins with rediss"),
+        ([SECURE, "--store_ca=/x"], "--store_ca: expected a PEM file of authorities, received /x"),
+        ([SECURE, "--store_key=/x"], "--store_certificate, --store_key: expected both or none"),
+        (["--store_retention=1s"], "--store_retention: expected at least"),
+        ([PLAIN, "--store_timeout=0s"], "--store_timeout: expected at least 10ms, received 0"),
+        (["--store_user=robot"], "--store_user: expected none without a store in Redis, received robot"),
+        ([NAMED, "--store_user=robot"], "--store_user: expected none, because --session_store names one"),
+    ],
+)
+def test_flags(flags, message):
+    assert message in refusal_at_start(*flags)
+
+
+def test_addresses_of_stores():
     expected = "expected memory, file:DIR, redis://[USER@]HOST[:PORT][,...][/DATABASE], redis+sentinel://[USER@]HOST"
     for wrong in (
         *("redis://", "redis://host:0", "redis://host/x", "redis://a,", "redis://[::1", "redis://[::1]x", "redis://@a"),
         *("redis+sentinel://host", "redis+sentinel://host/", "redis://host/1/2", "file:", "disk"),
     ):
-        assert expected in refusal(f"--session_store={wrong}")
-    assert "--store_password_file: expected none" in refusal("--store_password_file=/x")
-    assert "--store_replicas: expected 0 without a store in Redis, received 1" in refusal("--store_replicas=1")
-    plain = "--session_store=redis://host"
-    assert "--store_ca: expected none unless --session_store begins with rediss" in refusal(plain, "--store_ca=/x")
-    secure = "--session_store=rediss://host"
-    assert "--store_ca: expected a PEM file of authorities, received /x" in refusal(secure, "--store_ca=/x")
-    assert "--store_certificate, --store_key: expected both or none" in refusal(secure, "--store_key=/x")
-    assert "--store_retention: expected at least" in refusal("--store_retention=1s")
-    assert "--store_timeout: expected at least 10ms, received 0" in refusal(plain, "--store_timeout=0s")
-    assert "--store_user: expected none without a store in Redis, received robot" in refusal("--store_user=robot")
-    named = "--session_store=redis://robot@host"
-    assert "--store_user: expected none, because --session_store names one" in refusal(named, "--store_user=robot")
-    with_password = refusal("--session_store=redis://robot:hidden@host")
+        assert expected in refusal_at_start(f"--session_store={wrong}")
+    with_password = refusal_at_start("--session_store=redis://robot:hidden@host")
     assert "expected the password of Redis in the file of --store_password_file" in with_password
     assert "hidden" not in with_password
 
 
-def test_a_server_that_stops_hands_its_sessions_over(redis, tmp_path):
+def test_a_server_that_stops_hands_its_sessions_over(redis, tmp_path, password):
     """SIGTERM: streams end with UNAVAILABLE, and every session has a last snapshot and no owner."""
     redis.command("FLUSHALL")
-    password = tmp_path / "password"
-    password.write_text("secret\n")
-    flags = [f"--store_password_file={password}"]
     store = f"redis://127.0.0.1:{redis.port}"
-    with Restartable(store, flags) as second, running_server(
-        flags=[f"--session_store={store}", *flags]
+    with Restartable(store, [password]) as second, running_server(
+        flags=[f"--session_store={store}", password]
     ) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
         first = Service(channel, "spikeserve.v1.PolicyService")
         for i in range(6):
@@ -418,9 +384,7 @@ def test_a_server_that_stops_hands_its_sessions_over(redis, tmp_path):
         answers = stream(iter(requests.get, None))
         assert next(answers).step == 5
         addresses.process.terminate()
-        with pytest.raises(grpc.RpcError) as error:
-            next(answers)
-        assert error.value.code() == grpc.StatusCode.UNAVAILABLE
+        assert code_of(next, answers) == grpc.StatusCode.UNAVAILABLE
         addresses.process.wait()
         for i in range(6):
             owner, epoch = redis.command(f"HMGET ss:{{{i:032x}}}:o owner epoch")
@@ -431,7 +395,6 @@ def test_a_server_that_stops_hands_its_sessions_over(redis, tmp_path):
             assert second.GetSession(session_id=f"{i:032x}").decisions == (6 if i == 0 else 5)
         assert metric(second, "spikeserve_store_replayed_entries_total") == replayed
         requests.put(None)
-        second.close()
 
 
 def test_what_is_counted(redis, replicas):

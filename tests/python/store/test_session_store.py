@@ -6,7 +6,7 @@ import shutil
 
 import grpc
 import pytest
-from security import OBSERVATION, POLICY, TOKENS, code_of, service_with, until
+from security import OBSERVATION, POLICY, TOKENS, code_of, fails_with, service_with, until
 from serving import SHIPPED_POLICIES, Service, method_of
 from stored_sessions import (
     DEADLINE_SECONDS,
@@ -25,7 +25,6 @@ from stored_sessions import (
 def server(tmp_path):
     with Restartable(f"file:{tmp_path}/store") as started:
         yield started
-        started.close()
 
 
 @pytest.fixture(scope="module")
@@ -67,9 +66,8 @@ def test_asynchronous_sessions_ask_for_what_was_lost(server):
     answers = [server.Act(**request) for request in requests]
     durable = answers[-1].durable_decision
     server.restart()
-    with pytest.raises(grpc.RpcError) as error:
+    with fails_with(grpc.StatusCode.FAILED_PRECONDITION) as error:
         server.Act(**acting(0, 0, 201) | {"session_id": session, "decision": 201})
-    assert error.value.code() == grpc.StatusCode.FAILED_PRECONDITION
     expected = expected_decision(server.channel, error.value)
     assert durable <= expected <= 200
     for step in range(expected, 200):
@@ -89,9 +87,7 @@ def test_opening_is_idempotent(server):
     assert server.OpenSession(**opening(5)).SerializeToString() == first
     server.restart()
     assert server.OpenSession(**opening(5)).SerializeToString() == first
-    with pytest.raises(grpc.RpcError) as error:
-        server.OpenSession(**opening(5) | {"seed": 6})
-    assert error.value.code() == grpc.StatusCode.ALREADY_EXISTS
+    assert code_of(server.OpenSession, **opening(5) | {"seed": 6}) == grpc.StatusCode.ALREADY_EXISTS
 
 
 def test_a_session_over_the_limit_is_refused_at_once(tmp_path):
@@ -101,7 +97,6 @@ def test_a_session_over_the_limit_is_refused_at_once(tmp_path):
             full.OpenSession(**opening(0))
             refused = code_of(full.OpenSession, policy="cartpole", durability=durability)
             assert refused == grpc.StatusCode.RESOURCE_EXHAUSTED
-        full.close()
 
 
 def test_a_closed_session_stays_closed(server):
@@ -109,9 +104,7 @@ def test_a_closed_session_stays_closed(server):
     server.restart()
     server.CloseSession(session_id=session)
     server.restart()
-    with pytest.raises(grpc.RpcError) as error:
-        server.GetSession(session_id=session)
-    assert error.value.code() == grpc.StatusCode.NOT_FOUND
+    assert code_of(server.GetSession, session_id=session) == grpc.StatusCode.NOT_FOUND
 
 
 def test_levels(server):
@@ -127,9 +120,7 @@ def test_levels(server):
     assert level(learning={"scope": "FLEET"}, durability="NONE", **sampled) == sync
     session = server.OpenSession(policy="cartpole", durability="NONE").session_id
     server.restart()
-    with pytest.raises(grpc.RpcError) as error:
-        server.GetSession(session_id=session)
-    assert error.value.code() == grpc.StatusCode.NOT_FOUND
+    assert code_of(server.GetSession, session_id=session) == grpc.StatusCode.NOT_FOUND
 
 
 def test_the_ceiling_of_a_tenant(tmp_path):
@@ -153,9 +144,8 @@ def test_the_ceiling_of_a_tenant(tmp_path):
             assert [level(), level(**learning), level(durability="ASYNC")] == [asynchronous] * 3
             assert level(durability="NONE") == none
             for fields, why in (({"durability": "SYNC"}, ""), (fleet, ", which learning.scope FLEET needs")):
-                with pytest.raises(grpc.RpcError) as error:
+                with fails_with(grpc.StatusCode.PERMISSION_DENIED) as error:
                     level(**fields)
-                assert error.value.code() == grpc.StatusCode.PERMISSION_DENIED
                 assert error.value.details() == (
                     "durability: expected at most ASYNC, the max_durability of tenant fleet, received SYNC" + why
                 )
@@ -165,7 +155,6 @@ def test_the_ceiling_of_a_tenant(tmp_path):
             assert code_of(service.OpenSession, policy="cartpole", durability="ASYNC") == denied
             write("sync")
             until(lambda: level() == sync)
-        server.close()
 
 
 def test_episodes_are_ended_once(server):
@@ -176,19 +165,15 @@ def test_episodes_are_ended_once(server):
         ({"episode": 1, "steps": 3}, "episode: expected 0, received 1"),
         ({"episode": 0, "steps": 2}, "steps: expected 3, received 2"),
     ]:
-        with pytest.raises(grpc.RpcError) as error:
+        with fails_with(grpc.StatusCode.FAILED_PRECONDITION, whole=message) as error:
             server.EndEpisode(**ending(0, 0) | wrong)
-        assert error.value.code() == grpc.StatusCode.FAILED_PRECONDITION
-        assert error.value.details() == message
         assert expected_decision(server.channel, error.value) == 3
     ended = server.EndEpisode(**ending(0, 0) | {"steps": 3}).SerializeToString()
     server.restart()
     assert server.EndEpisode(**ending(0, 0) | {"steps": 3}).SerializeToString() == ended
     server.Act(**acting(0, 0, 0) | {"decision": 3})
     # The late repetition of the first end must not end the second episode.
-    with pytest.raises(grpc.RpcError) as error:
-        server.EndEpisode(**ending(0, 0) | {"steps": 3})
-    assert error.value.code() == grpc.StatusCode.FAILED_PRECONDITION
+    assert code_of(server.EndEpisode, **ending(0, 0) | {"steps": 3}) == grpc.StatusCode.FAILED_PRECONDITION
 
 
 def test_step_5_of_another_episode_is_not_taken_for_this_one(server):
@@ -229,14 +214,11 @@ def test_a_session_waits_for_its_policy(tmp_path):
         kept = file.read_bytes()
         file.write_bytes((policies / "cartpole" / "2" / "policy.safetensors").read_bytes())
         server.restart()
-        with pytest.raises(grpc.RpcError) as error:
+        with fails_with(grpc.StatusCode.UNAVAILABLE, "whose file is another one here"):
             server.Act(**acting(0, 0, 1))
-        assert error.value.code() == grpc.StatusCode.UNAVAILABLE
-        assert "whose file is another one here" in error.value.details()
         file.write_bytes(kept)
         server.restart()
         assert comparable(server.Act(**acting(0, 0, 0))) == first
-        server.close()
 
 
 def test_other_tenants_do_not_get_the_session(tmp_path, tokens):
@@ -251,21 +233,17 @@ def test_other_tenants_do_not_get_the_session(tmp_path, tokens):
                 assert code_of(call, session_id=session) == not_found
         with service_with(server.addresses, "agent") as ours:
             assert ours.GetSession(session_id=session).decisions == 1
-        server.close()
 
 
 def test_without_a_store(address):
     with grpc.insecure_channel(address) as channel:
         service = Service(channel, "spikeserve.v1.PolicyService")
-        with pytest.raises(grpc.RpcError) as error:
+        with fails_with(grpc.StatusCode.INVALID_ARGUMENT) as error:
             service.OpenSession(policy="cartpole", durability="SYNC")
-        assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
         assert error.value.details() == (
             "durability: expected NONE, because the server runs without --session_store, received SYNC"
         )
-        with pytest.raises(grpc.RpcError) as error:
-            service.OpenSession(policy="cartpole", session_id="7")
-        assert error.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+        assert code_of(service.OpenSession, policy="cartpole", session_id="7") == grpc.StatusCode.INVALID_ARGUMENT
         opened = service.OpenSession(policy="cartpole", session_id="7" * 32)
         assert (opened.session_id, opened.durability) == ("7" * 32, 1)
         answer = service.Act(session_id="7" * 32, observation=[0.0] * 4)

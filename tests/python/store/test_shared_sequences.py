@@ -66,7 +66,6 @@ def undisturbed():
     with Restartable("memory") as server:
         answers, token = play(Agent(server))
         assert token == ""
-        server.close()
         return answers
 
 
@@ -91,11 +90,8 @@ def test_an_older_sequence_of_the_same_id_answers_nothing(redis, undisturbed, re
                 assert code_of(agent.infer, STEPS // 2, old) == grpc.StatusCode.NOT_FOUND
         more, _ = play(newer, STEPS // 2, STEPS, token)
         assert answers + more == undisturbed
-        first.close()
-        second.close()
 
 
 def test_a_flag_leaves_the_token_out(redis, undisturbed):
     with Restartable(f"redis://127.0.0.1:{redis.port}", ["--allow_unconfirmed_sequences"]) as server:
         assert play(Agent(server)) == (undisturbed, "")
-        server.close()

@@ -4,15 +4,11 @@ A Cluster does that to a script whose next key has moved to another node. Here a
 command before which its scripts end.
 """
 
-import contextlib
-import socket
-import threading
-
 import grpc
 import pytest
+from links import Link
 from redis_servers import WITHOUT_REDIS, start_cluster, stopping
-from security import ADMIN, code_of, until
-from serving import Service
+from security import code_of, until
 from stored_sessions import Restartable, acting, comparable, opening, until_answered
 
 pytestmark = WITHOUT_REDIS
@@ -36,55 +32,34 @@ local redis = {call = counted(real.call), pcall = counted(real.pcall), sha1hex =
 """
 
 
-class StoppingRoute:
-    """Forwards connections to Redis. Scripts that contain `stopped` end before command(keys)."""
+class StoppingRoute(Link):
+    """A way to Redis, whose `target` is set later. Scripts that contain `stopped` end before command(keys)."""
 
     def __init__(self):
-        self.target = None  # port of Redis
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port = self._listener.getsockname()[1]
+        super().__init__(None)
         self.stopped = None
         self.command = lambda keys: next(k for k in SESSIONS if name(k).encode() in keys)
         self.seen = set()  # keys of scripts that were stopped, or had fewer commands
         self.cuts = None  # session whose next entry is not forwarded, and ends its connection
-        threading.Thread(target=self._accept, daemon=True).start()
 
-    def _accept(self):
-        with contextlib.suppress(OSError):
-            while True:
-                client, _ = self._listener.accept()
-                redis = socket.create_connection(("127.0.0.1", self.target))
-                threading.Thread(target=self._forward, args=(client, redis), daemon=True).start()
-                threading.Thread(target=self._answer, args=(client, redis), daemon=True).start()
-
-    def _forward(self, client, redis):
-        lines = client.makefile("rb")
-        with contextlib.suppress(OSError, ValueError):
-            while line := lines.readline():
-                words = []
-                for _ in range(int(line[1:])):
-                    words.append(lines.read(int(lines.readline()[1:]) + 2)[:-2])
-                if self.cuts and words[0] == b"RPUSHX" and self.cuts.encode() in words[1]:
-                    self.cuts = None
-                    break
-                if words[0] == b"EVAL" and self.stopped is not None and self.stopped in words[1]:
-                    keys = b" ".join(words[3 : 3 + int(words[2])])
-                    words[1] = (STOP % self.command(keys)).encode() + words[1]
-                    self.seen.add(keys)
-                parts = [b"$%d\r\n%s\r\n" % (len(word), word) for word in words]
-                redis.sendall(b"*%d\r\n%s" % (len(words), b"".join(parts)))
-        for side in (client, redis):
-            with contextlib.suppress(OSError):
-                side.shutdown(socket.SHUT_RDWR)
-
-    def _answer(self, client, redis):
-        with contextlib.suppress(OSError):
-            while data := redis.recv(1 << 16):
-                client.sendall(data)
-            client.shutdown(socket.SHUT_RDWR)
-
-    def close(self):
-        self._listener.close()
+    def pieces(self, pipe):
+        if pipe.answers is None:
+            yield from super().pieces(pipe)
+            return
+        lines = pipe.source.makefile("rb")
+        while line := lines.readline():
+            words = []
+            for _ in range(int(line[1:])):
+                words.append(lines.read(int(lines.readline()[1:]) + 2)[:-2])
+            if self.cuts and words[0] == b"RPUSHX" and self.cuts.encode() in words[1]:
+                self.cuts = None
+                return
+            if words[0] == b"EVAL" and self.stopped is not None and self.stopped in words[1]:
+                keys = b" ".join(words[3 : 3 + int(words[2])])
+                words[1] = (STOP % self.command(keys)).encode() + words[1]
+                self.seen.add(keys)
+            parts = [b"$%d\r\n%s\r\n" % (len(word), word) for word in words]
+            yield b"*%d\r\n%s" % (len(words), b"".join(parts))
 
 
 def name(k):
@@ -107,21 +82,19 @@ def undisturbed():
     with Restartable("memory") as server:
         server.OpenSession(**opening(KIND) | {"session_id": name(0), "durability": "NONE"})
         yield play(server, 0, 0, 22)
-        server.close()
 
 
 @pytest.fixture
 def store():
     """Yields a node of a Cluster, a route to it that stops scripts, and a server that takes it, with the sessions."""
-    with stopping([]) as nodes, contextlib.closing(StoppingRoute()) as route:
+    with stopping([]) as nodes, StoppingRoute() as route:
         start_cluster(nodes, nodes=1, flags=("--cluster-announce-port", str(route.port)), password="")
-        route.target = nodes[0].port
+        route.target = f"127.0.0.1:{nodes[0].port}"
         with Restartable(f"redis://127.0.0.1:{route.port}") as server:
             for k in SESSIONS:
                 opened = opening(KIND) | {"session_id": name(k)}
                 until(lambda opened=opened: code_of(server.OpenSession, **opened) == grpc.StatusCode.OK)
             yield nodes[0], route, server
-            server.close()
 
 
 def stop_all(route, script, call):
@@ -229,5 +202,5 @@ def test_a_log_that_is_written_again(store):
         route.stopped = None
         until(lambda: node.command(f"XLEN {log}") == 1)
     next_owner(route, server)
-    head = Service(server.channel, ADMIN).GetHead(policy="cartpole", version=1)
+    head = server.admin.GetHead(policy="cartpole", version=1)
     assert head.updates + head.rejected_updates == 3

@@ -3,13 +3,12 @@
 import json
 import os
 import struct
-import subprocess
 
 import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis, start_cluster, stopping
-from security import until
-from serving import DEADLINE_SECONDS, SHIPPED_POLICIES
+from security import code_of, until
+from serving import refusal_at_start, run
 from stored_sessions import Restartable, acting, comparable, expected_decision, opening
 
 SESSIONS = 6
@@ -18,13 +17,8 @@ SESSIONS = 6
 def check(store, *flags, prefix=()):
     """Returns the exit status and the report. `prefix` is a command that runs spikectl."""
     program = os.environ["SPIKECTL_PROGRAM"]
-    run = subprocess.run(
-        [*prefix, program, "store", "check", "--json", f"--session_store={store}", *flags],
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_SECONDS,
-    )
-    return run.returncode, json.loads(run.stdout) if run.stdout else run.stderr
+    done = run(*prefix, program, "store", "check", "--json", f"--session_store={store}", *flags, status=None)
+    return done.returncode, json.loads(done.stdout) if done.stdout else done.stderr
 
 
 def play(server):
@@ -59,7 +53,6 @@ def test_a_file(tmp_path):
         assert len(report["damaged"]) == 1
         assert names(report["damaged"]) < {each.decode() for each in ids}
         server.restart()
-        server.close()
 
 
 def flip(file, part):
@@ -99,16 +92,12 @@ def test_the_end_of_a_journal_is_cut_off_where_it_is_damaged(tmp_path):
         # An entry before others cannot be cut off, and is not served.
         flip(folder / "data.mdb", first_number(4))
         server.restart()
-        with pytest.raises(grpc.RpcError) as error:
-            server.GetSession(session_id=opening(0)["session_id"])
-        assert error.value.code() == grpc.StatusCode.DATA_LOSS
-        server.close()
+        assert code_of(server.GetSession, session_id=opening(0)["session_id"]) == grpc.StatusCode.DATA_LOSS
 
 
 def test_a_process_that_may_not_map_the_largest_store(tmp_path):
     with Restartable(f"file:{tmp_path}/store") as server:
         play(server)
-        server.close()
     status, report = check(f"file:{tmp_path}/store", prefix=["prlimit", f"--as={16 << 30}"])
     assert (status, report["open"]) == (0, SESSIONS)
 
@@ -118,17 +107,14 @@ def test_a_file_whose_end_is_missing(tmp_path):
     folder = tmp_path / "store"
     with Restartable(f"file:{folder}") as server:
         play(server)
-        server.close()
     # The first two pages name the others.
     os.truncate(folder / "data.mdb", 2 * os.sysconf("SC_PAGE_SIZE"))
     status, error = check(f"file:{folder}")
     assert status == 1
     assert "its end is missing" in error
-    program = [os.environ["SPIKESERVE_PROGRAM"], f"--policies={SHIPPED_POLICIES}", f"--session_store=file:{folder}"]
-    run = subprocess.run(program, check=False, capture_output=True, text=True, timeout=DEADLINE_SECONDS)
-    assert run.returncode == 1
-    assert f"--session_store: {folder}/data.mdb: expected" in run.stderr
-    assert "none that can be read" in run.stderr
+    said = refusal_at_start(f"--session_store=file:{folder}")
+    assert f"--session_store: {folder}/data.mdb: expected" in said
+    assert "none that can be read" in said
 
 
 def test_no_store(tmp_path):
@@ -177,4 +163,3 @@ def test_a_cluster(password):
             play(server)
             status, report = check(store, password)
             assert (status, report["open"], report["damaged"], report["orphaned"]) == (0, SESSIONS, [], [])
-            server.close()

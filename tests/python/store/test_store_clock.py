@@ -31,7 +31,6 @@ def server_with(clock, tmp_path):
                 server.OpenSession(**opening(i))
                 server.Act(**acting(i, 0, 0))
             yield server, lambda: (tmp_path / "log").read_text()
-            server.close()
 
 
 @pytest.mark.parametrize("jump", [25 * 3600, -56 * 365 * DAY, 400 * DAY])

@@ -1,15 +1,13 @@
 """A damaged page, a full disk and a removed lock cost a file store at most the sessions that they hit."""
 
-import os
 import random
 import shutil
-import subprocess
 
 import grpc
 import pytest
 from machine import fill, small_disk
 from security import code_of, until
-from serving import SHIPPED_POLICIES, Service, running_server
+from serving import refusal_at_start, running_server
 from stored_sessions import Restartable, acting, comparable, expected_decision, opening
 
 SESSIONS = 48
@@ -44,7 +42,6 @@ def played(tmp_path_factory):
         server.start()
         for i in range(SESSIONS):
             answers[i].append(comparable(server.Act(**acting(i, 0, STEPS))))
-        server.close()
     return folder / "killed", answers
 
 
@@ -150,7 +147,6 @@ def test_sessions_outside_of_damaged_pages_go_on(played, tmp_path, damage, seed)
         opened = server.OpenSession(policy="cartpole", durability="SYNC").session_id
         server.restart()
         assert server.GetSession(session_id=opened).session_id == opened
-        server.close()
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
@@ -162,7 +158,6 @@ def test_a_damaged_inner_page_ends_no_server(played, tmp_path, damage):
         for i in range(SESSIONS):
             continue_session(server, i, answers)
         assert server.OpenSession(policy="cartpole", durability="SYNC").session_id
-        server.close()
 
 
 def anything(file):
@@ -188,22 +183,9 @@ def no_tables(file):
 def test_a_file_of_which_nothing_can_be_read_is_named(played, tmp_path, damage):
     store, _ = damaged(played[0], tmp_path, damage)
     before = (store / "data.mdb").read_bytes()
-    flags = [f"--session_store=file:{store}", "--listen=127.0.0.1:0", "--http_listen="]
-    ended = run_server(flags)
-    assert ended.returncode != 0
-    assert str(store / "data.mdb") in ended.stderr
+    said = refusal_at_start(f"--session_store=file:{store}")
+    assert str(store / "data.mdb") in said
     assert (store / "data.mdb").read_bytes() == before
-
-
-def run_server(flags):
-    """Runs a server that is to end by itself, because it cannot start."""
-    return subprocess.run(
-        [os.environ["SPIKESERVE_PROGRAM"], f"--policies={SHIPPED_POLICIES}", *flags],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
 
 
 @pytest.fixture
@@ -235,7 +217,6 @@ def test_a_full_disk_refuses_sessions_and_lets_others_end(disk):
             assert code_of(server.GetSession, session_id=name(i)) == grpc.StatusCode.NOT_FOUND
         for i in left:
             assert server.Act(**acting(i, 0, 1)).durable_decision == 2
-        server.close()
 
 
 def alike(i):
@@ -258,7 +239,6 @@ def test_a_store_that_has_filled_its_disk_has_room_again_when_its_sessions_end(d
                 server.restart()
         until(lambda: code_of(server.OpenSession, **alike(0)) == grpc.StatusCode.OK)
         assert server.Act(**acting(0, 0, 0)).durable_decision == 1
-        server.close()
 
 
 def test_a_session_that_a_full_disk_refuses_is_not_in_the_store(disk):
@@ -279,16 +259,12 @@ def test_a_session_that_a_full_disk_refuses_is_not_in_the_store(disk):
         for i in refused[1:]:
             assert code_of(server.Act, **acting(i, 0, 0)) == grpc.StatusCode.NOT_FOUND
         assert server.Act(**acting(refused[0], 0, 0)).durable_decision == 1
-        server.close()
 
 
 def test_a_removed_lock_lets_no_second_server_in(tmp_path):
     store = tmp_path / "store"
     with running_server(flags=[f"--session_store=file:{store}"]) as addresses:
         (store / "owner.lock").unlink()
-        ended = run_server([f"--session_store=file:{store}", "--listen=127.0.0.1:0", "--http_listen="])
-        assert ended.returncode != 0
-        assert "expected a folder that no other server uses" in ended.stderr
-        with grpc.insecure_channel(addresses.grpc) as channel:
-            service = Service(channel, "spikeserve.v1.PolicyService")
-            assert service.OpenSession(policy="cartpole", durability="SYNC").session_id
+        said = refusal_at_start(f"--session_store=file:{store}")
+        assert "expected a folder that no other server uses" in said
+        assert addresses.agent.OpenSession(policy="cartpole", durability="SYNC").session_id

@@ -1,15 +1,12 @@
 """Redis loses what it has acknowledged, or a part of a session, while the servers that own the sessions live."""
 
-import os
 import pathlib
 import shutil
-import signal
-import subprocess
 
 import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS
-from security import code_of, until
+from security import code_of, fails_with, until
 from stored_sessions import (
     STEPS,
     Restartable,
@@ -23,6 +20,7 @@ from stored_sessions import (
     replicas_on,
     undisturbed_answers,
 )
+from serving import run
 
 pytestmark = WITHOUT_REDIS
 
@@ -115,11 +113,11 @@ def test_the_next_owner_goes_on_from_what_redis_has(redis, replicas, undisturbed
     decisions(first, i, 0, 4)
     files = Files(redis)
     decisions(first, i, 4, 8)
-    first.addresses.process.send_signal(signal.SIGSTOP)
+    first.stop()
     files.restore()
     assert decision_instead_of(second, i, 8) == 4
     assert decisions(second, i, 4, 9) == undisturbed[i][4:9]
-    first.addresses.process.send_signal(signal.SIGCONT)
+    first.resume()
     assert decide(first, i, 9) == undisturbed[i][9]
     assert decide(second, i, 10) == undisturbed[i][10]
 
@@ -185,17 +183,14 @@ def test_a_redis_that_evicts_is_no_store_for_sync(redis, tmp_path):
     redis.command("CONFIG SET maxmemory 100mb")
     redis.command("CONFIG SET maxmemory-policy volatile-lru")
     with (tmp_path / "log").open("w") as log, started_on(redis, log) as server:
-        with pytest.raises(grpc.RpcError) as error:
+        with fails_with(grpc.StatusCode.FAILED_PRECONDITION) as error:
             server.OpenSession(**opening(0))
-        assert error.value.code() == grpc.StatusCode.FAILED_PRECONDITION
         expected = "durability: maxmemory-policy of Redis: expected noeviction, received volatile-lru"
         assert expected in error.value.details()
         server.OpenSession(**opening(2) | {"durability": "ASYNC"})
         assert "expected noeviction, received volatile-lru" in log_of(tmp_path)
-        server.close()
     with (tmp_path / "log").open("w") as log, started_on(redis, log, "--store_may_evict") as server:
         server.OpenSession(**opening(0))
-        server.close()
 
 
 def test_a_session_that_redis_may_evict_now_is_refused(redis, replicas):
@@ -219,20 +214,14 @@ def test_a_session_that_redis_may_evict_now_is_refused(redis, replicas):
 )
 def test_what_the_settings_of_redis_mean_is_said(redis, tmp_path, setting, value, expected):
     redis.command(f"CONFIG SET {setting} {value}")
-    with (tmp_path / "log").open("w") as log, started_on(redis, log) as server:
+    with (tmp_path / "log").open("w") as log, started_on(redis, log):
         until(lambda: expected in log_of(tmp_path))
-        server.close()
     report = check(redis)
     assert (report.returncode, expected in report.stdout) == (0, True)
 
 
 def check(redis):
-    return subprocess.run(
-        [os.environ["SPIKECTL_PROGRAM"], "store", "check", f"--session_store=redis://127.0.0.1:{redis.port}"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return run("spikectl", "store", "check", f"--session_store=redis://127.0.0.1:{redis.port}", status=None)
 
 
 def test_orphans_fail_the_check(redis, replicas):
@@ -255,7 +244,6 @@ def test_a_session_stays_for_the_retention_after_its_last_use(redis):
         server.Act(**acting(0, 0, 0))
         until(lambda: redis.command(f"PTTL {hash_of(0)}") > 6000)
         until(lambda: redis.command(f"PTTL {list_of(redis, 0)}") > 6000)
-        server.close()
 
 
 def test_a_closed_session_leaves_a_small_tombstone_for_a_while(redis, replicas):
@@ -267,9 +255,7 @@ def test_a_closed_session_leaves_a_small_tombstone_for_a_while(redis, replicas):
     assert redis.command(f"KEYS {hash_of(0)[:-1]}*") == [hash_of(0).encode()]
     assert redis.command(f"MEMORY USAGE {hash_of(0)}") < 300
     assert 0 < redis.command(f"PTTL {hash_of(0)}") <= 600_000
-    with pytest.raises(grpc.RpcError) as error:
-        second.OpenSession(**opening(0))
-    assert error.value.code() == grpc.StatusCode.ALREADY_EXISTS
+    assert code_of(second.OpenSession, **opening(0)) == grpc.StatusCode.ALREADY_EXISTS
 
 
 def test_an_end_of_an_episode_that_redis_has_lost(redis, replicas):
@@ -323,11 +309,11 @@ def test_a_former_owner_leaves_a_lost_session_to_a_newer_copy(redis, replicas, u
 def test_a_newer_copy_that_comes_late_replaces_the_one_that_was_taken_back(redis, replicas, undisturbed, i):
     first, second = replicas
     answers = take_over(replicas, i)
-    second.addresses.process.send_signal(signal.SIGSTOP)
+    second.stop()
     lose(redis, i)
     until(lambda: code_of(first.Act, **acting(i, 0, 8)) == grpc.StatusCode.FAILED_PRECONDITION)
     assert redis.command(f"EXISTS {hash_of(i)}") == 1
-    second.addresses.process.send_signal(signal.SIGCONT)
+    second.resume()
     answers += decisions(second, i, 8, 10)
     answers += decisions(first, i, 10, 12)
     assert answers == undisturbed[i][:12]

@@ -17,7 +17,7 @@ import pytest
 import spikeserve
 import spikeserve_engine
 from gymnasium import spaces
-from serving import running_server
+from serving import run, running_server
 from spikeserve.flat_spaces import ObservationMap
 from spikeserve.imitation.actors import Bursts, ExpertActor
 from spikeserve.imitation.baselines import BaselineActor, Comparison
@@ -54,8 +54,7 @@ def record(folder, name, episodes):
 
 
 def spiketrain(*arguments):
-    finished = subprocess.run([SPIKETRAIN, *map(str, arguments)], capture_output=True, text=True, check=False)
-    assert finished.returncode == 0, finished.stderr[-2000:]
+    finished = run(SPIKETRAIN, *map(str, arguments))
     return finished.stdout
 
 
@@ -155,7 +154,6 @@ def test_a_killed_server_knows_the_last_observation(tmp_path):
             expected = mine.act(np.array(seen, np.float32), 0.1).action
             np.testing.assert_array_equal(np.array(theirs.action.continuous.values, np.float32), expected)
             server.restart()
-        server.close()
 
 
 SMALLEST = ImitationOptions(
@@ -281,8 +279,7 @@ def test_an_interrupted_run_continues(tmp_path):
     program = pathlib.Path(__file__).with_name("interrupted_imitation.py")
     command = [sys.executable, str(program), str(tmp_path / "run")]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    first = subprocess.run([*command, "interrupt"], capture_output=True, text=True, env=environment, check=False)
-    assert first.returncode == 130, first.stderr[-2000:]
+    first = run(*command, "interrupt", status=130, env=environment)
     assert first.stderr.endswith("spikeserve imitate: interrupted; the same command continues\n")
     recorded = (tmp_path / "run/data/expert-v0/data/main_data.hdf5").read_bytes()
     again = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)

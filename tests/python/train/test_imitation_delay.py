@@ -2,7 +2,6 @@
 
 import json
 import os
-import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -15,6 +14,7 @@ from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Episode, play
 from spikeserve.imitation.options import ImitationOptions
 from spikeserve.imitation.pipeline import imitate
+from serving import run
 
 
 @pytest.mark.parametrize(
@@ -163,10 +163,7 @@ def test_a_run_imitates_and_evaluates_with_the_delay(tmp_path):
 def test_the_command_refuses_a_range_before_it_records(tmp_path):
     command = [sys.executable, "-m", "spikeserve", "imitate", "CartPole-v1", "--expert=home_made:balance"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    finished = subprocess.run(
-        [*command, f"--out={tmp_path / 'run'}", "--delay=5..0"], env=environment, capture_output=True, text=True, check=False
-    )
-    assert finished.returncode == 1
+    finished = run(*command, f"--out={tmp_path / 'run'}", "--delay=5..0", status=1, env=environment)
     assert finished.stderr == (
         "spikeserve imitate: delay: expected 0 to 1000 beats, as a number like 3 or a range like 0..5, received 5..0\n"
     )

@@ -4,7 +4,6 @@ import hashlib
 import json
 import os
 import pathlib
-import subprocess
 import sys
 import types
 
@@ -28,6 +27,7 @@ from spikeserve.imitation.images import image_flags
 from spikeserve.imitation.options import ImitationOptions
 from spikeserve.imitation.pipeline import has_stalled
 from spikeserve.imitation.training import Spiketrain, Training
+from serving import run
 
 SPIKETRAIN = os.environ["SPIKETRAIN"]
 SMALLEST = ImitationOptions(
@@ -341,8 +341,7 @@ def test_the_command_refuses_train_flags_before_it_records(tmp_path):
     command = [sys.executable, "-m", "spikeserve", "imitate", "CartPole-v1", "--expert=home_made:balance"]
     flags = [f"--out={tmp_path}/run", "--train-flags=--arithmetic=integer"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    finished = subprocess.run([*command, *flags], capture_output=True, text=True, env=environment, check=False)
-    assert finished.returncode == 1
+    finished = run(*command, *flags, status=1, env=environment)
     assert "train_flags: expected no --arithmetic" in finished.stderr
     assert "received --arithmetic=integer" in finished.stderr
     assert not (tmp_path / "run").exists()

@@ -6,14 +6,12 @@ same figures and must fire at the same times.
 
 import collections
 import json
-import os
 import re
-import subprocess
 
 import pytest
 import yaml
 
-from serving import DEPLOY
+from serving import DEPLOY, run
 
 # Everything is text for this loader; to others, 0x20 (twenty-one zeros) is a hexadecimal number.
 TESTS = yaml.load((DEPLOY / "prometheus/alerts_test.yml").read_text(), Loader=yaml.BaseLoader)["tests"]
@@ -83,13 +81,7 @@ def replay(samples, interval, end):
     ticks = [
         {"time": time, "metrics": metrics_at(samples, int(time // interval))} for time in range(0, end + 1, 60)
     ]
-    answer = subprocess.run(
-        [os.environ["ALERT_REPLAY_PROGRAM"]],
-        input=json.dumps({"ticks": ticks}),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    answer = run("alert_replay", input=json.dumps({"ticks": ticks}))
     return [json.loads(line) for line in answer.stdout.splitlines()]
 
 

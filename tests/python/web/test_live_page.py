@@ -7,13 +7,11 @@ import json
 import math
 import shutil
 
-import grpc
 import pytest
 from browser import SCREENSHOTS
 from policy_file import read_policy, write_policy
 from robots import Robot
-from security import POLICY
-from serving import SHIPPED_POLICIES, Service, running_server
+from serving import SHIPPED_POLICIES, running_server
 from test_watching import get
 
 CART = [0.5, 0.0, 0.1, 0.0]
@@ -76,8 +74,8 @@ def server(tmp_path_factory):
     write_policy(policies / DOUBLE / "1/policy.safetensors", tensors, double)
     for name in [*(task[0] for task in TASKS if task[0] != DOUBLE), UNKNOWN, "cartpole-small"]:
         shutil.copytree(SHIPPED_POLICIES / name / "1", policies / name / "1")
-    with running_server(policies) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        yield addresses.http, Service(channel, POLICY)
+    with running_server(policies) as addresses:
+        yield addresses.http, addresses.agent
 
 
 def open_page(browser, server, policy, **options):

@@ -7,13 +7,11 @@ DIR.
 import json
 import re
 
-import grpc
 import pytest
 from browser import DESKTOP, PHONE, SCREENSHOTS
 from policy_file import copy_without_wiring
 from robots import Fleet
-from security import ADMIN
-from serving import SHIPPED_POLICIES, Service, running_server
+from serving import SHIPPED_POLICIES, running_server
 from test_watching import get, wait_for
 
 ENERGY_MODEL = "int_sram_45nm"
@@ -36,12 +34,11 @@ def copy_policies(directory):
 def fleet(tmp_path_factory):
     """Starts a server and a fleet. Yields the HTTP address and the fleet."""
     policies = copy_policies(tmp_path_factory.mktemp("policies"))
-    with running_server(policies) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        admin = Service(channel, ADMIN)
-        admin.SetDefaultVersion(policy="cartpole", version=1)
-        admin.SetLabel(policy="cartpole", version=1, label="stable")
-        admin.SetShadow(policy="acrobot", shadow_version=1)
-        admin.StartRollout(policy="cartpole", version=2, steps=[50, 100], min_episodes=20)
+    with running_server(policies) as addresses:
+        addresses.admin.SetDefaultVersion(policy="cartpole", version=1)
+        addresses.admin.SetLabel(policy="cartpole", version=1, label="stable")
+        addresses.admin.SetShadow(policy="acrobot", shadow_version=1)
+        addresses.admin.StartRollout(policy="cartpole", version=2, steps=[50, 100], min_episodes=20)
         robots = Fleet(addresses.grpc)
         robots.add("CartPole-v1", "cartpole", 3, prefix="arm")
         robots.add("CartPole-v1", "cartpole", 1, broken={None: 0.5}, prefix="arm")  # arm-03

@@ -1,6 +1,5 @@
 """The status page of a server shows the others that share its store in Redis."""
 
-
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis, stopping
 from security import POLICY, until
@@ -25,7 +24,6 @@ def servers():
         yield *started, redis
         for server in started:
             server.close()
-            server.stack.close()
 
 
 def told(server):
@@ -89,4 +87,3 @@ def test_a_server_without_others_tells_nothing():
         assert status_of(server)["servers"] == []
     finally:
         server.close()
-        server.stack.close()

@@ -7,8 +7,7 @@ import grpc
 import jsonschema
 import pytest
 
-from security import ADMIN, POLICY
-from serving import DEPLOY, SHIPPED_POLICIES, Service, running_server
+from serving import DEPLOY, SHIPPED_POLICIES, running_server
 from test_watching import get, wait_for
 
 SCHEMA_FILE = DEPLOY.parent / "server" / "web" / "static" / "schema.json"
@@ -33,13 +32,12 @@ def server(tmp_path_factory):
     policies = tmp_path_factory.mktemp("policies")
     for version in ("1", "2"):
         shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", policies / "robot" / version)
-    with running_server(policies) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        admin = Service(channel, ADMIN)
-        admin.SetDefaultVersion(policy="robot", version=1)
-        admin.SetLabel(policy="robot", version=1, label="stable")
-        admin.SetShadow(policy="robot", shadow_version=2)
-        admin.StartRollout(policy="robot", version=2, steps=[50, 100])
-        session = play(Service(channel, POLICY))
+    with running_server(policies) as addresses:
+        addresses.admin.SetDefaultVersion(policy="robot", version=1)
+        addresses.admin.SetLabel(policy="robot", version=1, label="stable")
+        addresses.admin.SetShadow(policy="robot", shadow_version=2)
+        addresses.admin.StartRollout(policy="robot", version=2, steps=[50, 100])
+        session = play(addresses.agent)
         played = lambda: json.loads(get(f"http://{addresses.http}/status.json"))["figures"]["decisions"] == 6
         wait_for(played, "the decisions in the history")
         yield addresses.http, session

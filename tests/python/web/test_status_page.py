@@ -4,12 +4,11 @@ import itertools
 import shutil
 import threading
 
-import grpc
 import pytest
 from policy_file import copy_without_wiring
-from security import ADMIN, until
+from security import until
 from selenium.webdriver.common.keys import Keys
-from serving import SHIPPED_POLICIES, Service, running_server, status_of
+from serving import SHIPPED_POLICIES, running_server, status_of
 
 SESSIONS = 1000
 OBSERVATION = [0.01, -0.02, 0.03, 0.1]
@@ -57,8 +56,7 @@ class Traffic:
 def server(tmp_path_factory):
     with (
         running_server(copy_policies(tmp_path_factory.mktemp("policies"))) as addresses,
-        grpc.insecure_channel(addresses.grpc) as channel,
-        Traffic(Service(channel, "spikeserve.v1.PolicyService")) as traffic,
+        Traffic(addresses.agent) as traffic,
     ):
         yield addresses, traffic
 
@@ -128,15 +126,13 @@ def test_tiles_and_charts_are_on_the_first_screen(page):
 
 def test_returns_and_learning_are_shown(page, server):
     addresses, _ = server
-    with grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, "spikeserve.v1.PolicyService")
-        session = service.OpenSession(
-            policy="quiet", action_selection="SAMPLE", learning={"modulator": "realized"}
-        ).session_id
-        for step in range(3):
-            service.Act(session_id=session, step=step, observation=OBSERVATION, reward=2.0)
-        ended = service.EndEpisode(session_id=session, reward=3.0, terminated=True)
-        service.CloseSession(session_id=session)
+    session = addresses.agent.OpenSession(
+        policy="quiet", action_selection="SAMPLE", learning={"modulator": "realized"}
+    ).session_id
+    for step in range(3):
+        addresses.agent.Act(session_id=session, step=step, observation=OBSERVATION, reward=2.0)
+    ended = addresses.agent.EndEpisode(session_id=session, reward=3.0, terminated=True)
+    addresses.agent.CloseSession(session_id=session)
     assert ended.learning.updates == 1
     shown = "[...document.querySelectorAll('#policies-table td')].map((cell) => cell.textContent)"
     page.wait_for(f"{shown}.includes('{ended.episode_return:.1f}')", "the episode")
@@ -150,12 +146,11 @@ def test_returns_and_learning_are_shown(page, server):
 def test_traffic_and_rollouts_are_shown(browser, tmp_path):
     for version in ("1", "2"):
         shutil.copytree(SHIPPED_POLICIES / "cartpole" / "2", tmp_path / "robot" / version)
-    with running_server(tmp_path) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        admin = Service(channel, ADMIN)
-        admin.SetDefaultVersion(policy="robot", version=1)
-        admin.SetLabel(policy="robot", version=1, label="stable")
-        admin.SetShadow(policy="robot", shadow_version=2)
-        admin.StartRollout(policy="robot", version=2, steps=[25])
+    with running_server(tmp_path) as addresses:
+        addresses.admin.SetDefaultVersion(policy="robot", version=1)
+        addresses.admin.SetLabel(policy="robot", version=1, label="stable")
+        addresses.admin.SetShadow(policy="robot", shadow_version=2)
+        addresses.admin.StartRollout(policy="robot", version=2, steps=[25])
         browser.driver.get(f"http://{addresses.http}/")
         browser.wait_for("document.querySelector('#comparisons article')", "the roll-out")
         assert browser.text("#comparisons h3") == "Roll-out of robot/2: running"
@@ -167,8 +162,8 @@ def test_traffic_and_rollouts_are_shown(browser, tmp_path):
         chips = """[...document.querySelectorAll('#policies-table tbody tr')].map((row) =>
             [...row.querySelectorAll('.chip')].map((chip) => chip.textContent).join(', ')).sort()"""
         assert browser.evaluate(chips) == ["25 %, shadow, roll-out running", "75 %, stable"]
-        admin.AbortRollout(policy="robot")
-        admin.SetTrafficShares(policy="robot", shares=[{"version": 1, "percent": 90}, {"version": 2, "percent": 10}])
+        addresses.admin.AbortRollout(policy="robot")
+        addresses.admin.SetTrafficShares(policy="robot", shares=[{"version": 1, "percent": 90}, {"version": 2, "percent": 10}])
         title = "document.querySelector('#comparisons article:last-child h3').textContent"
         browser.wait_for(f"{title} === 'Shares of robot'", "shares")
         assert browser.problems() == []
@@ -249,38 +244,34 @@ def test_a_decision_is_explained_by_keyboard(page):
 
 def test_what_cannot_be_explained_is_said(page, server):
     addresses, _ = server
-    with grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, "spikeserve.v1.PolicyService")
-        session = service.OpenSession(policy="quiet").session_id
-        page.tab_to("e.id === 'filter'")
-        page.press(session)
-        page.wait_for("document.querySelectorAll('#sessions-table tbody tr').length === 1", "filter")
-        page.tab_to("e.closest('#sessions-table td') !== null")
-        page.press(Keys.ENTER)
-        page.wait_for("document.querySelector('#decision-error').textContent.includes('step 0')", "error")
-        service.CloseSession(session_id=session)
+    session = addresses.agent.OpenSession(policy="quiet").session_id
+    page.tab_to("e.id === 'filter'")
+    page.press(session)
+    page.wait_for("document.querySelectorAll('#sessions-table tbody tr').length === 1", "filter")
+    page.tab_to("e.closest('#sessions-table td') !== null")
+    page.press(Keys.ENTER)
+    page.wait_for("document.querySelector('#decision-error').textContent.includes('step 0')", "error")
+    addresses.agent.CloseSession(session_id=session)
     # Chromium reports the expected HTTP statuses 409 and, after the end of the session, 404 in its console.
     assert all("409" in entry["message"] or "404" in entry["message"] for entry in page.problems())
 
 
 def test_a_robot_that_misses_beats_is_shown(page, server):
     addresses, _ = server
-    with grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, "spikeserve.v1.PolicyService")
-        session = service.OpenSession(policy="quiet", period_seconds=0.02, labels={"robot": "late-7"}).session_id
-        report, steps = {"fresh": 10, "held": 5, "local": 3, "safe": 2}, itertools.count()
+    session = addresses.agent.OpenSession(policy="quiet", period_seconds=0.02, labels={"robot": "late-7"}).session_id
+    report, steps = {"fresh": 10, "held": 5, "local": 3, "safe": 2}, itertools.count()
 
-        def is_in_the_alerts():
-            report["held"] += 1
-            service.Act(session_id=session, step=next(steps), observation=OBSERVATION, reward=1.0, report=report)
-            return "SpikeserveRobotsWithoutActions" in page.text("#alerts")
+    def is_in_the_alerts():
+        report["held"] += 1
+        addresses.agent.Act(session_id=session, step=next(steps), observation=OBSERVATION, reward=1.0, report=report)
+        return "SpikeserveRobotsWithoutActions" in page.text("#alerts")
 
-        until(is_in_the_alerts)
-        page.tab_to("e.id === 'filter'")
-        page.press("robot=late-7")
-        missed = f"{report['held'] + 5} of {report['held'] + 15}, silent"
-        page.wait_for(f"document.querySelector('#sessions-table tbody tr').textContent.includes('{missed}')", "beats")
-        service.CloseSession(session_id=session)
+    until(is_in_the_alerts)
+    page.tab_to("e.id === 'filter'")
+    page.press("robot=late-7")
+    missed = f"{report['held'] + 5} of {report['held'] + 15}, silent"
+    page.wait_for(f"document.querySelector('#sessions-table tbody tr').textContent.includes('{missed}')", "beats")
+    addresses.agent.CloseSession(session_id=session)
 
 
 CONTRAST = """

@@ -4,11 +4,10 @@ import contextlib
 import http.client
 import json
 
-import grpc
 import pytest
 
-from security import OBSERVATION, POLICY, TOKENS, service_with, until
-from serving import DEADLINE_SECONDS, Service, running_server
+from security import OBSERVATION, TOKENS, service_with, until
+from serving import DEADLINE_SECONDS, running_server
 from test_status_json import validate
 
 MOST_OF_CLIENT = 4
@@ -52,16 +51,14 @@ class Watcher:
 
 @pytest.fixture(scope="module")
 def server():
-    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        yield addresses.http, Service(channel, POLICY)
+    with running_server() as addresses:
+        yield addresses.http, addresses.agent
 
 
 @pytest.fixture(scope="module")
-def guarded(tmp_path_factory):
-    """Starts a server with tokens, and a session of the tenant fleet. Yields its addresses and the session."""
-    tokens = tmp_path_factory.mktemp("tokens") / "tokens.json"
-    tokens.write_text(json.dumps(TOKENS))
-    with running_server(flags=[f"--tokens={tokens}"]) as addresses, service_with(addresses, "agent") as agent:
+def guarded(addresses):
+    """Opens a session of the tenant fleet. Yields a server with tokens and the session."""
+    with service_with(addresses, "agent") as agent:
         yield addresses, playing(agent)
 
 

@@ -17,8 +17,8 @@ import pytest
 
 from documentation import page_of
 from redis_servers import Redis, stopping
-from security import ADMIN, POLICY
-from serving import DEADLINE_SECONDS, DEPLOY, SHIPPED_POLICIES, TEST_TIME, Service, running_server
+from security import code_of
+from serving import DEADLINE_SECONDS, DEPLOY, SHIPPED_POLICIES, TEST_TIME, run, running_server
 
 PROMETHEUS_YML = DEPLOY / "prometheus" / "prometheus.yml"
 ALERTS_YML = DEPLOY / "prometheus" / "alerts.yml"
@@ -133,9 +133,7 @@ def play(service):
         ({"session_id": session, "step": 7}, grpc.StatusCode.FAILED_PRECONDITION),
         ({"session_id": session, "observation": [1.0]}, grpc.StatusCode.INVALID_ARGUMENT),
     ):
-        with pytest.raises(grpc.RpcError) as error:
-            service.Act(**{"observation": OBSERVATION, **mistake})
-        assert error.value.code() == code
+        assert code_of(service.Act, **{"observation": OBSERVATION, **mistake}) == code
 
 
 def roll_out_in_vain(agent, admin):
@@ -192,12 +190,10 @@ def server(tmp_path_factory):
     with (
         stopping([Redis(password="")]) as [redis],
         running_server(policies, flags=[f"--session_store=redis://127.0.0.1:{redis.port}"]) as addresses,
-        grpc.insecure_channel(addresses.grpc) as channel,
     ):
-        agent, admin = Service(channel, POLICY), Service(channel, ADMIN)
-        roll_out_in_vain(agent, admin)
-        shadow(agent, admin, addresses.http)
-        play(agent)
+        roll_out_in_vain(addresses.agent, addresses.admin)
+        shadow(addresses.agent, addresses.admin, addresses.http)
+        play(addresses.agent)
         yield addresses
 
 
@@ -221,8 +217,7 @@ def prometheus(server, tmp_path_factory):
         decisions = 'spikeserve_decisions_total{policy="cartpole",version="2"}'
         [(_, before)] = wait_for(lambda: api.query(errors), "the first scrape")
         [(_, decided)] = wait_for(lambda: api.query(decisions), "the first scrape")
-        with grpc.insecure_channel(server.grpc) as channel:
-            play(Service(channel, POLICY))
+        play(server.agent)
         wait_for(lambda: api.query(f"{errors} > {before}"), "a scrape after the play")
         # The first play's last error may have been counted after the first scrape, and be the one that is seen.
         wait_for(lambda: api.query(f"{decisions} >= {decided + 2 * STEPS}"), "a scrape with the play's decisions")
@@ -427,10 +422,7 @@ def test_the_server_is_up(prometheus):
     ids=lambda arguments: " ".join(arguments[:2]),
 )
 def test_promtool_is_content(arguments):
-    finished = subprocess.run(
-        ["promtool", *arguments], capture_output=True, text=True, timeout=PROMTOOL_SECONDS
-    )
-    assert finished.returncode == 0, finished.stdout + finished.stderr
+    run("promtool", *arguments)
 
 
 needs_systemd = pytest.mark.skipif(
@@ -447,12 +439,7 @@ def systemd_analyze(tmp_path, *arguments):
     text = text.replace("User=spikeserve", "User=daemon").replace("Group=spikeserve", "Group=daemon")
     unit = tmp_path / "spikeserve.service"
     unit.write_text(text)
-    return subprocess.run(
-        ["systemd-analyze", *arguments, unit],
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_SECONDS,
-    )
+    return run("systemd-analyze", *arguments, unit, status=None)
 
 
 @needs_systemd
