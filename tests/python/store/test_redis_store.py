@@ -89,7 +89,7 @@ def test_reading_a_session_leaves_it_to_its_owner(redis, replicas):
     epoch = redis.command(f"HGET ss:{{{session['session_id']}}}:o epoch", database=1)
     for step in range(20):
         act(owner, 5, step)
-        views = [server.GetSession(**session) for server in (other, owner)]
+        views = [server.GetSession(**session).SerializeToString(deterministic=True) for server in (other, owner)]
         assert views[0] == views[1]
     assert redis.command(f"HGET ss:{{{session['session_id']}}}:o epoch", database=1) == epoch
     claims = [metric(other, f'spikeserve_store_claims_total{{outcome="{outcome}"}}') for outcome in ("claimed", "failed")]
