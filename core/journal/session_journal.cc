@@ -33,6 +33,7 @@ SessionJournal::SessionJournal(Key key, Durability durability, uint64_t decision
       first_valid_(is_whole ? 0 : kNoPosition),
       decisions_(decisions),
       durable_changes_(decisions + static_cast<uint64_t>(key_.ended)),
+      stored_as_(key_.stored_as.empty() ? &key_.id : &key_.stored_as),
       epoch_(key_.epoch),
       replaces_(key_.claimed_from),
       changes_(durable_changes_),

@@ -19,6 +19,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
@@ -52,6 +53,9 @@ class SessionJournal final : public SessionListener,
     std::string policy_file = "";
     uint64_t claimed_from = 0;  // epoch of the owner before; 0: none
     int64_t ended = 0;          // episodes that the session has ended before this owner
+    // The id under which the store has the session; empty: `id`. Another one if the store has a
+    // session of another tenant under `id` (SecondStoredId).
+    std::string stored_as = "";
   };
 
   // What the store has of the journal, as far as it has acknowledged it.
@@ -67,6 +71,8 @@ class SessionJournal final : public SessionListener,
                  size_t records = 0, bool is_whole = true);
 
   const Key& key() const { return key_; }
+  // Returns the id under which the store has the session.
+  const std::string& stored_as() const { return *stored_as_.load(std::memory_order_acquire); }
   uint64_t epoch() const { return epoch_.load(std::memory_order_acquire); }
   // Returns the epoch of another owner that this one may replace in the store if it has no more
   // than durable_changes(); 0: none.
@@ -136,6 +142,11 @@ class SessionJournal final : public SessionListener,
   }
   // The record was left out, because it is replaced.
   void OnReplaced(const JournalRecord& record) ABSL_LOCKS_EXCLUDED(mutex_);
+  // The store has the journal under another id than that of the session. Called at most once.
+  void OnStoredAs(std::string id) {
+    second_id_ = std::move(id);
+    stored_as_.store(&second_id_, std::memory_order_release);
+  }
   // The journal has another epoch in the store now.
   void OnMoved(uint64_t epoch) { epoch_.store(epoch, std::memory_order_release); }
   // The store has gone back to what another owner has written, which the next snapshot replaces.
@@ -177,6 +188,8 @@ class SessionJournal final : public SessionListener,
   std::atomic<uint64_t> first_valid_ = 0;  // records before this position are replaced
   std::atomic<uint64_t> decisions_;        // with those that are not stored yet
   std::atomic<uint64_t> durable_changes_;
+  std::string second_id_;  // set once, before `stored_as_` points to it
+  std::atomic<const std::string*> stored_as_;
   std::atomic<uint64_t> epoch_;
   std::atomic<uint64_t> replaces_;
   std::atomic<bool> is_set_back_ = false;

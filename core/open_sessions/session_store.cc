@@ -6,7 +6,6 @@
 #include <utility>
 #include <vector>
 
-#include "absl/hash/hash.h"
 #include "absl/status/status.h"
 #include "absl/strings/ascii.h"
 #include "absl/strings/numbers.h"
@@ -134,7 +133,8 @@ bool SessionStore::Insert(const std::string& id, std::shared_ptr<SessionEntry> e
   Slot slot = {.entry = std::move(entry), .last_used = clock_->Now()};
   Shard& shard = ShardOf(id);
   absl::MutexLock lock(&shard.mutex);
-  return shard.slots.try_emplace(id, std::move(slot)).second;
+  const std::string* const tenant = &slot.entry->tenant;
+  return shard.slots.try_emplace(Name{id, tenant}, std::move(slot)).second;
 }
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> SessionStore::Find(absl::string_view id,
@@ -144,8 +144,8 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> SessionStore::Find(absl::string_vi
   {
     Shard& shard = ShardOf(id);
     absl::MutexLock lock(&shard.mutex);
-    const auto it = shard.slots.find(id);
-    if (it == shard.slots.end() || it->second.entry->tenant != tenant) return NoSuchSession(id);
+    const auto it = shard.slots.find(NameView{id, tenant});
+    if (it == shard.slots.end()) return NoSuchSession(id);
     Slot& slot = it->second;
     if (slot.entry->journal == nullptr || !slot.entry->journal->lost()) {
       slot.last_used = now;
@@ -160,21 +160,28 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> SessionStore::Find(absl::string_vi
   return NoSuchSession(id);
 }
 
-std::shared_ptr<SessionEntry> SessionStore::Peek(absl::string_view id) {
+SessionStore::Slots::iterator SessionStore::Look(Shard& shard, absl::string_view id,
+                                                 absl::string_view tenant) {
+  const auto own = shard.slots.find(NameView{id, tenant});
+  return own != shard.slots.end() ? own : shard.slots.find(NameView{id, std::nullopt});
+}
+
+std::shared_ptr<SessionEntry> SessionStore::Peek(absl::string_view id, absl::string_view tenant) {
   Shard& shard = ShardOf(id);
   absl::MutexLock lock(&shard.mutex);
-  const auto it = shard.slots.find(id);
+  const auto it = Look(shard, id, tenant);
   return it == shard.slots.end() ? nullptr : it->second.entry;
 }
 
-std::optional<ListedSession> SessionStore::PeekListed(absl::string_view id) {
+std::optional<ListedSession> SessionStore::PeekListed(absl::string_view id,
+                                                      absl::string_view tenant) {
   const absl::Duration now = clock_->Now();
   Shard& shard = ShardOf(id);
   absl::MutexLock lock(&shard.mutex);
-  const auto it = shard.slots.find(id);
+  const auto it = Look(shard, id, tenant);
   if (it == shard.slots.end()) return std::nullopt;
   return ListedSession{
-      .id = it->first, .entry = it->second.entry, .idle = now - it->second.last_used};
+      .id = it->first.id, .entry = it->second.entry, .idle = now - it->second.last_used};
 }
 
 absl::Status SessionStore::Close(absl::string_view id, absl::string_view tenant) {
@@ -182,8 +189,8 @@ absl::Status SessionStore::Close(absl::string_view id, absl::string_view tenant)
   Shard& shard = ShardOf(id);
   {
     absl::MutexLock lock(&shard.mutex);
-    const auto it = shard.slots.find(id);
-    if (it == shard.slots.end() || it->second.entry->tenant != tenant) return NoSuchSession(id);
+    const auto it = shard.slots.find(NameView{id, tenant});
+    if (it == shard.slots.end()) return NoSuchSession(id);
     entry = std::move(it->second.entry);
     shard.slots.erase(it);
   }
@@ -199,7 +206,8 @@ std::vector<ListedSession> SessionStore::ListAfter(
   std::vector<ListedSession> first;  // a heap, the last id at its front
   for (Shard& shard : shards_) {
     absl::MutexLock lock(&shard.mutex);
-    for (const auto& [id, slot] : shard.slots) {
+    for (const auto& [name, slot] : shard.slots) {
+      const std::string& id = name.id;
       const bool is_full = first.size() == limit;
       if (!wanted(*slot.entry) || id <= after || (is_full && id >= first.front().id)) continue;
       if (is_full) {
@@ -233,13 +241,13 @@ void SessionStore::ForEach(absl::FunctionRef<bool(const SessionEntry&)> wanted,
       sessions.reserve(shard.slots.size());
       // Ids and sessions lie anywhere in memory: one loop asks for all of them, so that the next
       // one does not wait for each.
-      for (const auto& [id, slot] : shard.slots) {
-        __builtin_prefetch(id.data());
+      for (const auto& [name, slot] : shard.slots) {
+        __builtin_prefetch(name.id.data());
         PrefetchHead(*slot.entry);
       }
-      for (const auto& [id, slot] : shard.slots) {
+      for (const auto& [name, slot] : shard.slots) {
         if (!wanted(*slot.entry)) continue;
-        ids += id;
+        ids += name.id;
         sessions.push_back({slot.entry, now - slot.last_used, ids.size()});
       }
     }
@@ -269,7 +277,7 @@ void SessionStore::Forgive(absl::Duration time) {
   const absl::Duration now = clock_->Now();
   for (Shard& shard : shards_) {
     absl::MutexLock lock(&shard.mutex);
-    for (auto& [id, slot] : shard.slots) slot.last_used = std::min(now, slot.last_used + time);
+    for (auto& [name, slot] : shard.slots) slot.last_used = std::min(now, slot.last_used + time);
   }
 }
 
@@ -299,7 +307,7 @@ int64_t SessionStore::CompactIdle(absl::Duration idle_for) {
     std::vector<std::shared_ptr<SessionEntry>> idle;
     {
       absl::MutexLock lock(&shard.mutex);
-      for (auto& [id, slot] : shard.slots) {
+      for (auto& [name, slot] : shard.slots) {
         if (slot.compacted || slot.last_used > oldest || slot.entry.use_count() > 1) continue;
         slot.compacted = true;
         idle.push_back(slot.entry);

@@ -1,4 +1,4 @@
-// Stores the open sessions of a server by id.
+// Stores the open sessions of a server by id. Sessions of different tenants may have equal ids.
 //
 // Thread-safe. Ids are distributed over shards, each with a mutex that is held only for a lookup. A
 // decision holds only the mutex of its session. Lock order: a thread that takes a session's mutex
@@ -18,6 +18,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/container/flat_hash_map.h"
 #include "absl/functional/function_ref.h"
+#include "absl/hash/hash.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
@@ -103,8 +104,8 @@ class SessionStore {
   SessionStore(int64_t max_sessions, const Clock* clock);
 
   // Opens a session and returns its id. RESOURCE_EXHAUSTED if max_sessions are open or the quota is
-  // used up; ALREADY_EXISTS if a session with the id of `extras` is open; UNAVAILABLE while
-  // draining.
+  // used up; ALREADY_EXISTS if the tenant has an open session with the id of `extras`; UNAVAILABLE
+  // while draining.
   absl::StatusOr<std::string> Open(std::shared_ptr<const ServedPolicy> served,
                                    SessionOptions options, SessionExtras extras = {});
 
@@ -121,12 +122,12 @@ class SessionStore {
   absl::StatusOr<std::shared_ptr<SessionEntry>> Find(absl::string_view id,
                                                      absl::string_view tenant = "");
 
-  // Looks up a session of any tenant without resetting its idle timer. Returns null if the id is
-  // unknown.
-  std::shared_ptr<SessionEntry> Peek(absl::string_view id);
+  // Looks up the session of `tenant`, or otherwise of any other tenant, without resetting its idle
+  // timer. Returns null if the id is unknown.
+  std::shared_ptr<SessionEntry> Peek(absl::string_view id, absl::string_view tenant = "");
 
   // As Peek, with the session's idle time. Returns nullopt if the id is unknown.
-  std::optional<ListedSession> PeekListed(absl::string_view id);
+  std::optional<ListedSession> PeekListed(absl::string_view id, absl::string_view tenant = "");
 
   // Removes a session of `tenant`. NOT_FOUND if the tenant has no session with this id.
   absl::Status Close(absl::string_view id, absl::string_view tenant = "");
@@ -166,9 +167,32 @@ class SessionStore {
     absl::Duration last_used;  // time of the clock
     bool compacted = false;    // since `last_used`
   };
+  struct Name {
+    std::string id;
+    const std::string* tenant;  // of the entry of this name
+  };
+  struct NameView {
+    absl::string_view id;
+    std::optional<absl::string_view> tenant;  // absent: any
+  };
+  struct NameHash {
+    using is_transparent = void;
+    size_t operator()(const Name& name) const { return absl::HashOf(name.id); }
+    size_t operator()(const NameView& name) const { return absl::HashOf(name.id); }
+  };
+  struct NameEq {
+    using is_transparent = void;
+    bool operator()(const Name& a, const NameView& b) const {
+      return a.id == b.id && (!b.tenant.has_value() || *a.tenant == *b.tenant);
+    }
+    bool operator()(const Name& a, const Name& b) const {
+      return (*this)(a, NameView{b.id, *b.tenant});
+    }
+  };
+  using Slots = absl::flat_hash_map<Name, Slot, NameHash, NameEq>;
   struct Shard {
     absl::Mutex mutex;
-    absl::flat_hash_map<std::string, Slot> slots ABSL_GUARDED_BY(mutex);
+    Slots slots ABSL_GUARDED_BY(mutex);
   };
   static constexpr size_t kShards = 64;
 
@@ -176,7 +200,10 @@ class SessionStore {
   // Adds `session`. If `is_new`, its journal starts with it.
   absl::Status Add(std::shared_ptr<const ServedPolicy> served, Session session,
                    SessionExtras extras, bool is_new);
-  // Returns false if a session with this id is open.
+  // Returns the session that Peek() finds, or the end of the slots.
+  static Slots::iterator Look(Shard& shard, absl::string_view id, absl::string_view tenant)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(shard.mutex);
+  // Returns false if its tenant has an open session with this id.
   bool Insert(const std::string& id, std::shared_ptr<SessionEntry> entry);
 
   const int64_t max_sessions_;

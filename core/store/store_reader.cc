@@ -147,7 +147,8 @@ absl::Status CheckJournal(absl::string_view id, absl::string_view tenant,
                           absl::Span<const std::string> records, int64_t* entries) {
   ASSIGN_OR_RETURN(const auto journal, ParseJournal(records));
   const Session& snapshot = journal.snapshot;
-  if (snapshot.id != id || snapshot.options.tenant != tenant) {
+  const bool is_own = snapshot.id == id || SecondStoredId(tenant, snapshot.id) == id;
+  if (!is_own || snapshot.options.tenant != tenant) {
     return absl::DataLossError("journal: expected the session's own, received another one");
   }
   uint64_t decisions = snapshot.decisions;

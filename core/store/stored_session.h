@@ -22,6 +22,11 @@ inline constexpr char kRecordsTable[] = "records";
 // The length of the ids of sessions, which are hexadecimal digits.
 inline constexpr size_t kStoredIdBytes = 32;
 
+// Returns the id under which a store has session `id` of `tenant` if it has a session of another
+// tenant under `id`: 128 bits of a hash of both. Therefore no tenant learns from an id that it
+// chooses which ones others have.
+std::string SecondStoredId(absl::string_view tenant, absl::string_view id);
+
 // Returns the key of a record in a file: the session's id, then the number of decisions, which
 // sorts. Records of equal numbers replace each other: the end of an episode replaces the entry of
 // its last decision.

@@ -141,9 +141,6 @@ absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id
   if (id->empty()) id = NewSessionId();
   if (!id.ok()) return id.status();
   const std::string& tenant = context.caller->tenant()->name();
-  // A stored session is found by its id after a restart, so that it has no other one.
-  const auto other = durability == Durability::kNone ? store_->Peek(*id) : nullptr;
-  if (other != nullptr && other->tenant != tenant) id = SessionGate::OwnId(tenant, *id);
   ASSIGN_OR_RETURN(const auto route, ChooseRoute(request, *id, *registry_->catalog()));
   const ServedPolicy& served = *route.served;
   ASSIGN_OR_RETURN(auto options, OptionsFromProto(request, served));
@@ -174,7 +171,7 @@ absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id
             .id = *id, .tenant = options.tenant, .policy_file = PolicyFileOf(served)},
         durability, /*decisions=*/0, durability_.journals);
   }
-  ToProto(request.session_id().empty() ? *id : request.session_id(), options, served, response);
+  ToProto(*id, options, served, response);
   const std::shared_ptr<SessionJournal> journal = extras.journal;
   auto status = store_->Open(route.served, std::move(options), std::move(extras)).status();
   // A session that was refused is never written, so that nothing of it can be waited for.
@@ -415,11 +412,7 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
 absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindReadable(
     const CallContext& context, const std::string& id) const {
   if (context.read != nullptr) return context.read;
-  auto entry = store_->Peek(id);
-  if (entry == nullptr || !context.caller->CanRead(entry->tenant)) {
-    const std::string& tenant = context.caller->tenant()->name();
-    entry = tenant.empty() ? nullptr : store_->Peek(SessionGate::OwnId(tenant, id));
-  }
+  auto entry = store_->Peek(id, context.caller->tenant()->name());
   if (entry != nullptr && context.caller->CanRead(entry->tenant)) return entry;
   return NoSuchSession(id);
 }
@@ -429,7 +422,6 @@ absl::Status PolicyHandler::GetSession(CallContext& context, const v1::GetSessio
   ASSIGN_OR_RETURN(const auto entry, FindReadable(context, request.session_id()));
   absl::MutexLock lock(&entry->mutex);
   *response = ToProto(entry->agent, request.include_head_delta());
-  response->set_session_id(request.session_id());
   return absl::OkStatus();
 }
 
@@ -468,12 +460,8 @@ absl::Status PolicyHandler::ExportSession(CallContext& context,
 absl::Status PolicyHandler::CloseSession(CallContext& context,
                                          const v1::CloseSessionRequest& request,
                                          v1::CloseSessionResponse* /*response*/) const {
-  const std::string& tenant = context.caller->tenant()->name();
   ASSIGN_OR_RETURN(const auto entry, gate_->Find(context, request.session_id()));
-  auto status = store_->Close(request.session_id(), tenant);
-  if (absl::IsNotFound(status)) {
-    status = store_->Close(SessionGate::OwnId(tenant, request.session_id()), tenant);
-  }
+  const auto status = store_->Close(request.session_id(), context.caller->tenant()->name());
   if (!status.ok() || entry->journal == nullptr) return status;
   // The store refuses the end if another server has taken the session over. ASYNC sessions wait for
   // this, too, unless the store cannot be reached: then the end is written when it comes back.

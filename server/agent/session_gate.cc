@@ -89,11 +89,7 @@ struct SessionGate::Search {
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> SessionGate::Find(const CallContext& context,
                                                                 const std::string& id) const {
-  const std::string& tenant = context.caller->tenant()->name();
-  auto entry = store_.Find(id, tenant);
-  if (entry.ok() || tenant.empty()) return entry;
-  auto own = store_.Find(OwnId(tenant, id), tenant);
-  return own.ok() ? own : entry;
+  return store_.Find(id, context.caller->tenant()->name());
 }
 
 void SessionGate::Enter(CallContext* context) const { context->may_claim = recovery_ != nullptr; }
@@ -140,8 +136,9 @@ void SessionGate::OnClaimed(const absl::Status& claimed, CallContext* context) {
 }
 
 void SessionGate::AwaitEarlier(const std::string& id, CallContext* context) const {
-  const auto entry = store_.Peek(id);
-  if (entry == nullptr || entry->tenant != context->caller->tenant()->name()) return;
+  const std::string& tenant = context->caller->tenant()->name();
+  const auto entry = store_.Peek(id, tenant);
+  if (entry == nullptr || entry->tenant != tenant) return;
   AddCommit(*entry, &context->commits);
 }
 

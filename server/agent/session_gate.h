@@ -19,7 +19,6 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/strings/str_cat.h"
 #include "core/agent/head_log.h"
 #include "core/open_sessions/session_store.h"
 #include "server/agent/call_context.h"
@@ -82,12 +81,6 @@ class SessionGate {
   // here.
   absl::StatusOr<std::shared_ptr<SessionEntry>> Find(const CallContext& context,
                                                      const std::string& id) const;
-
-  // Returns the id under which the server has a session of `tenant` whose client has chosen the id
-  // of another tenant's session. Neither tenant learns of the other.
-  static std::string OwnId(const std::string& tenant, const std::string& id) {
-    return absl::StrCat(tenant, "/", id);
-  }
 
   // Returns true if a request that has ended with `status` is to be handled again when its session
   // was taken over.

@@ -42,8 +42,9 @@ bool HasPolicy(const PolicyCatalog& catalog, absl::string_view file) {
 }
 
 // Returns the contribution that the session has not been told the outcome of, or null.
-std::shared_ptr<FleetContribution> ContributionOf(SessionStore& sessions, const std::string& id) {
-  const auto entry = sessions.Peek(id);
+std::shared_ptr<FleetContribution> ContributionOf(SessionStore& sessions, const std::string& id,
+                                                  const std::string& tenant) {
+  const auto entry = sessions.Peek(id, tenant);
   if (entry == nullptr) return nullptr;
   absl::MutexLock lock(&entry->mutex);
   return entry->agent.contribution();
@@ -90,7 +91,7 @@ void SessionRecovery::Recover(const Credential& caller, const std::string& id, c
     is_first = !claims_.contains(key);
     // A claim is removed after its session was added. Therefore a session that is neither here nor
     // being claimed is in the store.
-    const auto copy = is_first ? sessions_.Peek(id) : nullptr;
+    const auto copy = is_first ? sessions_.Peek(id, key.first) : nullptr;
     if (copy != nullptr && copy->tenant == key.first && IsGivenUp(*copy)) former_.Keep(key, copy);
     is_here = is_first && sessions_.Find(id, key.first).ok();
     if (!is_here) claims_[key].push_back({post, std::move(done)});
@@ -102,7 +103,7 @@ void SessionRecovery::Recover(const Credential& caller, const std::string& id, c
     const auto claimed = std::make_shared<absl::StatusOr<ClaimedJournal>>(std::move(result));
     post([=, this] {
       const absl::Status status = Restore(key, quota, std::move(*claimed));
-      const auto contribution = status.ok() ? ContributionOf(sessions_, id) : nullptr;
+      const auto contribution = status.ok() ? ContributionOf(sessions_, id, key.first) : nullptr;
       if (contribution == nullptr) return Finish(key, status);
       // The next episode could not end before. If the log of the head cannot be reached, the
       // session continues without.
@@ -180,7 +181,8 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
                           .epoch = claimed->epoch,
                           .policy_file = PolicyFileOf(*served),
                           .claimed_from = claimed->claimed_from,
-                          .ended = restored.session.episode},
+                          .ended = restored.session.episode,
+                          .stored_as = claimed->stored_as},
       durability, restored.session.decisions, &journals_, claimed->records.size(),
       /*is_whole=*/restored.after_gap == 0 && !is_set_back);
   RETURN_IF_ERROR(Add(served, std::move(restored.session), std::move(extras)));
@@ -209,6 +211,7 @@ absl::Status SessionRecovery::TakeBack(const Key& key, std::shared_ptr<SessionQu
   // knows its own copy for the newer one.
   SessionJournal::Key journal = entry.journal->key();
   journal.epoch = entry.journal->epoch();
+  journal.stored_as = entry.journal->stored_as();
   journal.ended = session.episode;
   extras.journal =
       std::make_shared<SessionJournal>(std::move(journal), session.options.durability,

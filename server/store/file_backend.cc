@@ -244,12 +244,12 @@ std::vector<absl::Status> FileBackend::WriteEnds(absl::Span<const JournalRecord>
     auto status = WriteRecord(*transaction, record);
     if (status.ok()) status = Commit(*transaction);
     if (!status.ok()) break;
-    ended.insert(record.journal->key().id);
+    ended.insert(record.journal->stored_as());
   }
   std::vector<absl::Status> outcomes;
   for (const JournalRecord& record : records) {
     // What came before the end of a session has no use any more.
-    outcomes.push_back(ended.contains(record.journal->key().id) ? absl::OkStatus() : failure);
+    outcomes.push_back(ended.contains(record.journal->stored_as()) ? absl::OkStatus() : failure);
   }
   return outcomes;
 }
@@ -275,38 +275,43 @@ absl::StatusOr<std::vector<absl::Status>> FileBackend::WriteAll(
 
 absl::Status FileBackend::WriteRecord(LmdbTransaction& transaction, const JournalRecord& record) {
   const SessionJournal::Key& key = record.journal->key();
-  auto found = Read(transaction, key.id);
+  const std::string& id = record.journal->stored_as();
+  auto found = Read(transaction, id);
   if (absl::IsFailedPrecondition(found.status())) {
     return absl::AbortedError(found.status().message());
   }
   if (!found.ok()) return found.status();
   const bool writes_again = record.kind == JournalRecord::Kind::kOpen && key.claimed_from != 0;
   if (record.kind == JournalRecord::Kind::kOpen && !writes_again) {
+    if (found->has_value() && (*found)->tenant != key.tenant && id == key.id) {
+      record.journal->OnStoredAs(SecondStoredId(key.tenant, id));
+      return WriteRecord(transaction, record);
+    }
     if (found->has_value()) return absl::AlreadyExistsError("session_id: already open");
     *found = StoredSession{.tenant = key.tenant, .epoch = key.epoch, .written_seconds = 0};
   } else if (!found->has_value() || (*found)->epoch != key.epoch) {
     return absl::AbortedError("another owner has claimed the session");
   }
-  if (record.kind == JournalRecord::Kind::kClose) return Remove(transaction, key.id);
+  if (record.kind == JournalRecord::Kind::kClose) return Remove(transaction, id);
 
   // The journal that was claimed had a gap: what stands behind it is of no use.
   if (writes_again) {
-    RETURN_IF_ERROR(RemoveBefore(transaction, key.id, kNoDecisions));
+    RETURN_IF_ERROR(RemoveBefore(transaction, id, kNoDecisions));
   }
 
   StoredSession& session = **found;
   const int64_t now = absl::ToUnixSeconds(Now());
   if (now - session.written_seconds >= absl::ToInt64Seconds(kWrittenStep)) {
     session.written_seconds = now;
-    RETURN_IF_ERROR(Put(transaction, key.id, session));
+    RETURN_IF_ERROR(Put(transaction, id, session));
   }
-  const std::string record_key = StoredRecordKey(key.id, record.decisions);
+  const std::string record_key = StoredRecordKey(id, record.decisions);
   const std::string sealed = SealRecord(record.bytes);
   RETURN_IF_ERROR(transaction.Put(records_, record_key, sealed));
   const bool replaces =
       record.kind == JournalRecord::Kind::kSnapshot || record.kind == JournalRecord::Kind::kRelease;
   if (!replaces) return absl::OkStatus();
-  return RemoveBefore(transaction, key.id, record.decisions);
+  return RemoveBefore(transaction, id, record.decisions);
 }
 
 std::vector<absl::StatusOr<ClaimedJournal>> FileBackend::Claim(
@@ -336,11 +341,16 @@ absl::StatusOr<std::vector<absl::StatusOr<ClaimedJournal>>> FileBackend::ClaimAl
 
 absl::StatusOr<ClaimedJournal> FileBackend::ClaimOne(LmdbTransaction& transaction,
                                                      const JournalClaim& claim) {
-  const std::string& id = claim.id;
+  std::string id = claim.id;
   ASSIGN_OR_RETURN(auto session, Read(transaction, id));
-  if (!session.has_value() || session->tenant != claim.tenant) return NoSuchSession(id);
+  if (!session.has_value() || session->tenant != claim.tenant) {
+    id = SecondStoredId(claim.tenant, id);
+    ASSIGN_OR_RETURN(session, Read(transaction, id));
+  }
+  if (!session.has_value() || session->tenant != claim.tenant) return NoSuchSession(claim.id);
   const uint64_t former = session->epoch++;
-  ClaimedJournal journal = {.epoch = session->epoch, .records = {}, .claimed_from = former};
+  ClaimedJournal journal = {
+      .epoch = session->epoch, .records = {}, .claimed_from = former, .stored_as = id};
   session->written_seconds = absl::ToUnixSeconds(Now());
   RETURN_IF_ERROR(Put(transaction, id, *session));
   RETURN_IF_ERROR(transaction.Scan(records_, id, [&](absl::string_view, absl::string_view bytes) {

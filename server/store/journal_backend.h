@@ -33,6 +33,7 @@ struct ClaimedJournal {
   // In the order in which they were written. If the server lacks the policy, the first one only.
   std::vector<std::string> records;
   uint64_t claimed_from = 0;  // epoch of the owner before; 0: unknown
+  std::string stored_as = "";  // as SessionJournal::Key::stored_as
 };
 
 // A journal whose owner is this server, and whether its session was used lately.

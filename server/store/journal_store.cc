@@ -243,7 +243,7 @@ void JournalStore::WriteAgain(const std::vector<std::shared_ptr<SessionJournal>>
   SessionStore* const sessions = sessions_.load(std::memory_order_acquire);
   if (sessions == nullptr || journals.empty()) return;
   for (const auto& journal : journals) {
-    const auto entry = sessions->Peek(journal->key().id);
+    const auto entry = sessions->Peek(journal->key().id, journal->key().tenant);
     if (entry == nullptr || entry->journal != journal || journal->lost()) {
       // Nobody can write it again, so nobody should wait for that. A copy that was given up may be
       // the last one nevertheless, and is not lost because of this.

@@ -67,6 +67,12 @@ int64_t MostReplaced(const SessionJournal& journal, uint64_t epoch) {
   return epoch == journal.key().claimed_from ? changes : changes - 1;
 }
 
+// Returns whether the record is the first one of a new session.
+bool Opens(const JournalRecord& record) {
+  return record.kind == JournalRecord::Kind::kOpen && record.position == 1 &&
+         record.journal->is_new();
+}
+
 class RedisBackend final : public JournalBackend {
  public:
   RedisBackend(RedisOptions options, absl::Duration retention, std::string owner, bool may_evict)
@@ -147,6 +153,7 @@ class RedisBackend final : public JournalBackend {
   absl::BitGen random_;
   std::map<std::shared_ptr<SessionJournal>, Move> uncertain_;
   Journals of_unknown_length_;          // until their next snapshot
+  Journals foreign_;                    // refused, because other tenants have their ids
   std::vector<std::string> left_over_;  // lists of older epochs that a snapshot has replaced
 };
 
@@ -228,8 +235,8 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::CheckAll(
     if (!is_known(journals[i], stored)) continue;
     asked.push_back(i);
     const std::string epoch = absl::StrCat(journal.epoch());
-    client_->Append({"EVAL", redis_scripts::kCheck, "2", RedisHashKey(journal.key().id),
-                     RedisListKey(journal.key().id, epoch), epoch, owner_,
+    client_->Append({"EVAL", redis_scripts::kCheck, "2", RedisHashKey(journal.stored_as()),
+                     RedisListKey(journal.stored_as(), epoch), epoch, owner_,
                      BaseOf(journal, stored.base), absl::StrCat(stored.records),
                      journals[i].is_used ? retention_ : ""});
   }
@@ -271,7 +278,7 @@ void RedisBackend::OnUncertain(absl::Span<const JournalRecord> records) {
 // new epoch it finds nothing: a late snapshot would discard the records after it.
 absl::Status RedisBackend::MoveUncertain() {
   for (const auto& [journal, move] : uncertain_) {
-    const std::string& id = journal->key().id;
+    const std::string& id = journal->stored_as();
     const std::string epoch = absl::StrCat(journal->epoch());
     const std::string new_epoch = absl::StrCat(move.epoch);
     client_->Append({"EVAL", redis_scripts::kMove, "3", RedisHashKey(id), RedisListKey(id, epoch),
@@ -316,6 +323,7 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::WriteAll(
     Append(records[i]);
     sent.push_back(i);
   }
+  foreign_.clear();
   std::map<std::shared_ptr<SessionJournal>, absl::Status> waiting;  // what comes later waits, too
   std::vector<size_t> refused;
   absl::Status error;
@@ -339,9 +347,14 @@ absl::StatusOr<RedisBackend::Outcomes> RedisBackend::WriteAll(
 }
 
 absl::Status RedisBackend::FindOutcome(const JournalRecord& record, absl::Status* outcome) {
-  const bool is_new = record.journal->is_new() && record.position == 1;
-  if (!is_new || record.kind != JournalRecord::Kind::kOpen) {
-    return FindReason(*record.journal, outcome);
+  SessionJournal& journal = *record.journal;
+  if (!Opens(record)) return FindReason(journal, outcome);
+  const SessionJournal::Key& key = journal.key();
+  if (foreign_.erase(record.journal) > 0 && journal.stored_as() == key.id) {
+    journal.OnStoredAs(SecondStoredId(key.tenant, key.id));
+    Append(record);
+    ASSIGN_OR_RETURN(const bool is_written, ReadReplies(record));
+    if (is_written) return absl::OkStatus();
   }
   *outcome = absl::AlreadyExistsError("session_id: expected one that is not open");
   return absl::OkStatus();
@@ -350,25 +363,30 @@ absl::Status RedisBackend::FindOutcome(const JournalRecord& record, absl::Status
 void RedisBackend::AppendSnapshot(const JournalRecord& record) {
   const SessionJournal& journal = *record.journal;
   const SessionJournal::Key& key = journal.key();
+  const std::string& id = journal.stored_as();
   const std::string epoch = absl::StrCat(journal.epoch());
   const bool releases = record.kind == JournalRecord::Kind::kRelease;
   const std::string replaces = absl::StrCat(journal.replaces());
   // While a Cluster moves a slot, a script with a key that it does not have waits until the end.
   const std::string& compared = journal.is_set_back() ? replaces : epoch;
-  client_->Append({"EVAL", PutScript(), "3", RedisHashKey(key.id), RedisListKey(key.id, epoch),
-                   RedisListKey(key.id, compared), epoch, owner_, replaces, releases ? "" : owner_,
+  client_->Append({"EVAL", PutScript(), "3", RedisHashKey(id), RedisListKey(id, epoch),
+                   RedisListKey(id, compared), epoch, owner_, replaces, releases ? "" : owner_,
                    key.tenant, record.bytes, retention_, key.policy_file,
                    BaseOf(journal, record.base), absl::StrCat(record.changes),
-                   absl::StrCat(MostReplaced(journal, journal.replaces()))});
+                   Opens(record) ? "" : absl::StrCat(MostReplaced(journal, journal.replaces()))});
 }
 
 void RedisBackend::Append(const JournalRecord& record) {
   const SessionJournal& journal = *record.journal;
-  const std::string hash = RedisHashKey(journal.key().id);
+  const std::string hash = RedisHashKey(journal.stored_as());
   const std::string epoch = absl::StrCat(journal.epoch());
-  const std::string list = RedisListKey(journal.key().id, epoch);
+  const std::string list = RedisListKey(journal.stored_as(), epoch);
   switch (record.kind) {
     case JournalRecord::Kind::kOpen:
+      // Otherwise the next records, which do not wait for the outcome, would come into the list of
+      // another session that has this id and is new, too.
+      if (Opens(record) && journal.epoch() == 1) record.journal->OnMoved(NextRedisEpoch(1, random_));
+      return AppendSnapshot(record);
     case JournalRecord::Kind::kSnapshot:
     case JournalRecord::Kind::kRelease:
       return AppendSnapshot(record);
@@ -407,16 +425,17 @@ absl::StatusOr<bool> RedisBackend::ReadPut(const JournalRecord& record) {
   if (!is_number && reply->type != REDIS_REPLY_STRING) {
     return absl::UnavailableError("session store: expected the outcome of a snapshot");
   }
-  if (is_number && reply->integer == 0) return false;
+  if (is_number && reply->integer < 0 && Opens(record)) foreign_.insert(record.journal);
+  if (is_number && reply->integer <= 0) return false;
   of_unknown_length_.erase(record.journal);
   if (is_number) return true;
   // What an older epoch has left. If this is not done, it expires.
-  left_over_.push_back(RedisListKey(record.journal->key().id, TextOf(*reply)));
+  left_over_.push_back(RedisListKey(record.journal->stored_as(), TextOf(*reply)));
   return true;
 }
 
 absl::Status RedisBackend::FindReason(SessionJournal& journal, absl::Status* reason) {
-  const std::string& id = journal.key().id;
+  const std::string& id = journal.stored_as();
   *reason = UnexpectedReply("the owner of the session");
   ASSIGN_OR_RETURN(const auto reply,
                    client_->Run({"HMGET", RedisHashKey(id), "epoch", "owner", "state", "changes"}));

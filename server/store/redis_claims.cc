@@ -22,12 +22,13 @@ constexpr int kMostClaims = 3;
 struct ClaimState {
   const JournalClaim* claim = nullptr;
   absl::StatusOr<ClaimedJournal>* result = nullptr;
+  std::string id = "";     // under which the store may have the session
   std::string found = "";  // epoch in the store
   uint64_t epoch = 0;      // new; 0: the session is left to its owner
 };
 
 // Sets the epochs of a claim from what the store has of its session. Returns false if the claim is
-// done, with a result.
+// done, with a result, unless it has another id now, under which to look for it.
 bool TakeFound(const redisReply& reply, absl::BitGen& random, ClaimState* state) {
   const JournalClaim& claim = *state->claim;
   uint64_t epoch = 0;
@@ -36,11 +37,15 @@ bool TakeFound(const redisReply& reply, absl::BitGen& random, ClaimState* state)
     return false;
   }
   state->found = TextAt(reply, 0);
+  const std::string tenant = TextAt(reply, 1);
+  const bool is_closed = TextAt(reply, 2) == "closed";  // by an older release: without tenant
+  const bool is_elsewhere = tenant != claim.tenant && !(is_closed && tenant.empty());
+  if (is_elsewhere && state->id == claim.id) state->id = SecondStoredId(claim.tenant, claim.id);
   if (state->found.empty()) {
     *state->result = MarkLost(NoSuchSession(claim.id));
     return false;
   }
-  if (!absl::SimpleAtoi(state->found, &epoch) || TextAt(reply, 1) != claim.tenant ||
+  if (!absl::SimpleAtoi(state->found, &epoch) || tenant != claim.tenant ||
       TextAt(reply, 2) != "open") {
     *state->result = NoSuchSession(claim.id);
     return false;
@@ -55,22 +60,30 @@ bool TakeFound(const redisReply& reply, absl::BitGen& random, ClaimState* state)
 std::vector<ClaimState> FindClaims(RedisClient& client, std::vector<ClaimState> claims,
                                    absl::BitGen& random) {
   for (const ClaimState& state : claims) {
-    client.Append({"HMGET", RedisHashKey(state.claim->id), "epoch", "tenant", "state", "policy"});
+    client.Append({"HMGET", RedisHashKey(state.id), "epoch", "tenant", "state", "policy"});
   }
   std::vector<ClaimState> found;
+  std::vector<ClaimState> elsewhere;
   for (ClaimState& state : claims) {
+    const std::string id = state.id;
     const auto reply = client.Read();
     if (!reply.ok()) {
       *state.result = reply.status();
     } else if (TakeFound(**reply, random, &state)) {
       found.push_back(std::move(state));
+    } else if (state.id != id) {
+      elsewhere.push_back(std::move(state));
     }
+  }
+  if (elsewhere.empty()) return found;
+  for (ClaimState& state : FindClaims(client, std::move(elsewhere), random)) {
+    found.push_back(std::move(state));
   }
   return found;
 }
 
 void AppendClaim(RedisClient& client, const RedisClaimant& claimant, const ClaimState& state) {
-  const std::string& id = state.claim->id;
+  const std::string& id = state.id;
   const std::string list = RedisListKey(id, state.found);
   if (state.epoch == 0) {
     return client.Append({"LRANGE", list, "0", state.claim->only_reads ? "-1" : "0"});
@@ -98,7 +111,7 @@ std::vector<ClaimState> RunClaims(RedisClient& client, const RedisClaimant& clai
       again.push_back(std::move(state));
       continue;
     }
-    ClaimedJournal journal = {.epoch = state.epoch, .records = {}};
+    ClaimedJournal journal = {.epoch = state.epoch, .records = {}, .stored_as = state.id};
     if (!absl::SimpleAtoi(state.found, &journal.claimed_from)) journal.claimed_from = 0;
     for (size_t i = 0; i < (*reply)->elements; ++i) journal.records.push_back(TextAt(**reply, i));
     *state.result = std::move(journal);
@@ -114,7 +127,7 @@ std::vector<absl::StatusOr<ClaimedJournal>> ClaimRedisJournals(
   std::vector<absl::StatusOr<ClaimedJournal>> results(
       claims.size(), UnexpectedReply("a session that stays at one server; try again"));
   std::vector<ClaimState> waiting;
-  for (size_t i = 0; i < claims.size(); ++i) waiting.push_back({&claims[i], &results[i]});
+  for (size_t i = 0; i < claims.size(); ++i) waiting.push_back({&claims[i], &results[i], claims[i].id});
   for (int i = 0; i < kMostClaims && !waiting.empty(); ++i) {
     waiting = RunClaims(client, claimant, FindClaims(client, std::move(waiting), random));
   }

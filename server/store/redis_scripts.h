@@ -16,23 +16,25 @@
 
 namespace spikeserve::redis_scripts {
 
-// Whether the caller owns what the store has: at its epoch, or at an older one if the store has
+// What the hash has, and whether the caller owns it: at its epoch, or at an older one if the store has
 // gone back to what it was before the caller's last claim or move. ARGV: epoch, owner, epoch before
 // the claim.
 inline constexpr char kIsMine[] = R"(
-local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state')
+local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state', 'tenant')
 local is_same = found[1] == ARGV[1] and (not found[2] or found[2] == ARGV[2] or found[2] == '')
 local is_older = found[1] and tonumber(found[1]) < tonumber(ARGV[1]) and
                  (found[2] == ARGV[2] or found[1] == ARGV[3])
 )";
 
 // Writes a snapshot, which replaces all of a journal. Returns 1, the older epoch that it replaces,
-// or 0 if another owner has the session, or a newer copy of it. KEYS: hash, list, list of the epoch
+// 0 if another owner has the session, or a newer copy of it, or -1 if another tenant has or had a
+// session of this id. KEYS: hash, list, list of the epoch
 // that it may replace, or the former again if the caller does not know of any. ARGV: as above,
 // owner from now on, tenant, snapshot, retention in milliseconds, policy file, base, changes of the
-// session, most changes of another owner's copy that it replaces.
+// session, most changes of another owner's copy that it replaces, or nothing if it opens a session.
 inline constexpr char kPut[] = R"(
-if found[1] and not (found[3] == 'open' and (is_same or is_older)) then return 0 end
+if found[1] and found[4] and found[4] ~= ARGV[5] then return -1 end
+if found[1] and not (found[3] == 'open' and (is_same or is_older and ARGV[11] ~= '')) then return 0 end
 if is_older and found[2] ~= ARGV[2] then
   if KEYS[3] == KEYS[2] then return 0 end
   local changes = string.match(redis.call('HGET', KEYS[1], 'changes') or '', found[1] .. ':(%d+)') or 0
@@ -54,7 +56,7 @@ if found[1] and not (is_same or is_older) then return 0 end
 redis.call('HDEL', KEYS[1], '')
 redis.call('HSET', KEYS[1], 'epoch', ARGV[1], 'state', 'closed')
 redis.call('PEXPIRE', KEYS[1], ARGV[4])
-redis.call('HDEL', KEYS[1], 'owner', 'tenant', 'policy', 'base', 'changes')
+redis.call('HDEL', KEYS[1], 'owner', 'policy', 'base', 'changes', found[4] == '' and 'tenant' or '')
 redis.call('DEL', KEYS[2])
 return is_older and found[1] or 1)";
 

@@ -92,7 +92,7 @@ class SessionFeeds::Feed final : public HttpFeed {
     if (ended_) return std::nullopt;
     const absl::Duration now = parts_.clock->Now();
     if (auto status = caller_->CheckValid(); !status.ok()) return End(status);
-    const std::shared_ptr<SessionEntry> entry = parts_.store->Peek(session_);
+    const std::shared_ptr<SessionEntry> entry = parts_.store->Peek(session_, caller_->tenant()->name());
     if (entry == nullptr || !caller_->CanRead(entry->tenant)) return End(NoSuchSession(session_));
     std::string events;
     if (auto glance = TryGlance(*entry, seen_); glance.has_value()) {
@@ -124,12 +124,12 @@ class SessionFeeds::Feed final : public HttpFeed {
   void Explain(absl::Duration now) {
     explain_after_ = now + kExplainInterval;
     if (!caller_->tenant()->AcquireCall(Cost::kExplain, now).ok()) return;
-    const auto work = [store = parts_.store, id = session_,
+    const auto work = [store = parts_.store, id = session_, tenant = caller_->tenant()->name(),
                        mailbox = std::weak_ptr<Mailbox>(explanations_)] {
       const auto wanted = mailbox.lock();
       if (wanted == nullptr) return;  // the client has left
       v1::ExplainResponse response;
-      const auto entry = store->Peek(id);
+      const auto entry = store->Peek(id, tenant);
       const bool explained = entry != nullptr && ExplainSession(*entry, &response).ok();
       wanted->Put(explained ? ToEvent("explanation", response) : "");
     };
@@ -156,7 +156,7 @@ class SessionFeeds::Feed final : public HttpFeed {
 absl::StatusOr<std::shared_ptr<HttpFeed>> SessionFeeds::Open(
     std::shared_ptr<const Credential> caller, const std::string& client,
     const std::string& session) {
-  const std::shared_ptr<SessionEntry> entry = parts_.store->Peek(session);
+  const std::shared_ptr<SessionEntry> entry = parts_.store->Peek(session, caller->tenant()->name());
   if (entry == nullptr || !caller->CanRead(entry->tenant)) return NoSuchSession(session);
   auto place = places_.Take(caller->tenant()->name());
   {

@@ -409,7 +409,7 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
 
 absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& caller,
                                         const std::string& id, double unusual_deviations) {
-  const std::optional<ListedSession> found = store.PeekListed(id);
+  const std::optional<ListedSession> found = store.PeekListed(id, caller.tenant()->name());
   if (!found.has_value() || !caller.CanRead(found->entry->tenant)) return NoSuchSession(id);
   Json json = InfoJson(*found);
 

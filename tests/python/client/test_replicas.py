@@ -373,7 +373,8 @@ async def end_elsewhere(fleet, replicas, player, durability):
 
 def store_has(fleet, session_id, decisions):
     """Returns whether Redis has the decisions of a session: its journal has a snapshot and an entry for each."""
-    return fleet.redis.command(f"LLEN ss:{{{session_id}}}:1") == decisions + 1
+    epoch = fleet.redis.command(f"HGET ss:{{{session_id}}}:o epoch").decode()
+    return fleet.redis.command(f"LLEN ss:{{{session_id}}}:{epoch}") == decisions + 1
 
 
 def test_a_replica_that_was_stopped_sends_no_stale_answer(fleet):

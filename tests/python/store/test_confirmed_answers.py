@@ -202,8 +202,10 @@ def test_nothing_is_claimed_that_only_this_server_has(redis, replicas, durabilit
     owner, _ = replicas
     for numbered in (True, False):
         session = opened(owner, 0, durability)
+        epochs = set()
         for step in range(STEPS):
             fields = request(session, 0, 0, step, numbered)
             first = answered(owner.Act, fields)
             assert answered(owner.Act, fields).action == first.action
-        assert redis.command(f"HGET ss:{{{session}}}:o epoch") == b"1"
+            epochs.add(redis.command(f"HGET ss:{{{session}}}:o epoch"))
+        assert len(epochs - {None}) == 1

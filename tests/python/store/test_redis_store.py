@@ -243,13 +243,14 @@ def test_a_replica_with_other_bytes_of_the_policy_leaves_the_session_to_its_owne
     store, flags = f"redis://127.0.0.1:{redis.port}", [password]
     with Restartable(store, flags) as owner, Restartable(store, flags, policies) as other:
         owner.OpenSession(**opening(0))
+        epoch = redis.command(f"HGET ss:{{{opening(0)['session_id']}}}:o epoch")
         for step in range(4):
             with fails_with(grpc.StatusCode.UNAVAILABLE, "whose file is another one here"):
                 act(other, 0, step)
             assert act(owner, 0, step).step == step
         assert metric(owner, "spikeserve_store_fences_total") == 0
         assert metric(other, 'spikeserve_store_claims_total{outcome="failed"}') == 4
-        assert redis.command(f"HGET ss:{{{opening(0)['session_id']}}}:o epoch") == b"1"
+        assert redis.command(f"HGET ss:{{{opening(0)['session_id']}}}:o epoch") == epoch
 
 
 def test_a_replica_with_other_bytes_of_the_policy_opens_no_session_on_it(redis, tmp_path, password):
@@ -383,13 +384,14 @@ def test_a_server_that_stops_hands_its_sessions_over(redis, tmp_path, password):
         requests.put(request_class(**acting(0, 0, 5)))
         answers = stream(iter(requests.get, None))
         assert next(answers).step == 5
+        epochs = [redis.command(f"HGET ss:{{{i:032x}}}:o epoch") for i in range(6)]
         addresses.process.terminate()
         assert code_of(next, answers) == grpc.StatusCode.UNAVAILABLE
         addresses.process.wait()
         for i in range(6):
             owner, epoch = redis.command(f"HMGET ss:{{{i:032x}}}:o owner epoch")
-            assert (owner, epoch) == (b"", b"1")
-            assert redis.command(f"LLEN ss:{{{i:032x}}}:1") == 1
+            assert (owner, epoch) == (b"", epochs[i])
+            assert redis.command(f"LLEN ss:{{{i:032x}}}:{epoch.decode()}") == 1
         replayed = metric(second, "spikeserve_store_replayed_entries_total")
         for i in range(6):
             assert second.GetSession(session_id=f"{i:032x}").decisions == (6 if i == 0 else 5)
@@ -421,17 +423,18 @@ def test_an_owner_replaces_an_older_journal(redis, replicas):
     session = opening(5)["session_id"]
     first.OpenSession(**opening(5))
     act(first, 5, 0)
+    former = epoch_of(redis, session)
     act(second, 5, 1)
-    epoch = int(redis.command(f"HGET ss:{{{session}}}:o epoch", database=1))
-    assert epoch > 1
-    restore(redis, session, epoch)
+    epoch = epoch_of(redis, session)
+    assert epoch > former
+    # Puts back the state before the take-over.
+    redis.command(f"RENAME ss:{{{session}}}:{epoch} ss:{{{session}}}:{former}", database=1)
+    redis.command(f"HSET ss:{{{session}}}:o epoch {former} owner former", database=1)
     act(second, 5, 2)
     second.kill()
     until(lambda: code_of(act, first, 5, 3) == grpc.StatusCode.OK)
     assert first.GetSession(session_id=session).decisions == 4
 
 
-def restore(redis, session, epoch):
-    """Puts back the state before a take-over, whose list has the name of epoch 1 again."""
-    redis.command(f"RENAME ss:{{{session}}}:{epoch} ss:{{{session}}}:1", database=1)
-    redis.command(f"HSET ss:{{{session}}}:o epoch 1 owner former", database=1)
+def epoch_of(redis, session):
+    return int(redis.command(f"HGET ss:{{{session}}}:o epoch", database=1))

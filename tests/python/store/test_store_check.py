@@ -137,15 +137,16 @@ def test_redis(password):
             assert (report["damaged"], report["orphaned"], len(report["replicas"])) == ([], [], 1)
 
             ids = [f"{i:032x}" for i in range(SESSIONS)]
-            redis.command(f"DEL ss:{{{ids[0]}}}:1")  # a session without its journal
-            redis.command(f"RPUSH ss:{{{ids[1]}}}:1 nonsense")  # a record that is none
-            redis.command(f"LSET ss:{{{ids[2]}}}:1 2 duplicate")  # an entry that is missing
+            lists = [f"ss:{{{id}}}:" + redis.command(f"HGET ss:{{{id}}}:o epoch").decode() for id in ids[:4]]
+            redis.command(f"DEL {lists[0]}")  # a session without its journal
+            redis.command(f"RPUSH {lists[1]} nonsense")  # a record that is none
+            redis.command(f"LSET {lists[2]} 2 duplicate")  # an entry that is missing
             redis.command(f"DEL ss:{{{ids[3]}}}:o")  # a journal without its session
             redis.command(f"RPUSH ss:{{{ids[4]}}}:77 old")  # a journal of another epoch
             status, report = check(store, password)
             assert status == 1
             assert names(report["damaged"]) == set(ids[:3])
-            assert names(report["orphaned"]) == {f"ss:{{{ids[3]}}}:1", f"ss:{{{ids[4]}}}:77"}
+            assert names(report["orphaned"]) == {lists[3], f"ss:{{{ids[4]}}}:77"}
 
             server.kill()
             until(lambda: check(store, password)[1]["replicas"] == [])
