@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/agent/wiring_check.h"
 #include "core/base/printable.h"
@@ -34,10 +35,12 @@ absl::Status CheckLabels(const google::protobuf::Map<std::string, std::string>& 
   return absl::OkStatus();
 }
 
-absl::Status CheckPeriod(double seconds) {
-  if (seconds >= 0.001 && seconds <= 3600.0) return absl::OkStatus();  // false for NaN
+absl::Status CheckPeriod(const std::string& text) {
+  double seconds = 0.0;
+  const bool is_number = absl::SimpleAtod(text, &seconds);
+  if (is_number && seconds >= 0.001 && seconds <= 3600.0) return absl::OkStatus();  // false for NaN
   return absl::InvalidArgumentError(
-      absl::StrCat("period_seconds: expected 0.001 to 3600, received ", seconds));
+      absl::StrCat("period_seconds: expected 0.001 to 3600, received ", Quoted(text)));
 }
 
 }  // namespace
@@ -59,9 +62,11 @@ absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& re
     const auto wiring = static_cast<WiringResponse>(request.wiring() - v1::WIRING_COUNT);
     options.labels[kWiringLabel] = std::string(ToString(wiring));
   }
-  if (!request.has_period_seconds()) return options;
-  RETURN_IF_ERROR(CheckPeriod(request.period_seconds()));
-  options.labels[kPeriodLabel] = absl::StrCat(request.period_seconds());
+  if (request.has_period_seconds()) {
+    options.labels[kPeriodLabel] = absl::StrCat(request.period_seconds());
+  }
+  const auto period = options.labels.find(kPeriodLabel);  // which a client may also have set itself
+  if (period != options.labels.end()) RETURN_IF_ERROR(CheckPeriod(period->second));
   return options;
 }
 

@@ -22,7 +22,7 @@
 namespace spikeserve {
 namespace {
 
-constexpr size_t kMaxWaiting = 16;  // requests of one client, and for /healthz
+constexpr size_t kMaxWaiting = 16;  // requests of one tenant, or of one address where there are none
 
 // The windows of /status.json and /history.json, in seconds.
 constexpr int64_t kDefaultWindow = 60;
@@ -81,11 +81,12 @@ StatusPages::StatusPages(Parts parts)
       pages_(kMaxWaiting) {}
 
 void StatusPages::Answer(HttpRequest request, HttpServer::Done done) {
-  const auto submit = [&](BackgroundWorker& worker, std::function<void()> work) {
-    const auto accepted = worker.Submit(request.peer.address, std::move(work));
+  const auto submit = [&](BackgroundWorker& worker, const std::string& group,
+                          std::function<void()> work) {
+    const auto accepted = worker.Submit(group, std::move(work));
     if (!accepted.ok()) done({.code = 503, .body = absl::StrCat(accepted.message(), "\n")});
   };
-  if (request.path == "/healthz") return submit(health_, [this, done] { done(Health()); });
+  if (request.path == "/healthz") return submit(health_, request.peer.address, [this, done] { done(Health()); });
   const absl::Duration now = parts_.clock->Now();
   const auto caller = AdmitToPages(*parts_.authenticator, request.authorization);
   if (!caller.ok()) {
@@ -93,14 +94,17 @@ void StatusPages::Answer(HttpRequest request, HttpServer::Done done) {
                  .body = absl::StrCat(caller.status().message(), "\n"),
                  .delay = DelayOf(caller, caller.status())});
   }
+  // A proxy brings many tenants from one address, and a tenant may have many addresses.
+  const std::string& tenant = (*caller)->tenant()->name();
+  const std::string& group = tenant.empty() ? request.peer.address : tenant;
   if (request.path == "/metrics") {
-    return submit(metrics_, [this, round = shared_.Join(request.path), done] {
+    return submit(metrics_, group, [this, round = shared_.Join(request.path), done] {
       done({.code = 200,
             .content_type = "text/plain; version=0.0.4; charset=utf-8",
             .body = *shared_.Get(*round, [this] { return parts_.metrics->ToText(); })});
     });
   }
-  if (absl::EndsWith(request.path, ".json")) {
+  if (absl::EndsWith(request.path, ".json") || request.path == "/watch") {
     const auto status = (*caller)->tenant()->AcquireCall(Cost::kListing, now);
     if (!status.ok()) {
       HttpResponse refusal = JsonResponse(status);
@@ -108,7 +112,7 @@ void StatusPages::Answer(HttpRequest request, HttpServer::Done done) {
       return done(std::move(refusal));
     }
   }
-  submit(pages_, [this, caller = *caller, request, round = shared_.Join(KeyOf(request, **caller)),
+  submit(pages_, group, [this, caller = *caller, request, round = shared_.Join(KeyOf(request, **caller)),
                   done] { AnswerPage(caller, request, *round, done); });
 }
 
@@ -195,7 +199,11 @@ void StatusPages::Explain(const std::shared_ptr<const Credential>& caller,
   if (!parsed.ok()) return done(JsonResponse(parsed.status()));
   const absl::Status within_rate =
       caller->tenant()->AcquireCall(Cost::kExplain, parts_.clock->Now());
-  if (!within_rate.ok()) return done(JsonResponse(within_rate));
+  if (!within_rate.ok()) {
+    HttpResponse refusal = JsonResponse(within_rate);
+    refusal.delay = DelayOf(caller, within_rate);
+    return done(std::move(refusal));
+  }
   v1::ExplainRequest explain;
   explain.set_session_id(parsed->Get("session"));
   const auto work = [handler = parts_.handler, caller, explain, done] {

@@ -387,5 +387,6 @@ def test_a_return_that_the_policy_cannot_have_is_no_part_of_its_mean():
 
 @pytest.mark.parametrize("period", [0.0, -1.0, float("nan"), 0.0001, 3601.0])
 def test_a_period_is_checked(service, period):
-    with pytest.raises(grpc.RpcError, match="period_seconds: expected 0.001 to 3600, received"):
-        service.OpenSession(policy="cartpole", period_seconds=period)
+    for fields in ({"period_seconds": period}, {"labels": {"period_seconds": str(period)}}):
+        with pytest.raises(grpc.RpcError, match="period_seconds: expected 0.001 to 3600, received"):
+            service.OpenSession(policy="cartpole", **fields)
