@@ -82,6 +82,7 @@ ATTACKS = {
             budget=TENANT,
             flags=("--record_dir={folder}/recordings",),
         ),
+        Attack(tenant_attacks.reports_that_no_robot_makes, budget=TENANT),
         Attack(tenant_attacks.histories_of_many_sessions, budget=TENANT),
         Attack(http_attacks.bodies_beyond_the_rate, budget=TENANT, http=True),
         Attack(http_attacks.bodies_of_a_tenant_without_limits, budget=TENANT, http=True),

@@ -1,11 +1,13 @@
 """An agent of another tenant, in a process of its own: plays without pause, and prints its latencies.
 
-A probe of the health page runs beside it. Each line that it reads from stdin ends a period. It answers with one line of
-JSON: the quantiles of the period's latencies in seconds and how many calls failed, and "health" with those of the page.
+A probe of the health page runs beside it. Each line that it reads from stdin is the name of what begins now, which may
+come again. In the end it prints one line of JSON: for each name the quantiles of the latencies in seconds and how many
+calls failed, and "health" with those of the page.
 
 usage: python3 -m tests.attacks.neighbour HOST:PORT HTTP_HOST:PORT [CA_FILE]
 """
 
+import collections
 import http.client
 import json
 import ssl
@@ -25,29 +27,26 @@ PROBE_SECONDS = 0.02  # between two requests for the health page
 
 
 class Latencies:
-    """What calls took since the last period. Safe for two threads."""
+    """What calls took, by the period in which they ended. One thread adds; another sets `period`."""
 
     def __init__(self):
-        self._lock = threading.Lock()
-        self._latencies, self._failed = [], 0
+        self.period = ""
+        self._latencies = collections.defaultdict(list)
+        self._failed = collections.Counter()
 
     def add(self, seconds, failed):
         """Counts one call."""
-        with self._lock:
-            self._latencies.append(seconds)
-            self._failed += failed
+        period = self.period
+        self._latencies[period].append(seconds)
+        self._failed[period] += failed
 
-    def period(self):
-        """Returns the figures since the last call of this method."""
-        with self._lock:
-            latencies, self._latencies = self._latencies, []
-            failed, self._failed = self._failed, 0
-        if len(latencies) < 2:
-            return {"calls": len(latencies), "failed": failed, "p50": None, "p99": None}
-        quantiles = statistics.quantiles(latencies, n=100)
+    def figures(self, period):
+        """Returns the quantiles of a period."""
+        latencies = self._latencies[period]
+        quantiles = statistics.quantiles(latencies, n=100) if len(latencies) > 1 else [None] * 99
         return {
             "calls": len(latencies),
-            "failed": failed,
+            "failed": self._failed[period],
             "p50": quantiles[49],
             "p99": quantiles[98],
         }
@@ -128,11 +127,17 @@ def main():
     for thread in threads:
         thread.start()
     print("ready", flush=True)
-    for _ in sys.stdin:
-        print(json.dumps(player.latencies.period() | {"health": probe.latencies.period()}), flush=True)
+    names = []
+    for line in sys.stdin:
+        names.append(line.strip())
+        player.latencies.period = probe.latencies.period = names[-1]
     stopped.set()
     for thread in threads:
         thread.join()
+    figures = {
+        name: player.latencies.figures(name) | {"health": probe.latencies.figures(name)} for name in names
+    }
+    print(json.dumps(figures), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Starts a server, attacks it, and records what became of the server and of a neighbour."""
 
+import collections
 import contextlib
 import dataclasses
 import json
@@ -33,7 +34,10 @@ class Observation:
     peak: int
     after: int  # at the end, or as soon as it is below the limit
     cores: float  # the server's processor time for each second of the attack
-    before: dict  # the neighbour's figures, see tests/attacks/neighbour.py
+    # The neighbour's figures, see tests/attacks/neighbour.py: without the attack, while it hits another server of the
+    # machine, and during it.
+    calm: dict
+    elsewhere: dict | None
     during: dict
     served_after: float | None  # seconds until a new client was served; None: it was not
     alive: bool
@@ -53,17 +57,18 @@ class Neighbour:
         )
         assert self._process.stdout.readline() == "ready\n", "the neighbour was not served"
 
-    def period(self):
-        """Returns the figures since the last period."""
-        self._process.stdin.write("\n")
+    def begin(self, period):
+        """Begins a period, or goes on with one."""
+        self._process.stdin.write(f"{period}\n")
         self._process.stdin.flush()
-        return json.loads(self._process.stdout.readline())
 
     def stop(self):
-        """Ends the process."""
+        """Ends the process. Returns the figures by period."""
         self._process.stdin.close()
+        figures = json.loads(self._process.stdout.readline())
         self._process.wait(timeout=30)
         self._process.stdout.close()
+        return figures
 
 
 @contextlib.contextmanager
@@ -118,32 +123,72 @@ def memory_after(process, idle, limit):
     return above
 
 
-def observe(attack, tokens, certificates, seconds, idle_seconds, return_limit, count=None):
-    """Attacks a new server for `seconds`. Returns the Observation."""
-    with attacked_server(attack, tokens, certificates) as addresses:
+@dataclasses.dataclass
+class Rounds:
+    """How often an attack is made, with a calm before each time, and whether it is made elsewhere, too."""
+
+    count: int
+    seconds: float  # of each attack
+    calm_seconds: float
+    elsewhere: bool = False
+
+
+def observe(attack, tokens, certificates, rounds, return_limit, count=None):
+    """Attacks a new server. Returns the Observation.
+
+    The periods take turns, so that other work of the machine is in all of them.
+    """
+    with contextlib.ExitStack() as stack:
+        addresses, *others = [
+            stack.enter_context(attacked_server(attack, tokens, certificates)) for _ in range(1 + rounds.elsewhere)
+        ]
         process = Process(addresses.process.pid)
         authority = [f"{certificates}/ca.pem"] if attack.tls else []
         neighbour = Neighbour([addresses.grpc, addresses.http, *authority])
-        time.sleep(idle_seconds)
-        before = neighbour.period()
-        idle = process.memory()
-        process.reset_peak()
-        processor = process.processor_seconds()
-        start = time.monotonic()
-        with MemoryWatch(process, idle + KILL_BYTES):
-            target = addresses.http if attack.http else addresses.grpc
-            sent = run_attack(attack.name, target, seconds, count)
-        took = time.monotonic() - start
-        during = neighbour.period()
+        sent = collections.Counter()
+        processor = took = 0.0
+        served_after = None
+
+        def run(server):
+            target = server.http if attack.http else server.grpc
+            return run_attack(attack.name, target, rounds.seconds, count)
+
+        idle = None
+        for _ in range(rounds.count):
+            neighbour.begin("calm")
+            time.sleep(rounds.calm_seconds)
+            for other in others:
+                neighbour.begin("elsewhere")
+                run(other)
+            if idle is None:
+                idle = process.memory()
+                process.reset_peak()
+            with MemoryWatch(process, idle + KILL_BYTES), contextlib.suppress(OSError):
+                began, used = time.monotonic(), process.processor_seconds()
+                neighbour.begin("during")
+                sent.update(run(addresses))
+                took += time.monotonic() - began
+                processor += process.processor_seconds() - used
+            served_after = seconds_until_served(addresses.grpc, attack.tls, SERVED_SECONDS)
+            neighbour.begin("between")
+            time.sleep(rounds.calm_seconds / 2)  # what the attack has left behind is done
         try:
             peak = process.peak() - idle
-            cores = (process.processor_seconds() - processor) / took
-            served_after = seconds_until_served(addresses.grpc, attack.tls, SERVED_SECONDS)
             after = memory_after(process, idle, return_limit)
             alive = addresses.process.poll() is None
         except OSError:
-            peak, cores, after, served_after, alive = KILL_BYTES, took, KILL_BYTES, None, False
-        neighbour.stop()
+            peak, after, alive = KILL_BYTES, KILL_BYTES, False
+        figures = neighbour.stop()
     return Observation(
-        attack.name, took, sent, peak, after, cores, before, during, served_after, alive
+        attack.name,
+        took,
+        dict(sent),
+        peak,
+        after,
+        processor / max(took, 1e-9),
+        figures["calm"],
+        figures.get("elsewhere"),
+        figures["during"],
+        served_after,
+        alive,
     )

@@ -22,6 +22,7 @@ ITEMS = 1024
 BATCHES = 50  # in one burst of a connection
 LISTERS = 6
 RECORDERS = 4
+REPORTERS = 4
 SESSIONS = 12
 STEPS = 1000
 WORST = -1e6  # a return
@@ -84,80 +85,21 @@ EXPORTERS = 6
 LONG_ID = 60_000  # bytes
 
 
-def exports_of_long_ids(address, seconds):
-    """Exports sessions whose ids are long, each of which is recorded. An operator acts in the end."""
-    message = v1("ExportSessionRequest", session_id="x" * LONG_ID).SerializeToString()
-    sent = flood(address, seconds, requests_of("ExportSession", message, 4), EXPORTERS)
-    with grpc.insecure_channel(f"{address[0]}:{address[1]}") as channel:
-        label = v1("SetLabelRequest", policy="cartpole", version=1, label="after")
-        Agents(channel, sent)("/spikeserve.v1.PolicyAdmin/SetLabel", label, "machine")
-    return sent
-
-
-def recordings_of_one_tenant(address, seconds):
-    """Records episodes of one step, as many as one tenant can."""
-    sent = Sent(connections=1)
-    end = time.monotonic() + seconds
-    with grpc.insecure_channel(f"{address[0]}:{address[1]}") as channel:
-        agents = Agents(channel, sent)
-        opening = v1("OpenSessionRequest", policy="cartpole", record=True)
-
-        def record():
-            session = agents(f"/{POLICY}/OpenSession", opening).session_id
-            while time.monotonic() < end:
-                agents.episode(session, OBSERVATION, 1.0)
-
-        with concurrent.futures.ThreadPoolExecutor(RECORDERS) as threads:
-            for done in [threads.submit(record) for _ in range(RECORDERS)]:
-                done.result()
-    return sent
-
-
-def histories_of_many_sessions(address, seconds):
-    """Sends histories of 1,000 steps in twelve sessions, which the server has to compute."""
-    sent = Sent(connections=1)
-    end = time.monotonic() + seconds
-    with grpc.insecure_channel(f"{address[0]}:{address[1]}") as channel:
-        agents = Agents(channel, sent)
-
-        def play():
-            session = agents(f"/{POLICY}/OpenSession", v1("OpenSessionRequest", policy="cartpole")).session_id
-            decision = 0
-            while time.monotonic() < end:
-                first = v1("ActRequest", session_id=session, decision=decision, observation=OBSERVATION)
-                executed = {"discrete": agents(f"/{POLICY}/Act", first).action.discrete}
-                beats = [
-                    v1("Beat", step=step, observation=OBSERVATION, executed=executed)
-                    for step in range(STEPS)
-                ]
-                request = v1("ActRequest", session_id=session, step=STEPS, decision=decision + STEPS)
-                request.observation.extend(OBSERVATION)
-                request.history.extend(beats)
-                agents(f"/{POLICY}/Act", request)
-                agents(f"/{POLICY}/EndEpisode", v1("EndEpisodeRequest", session_id=session))
-                decision += STEPS + 1
-
-        with concurrent.futures.ThreadPoolExecutor(SESSIONS) as threads:
-            for done in [threads.submit(play) for _ in range(SESSIONS)]:
-                done.result()
-    return sent
-
-
-class DecidedRolloutError(Exception):
-    """One session has decided a roll-out for all tenants."""
-
-
 class Agents:
     """Calls of an agent and of an operator over one channel, which counts what it sends."""
 
     def __init__(self, channel, sent):
         self._channel = channel
-        self._sent = sent
+        self.sent = sent
 
     def __call__(self, path, request, token="agent"):
-        self._sent.bytes += request.ByteSize()
+        self.sent.bytes += request.ByteSize()
         metadata = (("authorization", f"Bearer {token}"),)
         return call(self._channel, path)(request, metadata=metadata, timeout=CALL_SECONDS)
+
+    def open(self, **fields):
+        """Opens a session. Returns its id."""
+        return self(f"/{POLICY}/OpenSession", v1("OpenSessionRequest", policy="cartpole", **fields)).session_id
 
     def episode(self, session, observation, reward):
         """Plays an episode of one step."""
@@ -167,15 +109,95 @@ class Agents:
             self(f"/{POLICY}/EndEpisode", v1("EndEpisodeRequest", session_id=session, reward=reward))
 
 
+@contextlib.contextmanager
+def calling(address, sent=None):
+    """Yields Agents with a connection."""
+    with grpc.insecure_channel(f"{address[0]}:{address[1]}") as channel:
+        yield Agents(channel, sent or Sent(connections=1))
+
+
+def in_threads(count, seconds, work):
+    """Calls work(is_over) in `count` threads; is_over() becomes true after `seconds`."""
+    end = time.monotonic() + seconds
+    with concurrent.futures.ThreadPoolExecutor(count) as threads:
+        for done in [threads.submit(work, lambda: time.monotonic() >= end) for _ in range(count)]:
+            done.result()
+
+
+def exports_of_long_ids(address, seconds):
+    """Exports sessions whose ids are long, each of which is recorded. An operator acts in the end."""
+    message = v1("ExportSessionRequest", session_id="x" * LONG_ID).SerializeToString()
+    sent = flood(address, seconds, requests_of("ExportSession", message, 4), EXPORTERS)
+    with calling(address, sent) as agents:
+        label = v1("SetLabelRequest", policy="cartpole", version=1, label="after")
+        agents("/spikeserve.v1.PolicyAdmin/SetLabel", label, "machine")
+    return sent
+
+
+def recordings_of_one_tenant(address, seconds):
+    """Records episodes of one step, as many as one tenant can."""
+    with calling(address) as agents:
+
+        def record(is_over):
+            session = agents.open(record=True)
+            while not is_over():
+                agents.episode(session, OBSERVATION, 1.0)
+
+        in_threads(RECORDERS, seconds, record)
+    return agents.sent
+
+
+def histories_of_many_sessions(address, seconds):
+    """Sends histories of 1,000 steps in twelve sessions, which the server has to compute."""
+    with calling(address) as agents:
+
+        def play(is_over):
+            session = agents.open()
+            decision = 0
+            while not is_over():
+                first = v1("ActRequest", session_id=session, decision=decision, observation=OBSERVATION)
+                executed = {"discrete": agents(f"/{POLICY}/Act", first).action.discrete}
+                beats = [v1("Beat", step=step, observation=OBSERVATION, executed=executed) for step in range(STEPS)]
+                request = v1("ActRequest", session_id=session, step=STEPS, decision=decision + STEPS)
+                request.observation.extend(OBSERVATION)
+                request.history.extend(beats)
+                agents(f"/{POLICY}/Act", request)
+                agents(f"/{POLICY}/EndEpisode", v1("EndEpisodeRequest", session_id=session))
+                decision += STEPS + 1
+
+        in_threads(SESSIONS, seconds, play)
+    return agents.sent
+
+
+def reports_that_no_robot_makes(address, seconds):
+    """Reports counts and returns that would fill the sums of all tenants. Half of them are refused by their form."""
+    with calling(address) as agents:
+
+        def play(is_over):
+            session = agents.open()
+            for step in itertools.count():
+                if is_over():
+                    return
+                beats = {"safe": 10**12 - 1 if step % 2 else 2**64 - 1, "longest_gap_seconds": 1e7}
+                act = v1("ActRequest", session_id=session, step=step // 2, observation=OBSERVATION, report=beats, reward=WORST)
+                with contextlib.suppress(grpc.RpcError):
+                    agents(f"/{POLICY}/Act", act)
+
+        in_threads(REPORTERS, seconds, play)
+    return agents.sent
+
+
+class DecidedRolloutError(Exception):
+    """One session has decided a roll-out for all tenants."""
+
+
 def rollout_decided_by_one_agent(address, seconds):
     """Ends bad episodes, and sends observations of a wrong size, in one session of a roll-out that is running."""
-    sent = Sent(connections=1)
     admin = "/spikeserve.v1.PolicyAdmin"
-    end = time.monotonic() + seconds
-    with grpc.insecure_channel(f"{address[0]}:{address[1]}") as channel:
-        agents = Agents(channel, sent)
+    with calling(address) as agents:
         start = v1("StartRolloutRequest", policy="cartpole", version=1, steps=[50, 100])
-        agents(f"{admin}/StartRollout", start, "machine")
+        with contextlib.suppress(grpc.RpcError):  # it is running since the round before
+            agents(f"{admin}/StartRollout", start, "machine")
 
         def check():
             listed = agents(f"{admin}/ListRollouts", v1("ListRolloutsRequest"), "machine")
@@ -183,13 +205,15 @@ def rollout_decided_by_one_agent(address, seconds):
             if rollout.state != RUNNING:
                 raise DecidedRolloutError(rollout.reason)
 
-        while time.monotonic() < end:
-            opened = v1("OpenSessionRequest", policy="cartpole", version=1)
-            session = agents(f"/{POLICY}/OpenSession", opened).session_id
-            for _ in range(EPISODES):
-                agents.episode(session, OBSERVATION, WORST)
-                agents.episode(session, [0.0], WORST)
-            check()
+        def play(is_over):
+            while not is_over():
+                session = agents.open(version=1)
+                for _ in range(EPISODES):
+                    agents.episode(session, OBSERVATION, WORST)
+                    agents.episode(session, [0.0], WORST)
+                check()
+
+        in_threads(1, seconds, play)
         time.sleep(0.5)  # the judge looks five times a second
         check()
-    return sent
+    return agents.sent

@@ -10,7 +10,7 @@ from serving import running_server
 from tests.attacks import frames, http2_attacks
 from tests.attacks.catalogue import ATTACKS
 from tests.attacks.flood import CLOSE, flood
-from tests.attacks.observation import SERVED_SECONDS, observe
+from tests.attacks.observation import SERVED_SECONDS, Rounds, observe
 from tests.attacks.process import MEGABYTE
 
 ATTACK_SECONDS = 0.8
@@ -37,7 +37,7 @@ def tokens(tmp_path_factory):
 
 @pytest.mark.parametrize("name", ATTACKS)
 def test_the_server_outlives(name, tokens, certificates):
-    seen = observe(ATTACKS[name], tokens, certificates, ATTACK_SECONDS, IDLE_SECONDS, RETURN_LIMIT)
+    seen = observe(ATTACKS[name], tokens, certificates, Rounds(1, ATTACK_SECONDS, IDLE_SECONDS), RETURN_LIMIT)
     print(seen)
     assert seen.alive, "the server has ended, or was killed for its memory"
     assert seen.sent["connections"] > 0
