@@ -93,6 +93,8 @@ void AddSessionFlags(Command program, ServerOptions* options) {
       .Add("record_dir", "DIR", &options->record_dir, "Directory for recorded sessions")
       .Add("max_recorded_bytes", "N", &options->max_recorded_bytes,
            "Most bytes in --record_dir, which tenants divide")
+      .Add("max_policy_bytes", "N", &options->max_policy_bytes,
+           "Most bytes in --policies with which a head is promoted; tenants divide them")
       .Add("session_store", "STORE", &options->store.address,
            "Where sessions survive: memory, file:DIR or redis://HOST");
 }

@@ -28,6 +28,17 @@ absl::Status CheckReach(absl::string_view flag, const std::string& listen,
   return options.tls.enabled() ? absl::OkStatus() : refuse("--tls_certificate");
 }
 
+absl::Status CheckCounts(const ServerOptions& options) {
+  for (const auto& [flag, value] : {std::pair("--max_sessions", options.max_sessions),
+                                    std::pair("--max_recorded_bytes", options.max_recorded_bytes),
+                                    std::pair("--max_policy_bytes", options.max_policy_bytes)}) {
+    if (value >= 1) continue;
+    return absl::InvalidArgumentError(
+        absl::StrCat(flag, ": expected at least 1, received ", value));
+  }
+  return absl::OkStatus();
+}
+
 absl::Status CheckStore(const ServerOptions& options) {
   if (options.store.retention < options.session_ttl) {
     return absl::InvalidArgumentError(
@@ -82,12 +93,7 @@ absl::Status ServerOptions::Validate() const {
         absl::StrCat("--unusual_deviations: expected at least 0, received ", unusual_deviations));
   }
   RETURN_IF_ERROR(ParseWiringRules(wiring).status());
-  for (const auto& [flag, value] : {std::pair("--max_sessions", max_sessions),
-                                    std::pair("--max_recorded_bytes", max_recorded_bytes)}) {
-    if (value >= 1) continue;
-    return absl::InvalidArgumentError(
-        absl::StrCat(flag, ": expected at least 1, received ", value));
-  }
+  RETURN_IF_ERROR(CheckCounts(*this));
   RETURN_IF_ERROR(CheckStore(*this));
   if (max_message_bytes < 1 || max_message_bytes > INT_MAX) {
     return absl::InvalidArgumentError(absl::StrCat("--max_message_bytes: expected 1 to ", INT_MAX,

@@ -210,6 +210,10 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                                 : std::make_unique<SharedFiles>(registry_.get(), shared_.get())),
       audit_log_(std::move(audit_log)),
       recordings_(std::move(recordings)),
+      policy_folder_(options.policies, options.max_policy_bytes,
+                     [metrics = metrics_.get()](int64_t bytes, int64_t limit) {
+                       metrics->SetStoredBytes(StoredFolder::kPolicies, bytes, limit);
+                     }),
       journals_(std::move(store.journals)),
       shadows_(metrics_->registry()),
       store_(options.max_sessions, &clock_),
@@ -251,7 +255,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       worker_(kLongCallsWaiting),
       list_worker_(kListsWaiting),
       admin_worker_(kOperatorCallsWaiting),
-      head_handler_(registry_.get(), &store_),
+      head_handler_(registry_.get(), &store_, &policy_folder_),
       inference_handler_(
           registry_.get(), &session_gate_, &handler_, &clock_, options.session_ttl,
           journals_ != nullptr && journals_->IsShared() && !options.allow_unconfirmed_sequences

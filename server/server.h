@@ -112,6 +112,7 @@ class Server {
   const std::unique_ptr<SharedFiles> files_;  // null as `shared_`
   const std::unique_ptr<AuditLog> audit_log_;
   const std::unique_ptr<Recordings> recordings_;  // null without --record_dir; outlives the store
+  SharedFolder policy_folder_;
   const std::unique_ptr<JournalStore> journals_;  // null: no session is stored
   ShadowRunner shadows_;
   SessionStore store_;

@@ -137,7 +137,20 @@ absl::Status HeadHandler::PromoteHead(CallContext& context, const v1::PromoteHea
                      served->version, ", whose shared head equals that of its file"));
   }
   ASSIGN_OR_RETURN(const auto files, registry_->FormatVersion(Promoted(*served, *snapshot)));
-  if (registry_->shares_settings()) return Share(served->name, files, request, response);
+  folder_->Measure();
+  const auto place =
+      folder_->Take(tenant, static_cast<int64_t>(files.policy.size() + files.signature.size()));
+  if (place == nullptr) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("--max_policy_bytes: expected room for a version in the share of tenant ",
+                     Quoted(tenant), ", which may have as many bytes in ", folder_->directory(),
+                     " as are free; remove versions that are not needed"));
+  }
+  if (registry_->shares_settings()) {
+    RETURN_IF_ERROR(Share(served->name, files, request, response));
+    folder_->Keep(*place);
+    return absl::OkStatus();
+  }
   ASSIGN_OR_RETURN(const auto version,
                    WriteNewVersion(registry_->directory(), served->name, files));
   const std::string path = PolicyFilePath(registry_->directory(), version);
@@ -149,6 +162,7 @@ absl::Status HeadHandler::PromoteHead(CallContext& context, const v1::PromoteHea
     std::filesystem::remove_all(std::filesystem::path(path).parent_path(), ignored);
     return loaded;
   }
+  folder_->Keep(*place);
   response->set_version(version.version);
   response->set_path(path);
   return absl::OkStatus();

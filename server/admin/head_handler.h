@@ -13,6 +13,7 @@
 #include "absl/synchronization/mutex.h"
 #include "core/open_sessions/session_store.h"
 #include "server/agent/call_context.h"
+#include "server/base/shared_folder.h"
 #include "server/policies/policy_registry.h"
 #include "spikeserve/v1/policy_admin.pb.h"
 
@@ -20,8 +21,9 @@ namespace spikeserve {
 
 class HeadHandler {
  public:
-  // `registry` and `store` must outlive this object.
-  HeadHandler(PolicyRegistry* registry, SessionStore* store) : registry_(registry), store_(store) {}
+  // All must outlive this object. `folder` is that of the policies.
+  HeadHandler(PolicyRegistry* registry, SessionStore* store, SharedFolder* folder)
+      : registry_(registry), store_(store), folder_(folder) {}
 
   // Each method fills in `response` and returns OK. On an error it changes nothing and returns the
   // status that policy_admin.proto names; NOT_FOUND if the policy or version is not served, and
@@ -51,6 +53,7 @@ class HeadHandler {
 
   PolicyRegistry* const registry_;
   SessionStore* const store_;
+  SharedFolder* const folder_;
   mutable absl::Mutex promote_mutex_;  // keeps two promotions from choosing the same version number
 };
 

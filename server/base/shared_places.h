@@ -61,8 +61,8 @@ class SharedPlaces::Place {
   Place(const Place&) = delete;
   Place& operator=(const Place&) = delete;
 
-  // Does not give back what it holds.
-  void Keep() { number_ = 0; }
+  // Does not give back what it holds. Returns how many places that are.
+  int64_t Keep() { return std::exchange(number_, 0); }
 
  private:
   const std::shared_ptr<Counts> counts_;

@@ -11,14 +11,11 @@
 #include "absl/random/random.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "absl/time/clock.h"
 #include "core/dataset/recordings.h"
 #include "server/base/log.h"
 
 namespace spikeserve {
 namespace {
-
-constexpr absl::Duration kMeasureInterval = absl::Minutes(1);
 
 // Returns the memory that an episode occupies.
 int64_t BytesOf(const Dataset& dataset) {
@@ -53,17 +50,16 @@ absl::StatusOr<std::unique_ptr<Recordings>> Recordings::Create(const std::string
         ". Give the user of the server write access, or record into another directory"));
   }
   rmdir(probe.c_str());
-  auto recordings = std::unique_ptr<Recordings>(new Recordings(directory, max_bytes, metrics));
-  recordings->Measure();
-  return recordings;
+  return std::unique_ptr<Recordings>(new Recordings(directory, max_bytes, metrics));
 }
 
-Recordings::Recordings(std::string directory, int64_t max_bytes, Metrics* metrics)
-    : directory_(std::move(directory)),
-      max_bytes_(max_bytes),
-      metrics_(metrics),
+Recordings::Recordings(const std::string& directory, int64_t max_bytes, Metrics* metrics)
+    : metrics_(metrics),
       queued_bytes_(2 * kMostBytes),
-      bytes_on_disk_(max_bytes),
+      folder_(directory, max_bytes,
+              [metrics](int64_t bytes, int64_t limit) {
+                metrics->SetStoredBytes(StoredFolder::kRecordings, bytes, limit);
+              }),
       worker_(kMostEpisodes) {}
 
 std::string Recordings::NewName(const ServedPolicy& served) {
@@ -79,22 +75,6 @@ std::unique_ptr<EpisodeRecorder> Recordings::Record(std::shared_ptr<const Served
       [this, name, tenant](Dataset episode) { return Submit(tenant, name, std::move(episode)); });
 }
 
-void Recordings::Measure() {
-  if (absl::Now() - measured_ < kMeasureInterval) return;
-  measured_ = absl::Now();
-  int64_t bytes = 0;
-  std::error_code error;
-  for (std::filesystem::recursive_directory_iterator it(directory_, error), end;
-       !error && it != end; it.increment(error)) {
-    std::error_code none;  // a file that has just been removed
-    const auto size = it->is_regular_file(none) ? it->file_size(none) : 0;
-    if (!none) bytes += static_cast<int64_t>(size);
-  }
-  on_disk_ = bytes;
-  bytes_on_disk_.Reset(max_bytes_ - bytes, bytes);
-  metrics_->SetRecordedBytes(bytes, max_bytes_);
-}
-
 void Recordings::Drop(const std::string& tenant, RecordingOutcome reason) {
   metrics_->CountRecordedEpisode(reason);
   LogWarning("episode not recorded",
@@ -108,7 +88,7 @@ RecordingTicket Recordings::Submit(const std::string& tenant, const std::string&
                                    Dataset episode) {
   const int64_t bytes = BytesOf(episode);
   // The file is about as long as the episode in memory.
-  const auto on_disk = bytes_on_disk_.Take(tenant, bytes);
+  const auto on_disk = folder_.Take(tenant, bytes);
   if (on_disk == nullptr) {
     Drop(tenant, RecordingOutcome::kStorageFull);
     return nullptr;
@@ -122,10 +102,7 @@ RecordingTicket Recordings::Submit(const std::string& tenant, const std::string&
     *state = written ? RecordingState::kStored : RecordingState::kNotRecorded;
     metrics_->AddRecordingQueue(-1, -bytes);
     metrics_->CountRecordedEpisode(outcome);
-    if (!written) return;
-    on_disk->Keep();
-    metrics_->SetRecordedBytes(on_disk_ += bytes, max_bytes_);
-    Measure();
+    if (written) folder_.Keep(*on_disk);
   };
   metrics_->AddRecordingQueue(1, bytes);
   if (queued != nullptr && worker_.Submit(tenant, write).ok()) return state;
@@ -135,7 +112,8 @@ RecordingTicket Recordings::Submit(const std::string& tenant, const std::string&
 }
 
 RecordingOutcome Recordings::Write(const std::string& name, const Dataset& episode) {
-  const std::string path = RecordingPath(directory_, name, episode.episodes[0].served->episode);
+  const std::string path =
+      RecordingPath(folder_.directory(), name, episode.episodes[0].served->episode);
   const std::filesystem::path folder = std::filesystem::path(path).parent_path();
   std::error_code error;
   std::filesystem::create_directories(folder, error);

@@ -1,13 +1,12 @@
 // Writes recorded episodes below --record_dir, on its own thread, so that no answer waits for the
 // disk. At most kMostEpisodes episodes of a tenant, and kMostBytes bytes of all, wait to be
 // written: this is what a crash can lose. Tenants take turns, and divide these bytes and those on
-// the disk (SharedPlaces). Episodes beyond it are dropped, counted and logged.
+// the disk (SharedFolder). Episodes beyond it are dropped, counted and logged.
 //
 // Thread-safe.
 #ifndef SERVER_FOLLOWERS_RECORDINGS_H_
 #define SERVER_FOLLOWERS_RECORDINGS_H_
 
-#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -15,10 +14,10 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/time/time.h"
 #include "core/agent/episode_recorder.h"
 #include "core/agent/served_policy.h"
 #include "server/base/background_worker.h"
+#include "server/base/shared_folder.h"
 #include "server/base/shared_places.h"
 #include "server/metrics/metrics.h"
 
@@ -44,27 +43,21 @@ class Recordings {
                                           const std::string& name, const std::string& tenant);
 
  private:
-  Recordings(std::string directory, int64_t max_bytes, Metrics* metrics);
+  Recordings(const std::string& directory, int64_t max_bytes, Metrics* metrics);
 
   // Queues an episode. Returns null if the tenant has no room in the queue or on the disk.
   RecordingTicket Submit(const std::string& tenant, const std::string& name, Dataset episode);
   // Counts and logs an episode that is dropped.
   void Drop(const std::string& tenant, RecordingOutcome reason);
-  // Looks how many bytes are on the disk, at most once a minute.
-  void Measure();
   RecordingOutcome Write(const std::string& name, const Dataset& episode);
   // Writes a line when writing fails for the first time, and when it works again.
   void LogWritten(const absl::Status& status);
 
-  const std::string directory_;
-  const int64_t max_bytes_;
   Metrics* const metrics_;
   SharedPlaces queued_bytes_;
-  SharedPlaces bytes_on_disk_;
-  std::atomic<int64_t> on_disk_ = 0;            // bytes, by what was measured and written since
-  absl::Time measured_ = absl::InfinitePast();  // of the worker's thread
-  int64_t failed_in_a_row_ = 0;                 // of the worker's thread
-  BackgroundWorker worker_;  // declared last, because its work uses the members above
+  SharedFolder folder_;
+  int64_t failed_in_a_row_ = 0;  // of the worker's thread
+  BackgroundWorker worker_;      // declared last, because its work uses the members above
 };
 
 }  // namespace spikeserve

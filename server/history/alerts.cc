@@ -117,10 +117,15 @@ Instances SessionsNearLimit(const AlertRule& rule, const AlertInput& input) {
   return ServerIf(share > rule.figures[0], share);
 }
 
-Instances RecordingsNearLimit(const AlertRule& rule, const AlertInput& input) {
-  const double share = Gauge(input.history.Select("spikeserve_recorded_bytes")) /
-                       Gauge(input.history.Select("spikeserve_recorded_bytes_limit"));
-  return ServerIf(share > rule.figures[0], share);
+Instances StorageNearLimit(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  const Selection all = input.history.Select("spikeserve_stored_bytes");
+  for (const auto& [folder, bytes] : GroupBy({"folder"}, all)) {
+    const double share =  // 0 / 0, of a folder that is not used, is above nothing
+        Gauge(bytes) / Gauge(input.history.Select("spikeserve_stored_bytes_limit", folder));
+    if (share > rule.figures[0]) found.push_back({folder, share});
+  }
+  return found;
 }
 
 // Compares medians, because the sum of a histogram of negative returns decreases, which Prometheus

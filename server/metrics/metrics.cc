@@ -211,12 +211,16 @@ Metrics::Metrics()  // #lizard forgives(length): a table
   recording_queue_bytes_ = &Register(BuildGauge(), "spikeserve_recording_queue_bytes",
                                      "Memory of the recorded episodes that wait to be written.")
                                 .Add({});
-  recorded_bytes_ = &Register(BuildGauge(), "spikeserve_recorded_bytes",
-                              "Bytes of the recordings in --record_dir, measured each minute.")
-                         .Add({});
-  recorded_bytes_limit_ = &Register(BuildGauge(), "spikeserve_recorded_bytes_limit",
-                                    "Limit on the bytes of recordings, --max_recorded_bytes.")
-                               .Add({});
+  auto& stored = Register(BuildGauge(), "spikeserve_stored_bytes",
+                          "Bytes on the disk, measured each minute, by folder: recordings, in "
+                          "--record_dir, and policies, in --policies.");
+  auto& stored_limit = Register(BuildGauge(), "spikeserve_stored_bytes_limit",
+                                "Limit on these bytes: --max_recorded_bytes, --max_policy_bytes.");
+  static constexpr const char* kFolders[kStoredFolders] = {"recordings", "policies"};
+  for (size_t i = 0; i < kStoredFolders; ++i) {
+    stored_bytes_[i] = &stored.Add({{"folder", kFolders[i]}});
+    stored_bytes_limit_[i] = &stored_limit.Add({{"folder", kFolders[i]}});
+  }
   auto& recorded =
       Register(BuildCounter(), "spikeserve_recorded_episodes_total",
                "Episodes of recorded sessions, by outcome: written, queue_full, "

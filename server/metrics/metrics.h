@@ -43,6 +43,10 @@ namespace spikeserve {
 enum class RecordingOutcome { kWritten, kQueueFull, kWriteFailed, kStorageFull };
 inline constexpr int kRecordingOutcomes = 4;
 
+// Folders whose bytes tenants divide (shared_folder.h).
+enum class StoredFolder { kRecordings, kPolicies };
+inline constexpr int kStoredFolders = 2;
+
 // By Chebyshev's inequality, at most 1 in 64 values of any distribution lies further than 8
 // standard deviations from its mean, and of a normal distribution practically none.
 inline constexpr double kUnusualDeviations = 8.0;
@@ -98,10 +102,11 @@ class Metrics {
     recording_queue_bytes_->Increment(static_cast<double>(bytes));
   }
 
-  // Exports the bytes of recordings on the disk, and their limit.
-  void SetRecordedBytes(int64_t bytes, int64_t limit) {
-    recorded_bytes_->Set(static_cast<double>(bytes));
-    recorded_bytes_limit_->Set(static_cast<double>(limit));
+  // Exports the bytes in a folder, and their limit.
+  void SetStoredBytes(StoredFolder folder, int64_t bytes, int64_t limit) {
+    const auto i = static_cast<size_t>(folder);
+    stored_bytes_[i]->Set(static_cast<double>(bytes));
+    stored_bytes_limit_[i]->Set(static_cast<double>(limit));
   }
 
   // Exports the limit on open sessions.
@@ -211,8 +216,8 @@ class Metrics {
   std::array<prometheus::Counter*, kRecordingOutcomes> recorded_episodes_;
   prometheus::Gauge* recording_queue_episodes_;
   prometheus::Gauge* recording_queue_bytes_;
-  prometheus::Gauge* recorded_bytes_;
-  prometheus::Gauge* recorded_bytes_limit_;
+  std::array<prometheus::Gauge*, kStoredFolders> stored_bytes_;
+  std::array<prometheus::Gauge*, kStoredFolders> stored_bytes_limit_;
   absl::Mutex versions_mutex_;
   bool keeps_series_ ABSL_GUARDED_BY(versions_mutex_) = false;
   std::map<std::string, VersionSeries> versions_

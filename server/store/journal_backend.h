@@ -32,7 +32,7 @@ struct ClaimedJournal {
   uint64_t epoch = 0;
   // In the order in which they were written. If the server lacks the policy, the first one only.
   std::vector<std::string> records;
-  uint64_t claimed_from = 0;  // epoch of the owner before; 0: unknown
+  uint64_t claimed_from = 0;   // epoch of the owner before; 0: unknown
   std::string stored_as = "";  // as SessionJournal::Key::stored_as
 };
 

@@ -385,7 +385,8 @@ void RedisBackend::Append(const JournalRecord& record) {
     case JournalRecord::Kind::kOpen:
       // Otherwise the next records, which do not wait for the outcome, would come into the list of
       // another session that has this id and is new, too.
-      if (Opens(record) && journal.epoch() == 1) record.journal->OnMoved(NextRedisEpoch(1, random_));
+      if (Opens(record) && journal.epoch() == 1)
+        record.journal->OnMoved(NextRedisEpoch(1, random_));
       return AppendSnapshot(record);
     case JournalRecord::Kind::kSnapshot:
     case JournalRecord::Kind::kRelease:

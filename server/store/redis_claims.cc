@@ -127,7 +127,8 @@ std::vector<absl::StatusOr<ClaimedJournal>> ClaimRedisJournals(
   std::vector<absl::StatusOr<ClaimedJournal>> results(
       claims.size(), UnexpectedReply("a session that stays at one server; try again"));
   std::vector<ClaimState> waiting;
-  for (size_t i = 0; i < claims.size(); ++i) waiting.push_back({&claims[i], &results[i], claims[i].id});
+  for (size_t i = 0; i < claims.size(); ++i)
+    waiting.push_back({&claims[i], &results[i], claims[i].id});
   for (int i = 0; i < kMostClaims && !waiting.empty(); ++i) {
     waiting = RunClaims(client, claimant, FindClaims(client, std::move(waiting), random));
   }

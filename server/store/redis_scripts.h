@@ -16,9 +16,9 @@
 
 namespace spikeserve::redis_scripts {
 
-// What the hash has, and whether the caller owns it: at its epoch, or at an older one if the store has
-// gone back to what it was before the caller's last claim or move. ARGV: epoch, owner, epoch before
-// the claim.
+// What the hash has, and whether the caller owns it: at its epoch, or at an older one if the store
+// has gone back to what it was before the caller's last claim or move. ARGV: epoch, owner, epoch
+// before the claim.
 inline constexpr char kIsMine[] = R"(
 local found = redis.call('HMGET', KEYS[1], 'epoch', 'owner', 'state', 'tenant')
 local is_same = found[1] == ARGV[1] and (not found[2] or found[2] == ARGV[2] or found[2] == '')

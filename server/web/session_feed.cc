@@ -92,7 +92,8 @@ class SessionFeeds::Feed final : public HttpFeed {
     if (ended_) return std::nullopt;
     const absl::Duration now = parts_.clock->Now();
     if (auto status = caller_->CheckValid(); !status.ok()) return End(status);
-    const std::shared_ptr<SessionEntry> entry = parts_.store->Peek(session_, caller_->tenant()->name());
+    const std::shared_ptr<SessionEntry> entry =
+        parts_.store->Peek(session_, caller_->tenant()->name());
     if (entry == nullptr || !caller_->CanRead(entry->tenant)) return End(NoSuchSession(session_));
     std::string events;
     if (auto glance = TryGlance(*entry, seen_); glance.has_value()) {

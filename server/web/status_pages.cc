@@ -22,7 +22,8 @@
 namespace spikeserve {
 namespace {
 
-constexpr size_t kMaxWaiting = 16;  // requests of one tenant, or of one address where there are none
+constexpr size_t kMaxWaiting =
+    16;  // requests of one tenant, or of one address where there are none
 
 // The windows of /status.json and /history.json, in seconds.
 constexpr int64_t kDefaultWindow = 60;
@@ -86,7 +87,8 @@ void StatusPages::Answer(HttpRequest request, HttpServer::Done done) {
     const auto accepted = worker.Submit(group, std::move(work));
     if (!accepted.ok()) done({.code = 503, .body = absl::StrCat(accepted.message(), "\n")});
   };
-  if (request.path == "/healthz") return submit(health_, request.peer.address, [this, done] { done(Health()); });
+  if (request.path == "/healthz")
+    return submit(health_, request.peer.address, [this, done] { done(Health()); });
   const absl::Duration now = parts_.clock->Now();
   const auto caller = AdmitToPages(*parts_.authenticator, request.authorization);
   if (!caller.ok()) {
@@ -112,8 +114,10 @@ void StatusPages::Answer(HttpRequest request, HttpServer::Done done) {
       return done(std::move(refusal));
     }
   }
-  submit(pages_, group, [this, caller = *caller, request, round = shared_.Join(KeyOf(request, **caller)),
-                  done] { AnswerPage(caller, request, *round, done); });
+  submit(pages_, group,
+         [this, caller = *caller, request, round = shared_.Join(KeyOf(request, **caller)), done] {
+           AnswerPage(caller, request, *round, done);
+         });
 }
 
 absl::Duration StatusPages::DelayOf(const absl::StatusOr<std::shared_ptr<const Credential>>& caller,

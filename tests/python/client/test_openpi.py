@@ -19,6 +19,7 @@ import spikeserve
 import websockets
 from gateways import running_gateway
 from openpi_protocol import WebsocketClientPolicy, packb
+from security import until
 from serving import running_server
 from spikeserve.gateway.__main__ import main
 from websockets.sync.client import connect
@@ -236,7 +237,7 @@ def test_what_is_too_much_is_refused(server):
             with pytest.raises(websockets.InvalidStatus) as refused:
                 WebsocketClientPolicy(address)
             assert refused.value.response.status_code == 503
-            assert b"connections: expected at most 1" in refused.value.response.body
+            assert b"connections: expected no more" in refused.value.response.body
             with pytest.raises(websockets.ConnectionClosedError) as closed:
                 policy.infer({"observation": np.zeros(4), "image": np.zeros(999)})
             assert closed.value.rcvd.code == 1009
@@ -259,6 +260,33 @@ def test_connections_at_once_take_no_more_places(server):
         assert len(policies) == 1
         assert policies[0].infer({"observation": np.zeros(4)})["step"] == 0
         policies[0].ws.close()
+
+
+def test_one_token_leaves_others_their_places(tokens):
+    """Of seven places, one has as many as are then free, and so have the others, one after the other."""
+    with (
+        running_server(flags=[f"--tokens={tokens}"]) as server,
+        running_gateway(server.grpc, "--policy=cartpole", "--max-connections=7") as address,
+        contextlib.ExitStack() as robots,
+    ):
+
+        def connect_all(token):
+            connected = 0
+            with pytest.raises(websockets.InvalidStatus) as refused:
+                while True:
+                    robots.enter_context(WebsocketClientPolicy(address, api_key=token))
+                    connected += 1
+            assert refused.value.response.status_code == 503
+            return connected
+
+        assert [connect_all(token) for token in ("agent", "rival", "slow")] == [4, 2, 1]
+        robots.close()
+
+        def is_served():
+            with contextlib.suppress(websockets.InvalidStatus), WebsocketClientPolicy(address, api_key="slow") as policy:
+                return policy.infer({"observation": np.zeros(4)})["step"] == 0
+
+        until(is_served)
 
 
 IGNORED = {

@@ -42,8 +42,8 @@ def test_what_is_on_the_disk_is_counted_at_the_start(tmp_path):
     (tmp_path / "older").mkdir()
     (tmp_path / "older" / "000000.cbor").write_bytes(bytes(LIMIT))
     with running_server(flags=[f"--record_dir={tmp_path}", f"--max_recorded_bytes={LIMIT}"]) as addresses:
-        assert metric(addresses, "spikeserve_recorded_bytes") == LIMIT
-        assert metric(addresses, "spikeserve_recorded_bytes_limit") == LIMIT
+        assert metric(addresses, "spikeserve_stored_bytes", folder="recordings") == LIMIT
+        assert metric(addresses, "spikeserve_stored_bytes_limit", folder="recordings") == LIMIT
         with service_with(addresses, None) as service:
             assert played(service) == NOT_RECORDED
         assert metric(addresses, "spikeserve_recorded_episodes_total", outcome="storage_full") == 1

@@ -12,8 +12,8 @@ import gymnasium
 import pytest
 from policy_file import read_policy
 from random_policy import export_random
-from security import until
-from serving import running_server
+from security import ADMIN, POLICY, Bearer, code_of, http_body, until
+from serving import Service, running_server
 
 PROMOTIONS = 1000
 LONGEST_FILE = 4096  # bytes; shorter than a policy
@@ -29,8 +29,12 @@ def folder(tmp_path):
 class Trainer:
     """Teaches the shared head of a version, and promotes it."""
 
-    def __init__(self, server):
+    def __init__(self, server, *tokens):
         self._policy, self.admin = server.agent, server.admin
+        if tokens:
+            agent, operator = [grpc.intercept_channel(server.channel, Bearer(token)) for token in tokens]
+            self._policy = Service(server.channel, POLICY, agent)
+            self.admin = Service(server.channel, ADMIN, operator)
 
     def teach(self, version):
         session = self._policy.OpenSession(
@@ -65,6 +69,28 @@ def test_many_promotions_in_a_row(folder):
     assert last["promoted"]["parent_version"] == version - 1
     assert last["promoted"]["promotions"] == PROMOTIONS
     assert last["parent_training"] == first["parent_training"]
+
+
+def test_a_tenant_leaves_others_room_for_their_versions(folder, tokens):
+    """Six files fit: the one that is there, three of one tenant, one of the other."""
+    size = (folder / "small/1/policy.safetensors").stat().st_size + 1000  # of the lineage
+    flags = [f"--tokens={tokens}", f"--max_policy_bytes={7 * size}"]
+    full = grpc.StatusCode.RESOURCE_EXHAUSTED
+    with running_server(folder, flags) as addresses:
+        greedy = Trainer(addresses, "agent", "operator")
+        neighbour = Trainer(addresses, "rival", "rival-operator")
+        promoted = 0
+        while code_of(greedy.promote, 1) != full:
+            promoted += 1
+        assert promoted == 3
+        before = contents(folder)
+        assert code_of(greedy.promote, 1) == full
+        assert contents(folder) == before
+        assert neighbour.promote(1).version == 5
+        stored = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+        page = http_body(addresses.http, "/metrics", "Bearer viewer").decode()
+        assert f'spikeserve_stored_bytes{{folder="policies"}} {stored}' in page
+        assert f'spikeserve_stored_bytes_limit{{folder="policies"}} {7 * size}' in page
 
 
 def test_a_promotion_on_a_full_disk_is_an_error_and_leaves_nothing(folder):

@@ -47,7 +47,9 @@ class HeadHandlerTest : public ::testing::Test {
   const std::unique_ptr<Authenticator> authenticator_ = *Authenticator::Create("");
   const std::shared_ptr<const Credential> caller_ = *authenticator_->Authenticate("");
   CallContext context_{.caller = caller_.get()};
-  HeadHandler admin_{registry_.get(), &store_};
+  SharedFolder folder_{registry_.get()->directory(), 1 << 30,
+                       [](int64_t /*bytes*/, int64_t /*limit*/) {}};
+  HeadHandler admin_{registry_.get(), &store_, &folder_};
 };
 
 TEST_F(HeadHandlerTest, APromotionNeverTakesANumberThatIsThere) {

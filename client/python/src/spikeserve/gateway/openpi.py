@@ -32,6 +32,7 @@ from spikeserve.errors import (
 )
 from spikeserve.gateway.mapping import ObservationMapping, Step
 from spikeserve.gateway.numpy_msgpack import pack, unpack
+from spikeserve.gateway.places import Places
 from spikeserve.printing import say
 from spikeserve.spaces import Discrete
 from spikeserve.values import Decision, EpisodeSummary, Policy, SessionOptions
@@ -39,6 +40,7 @@ from spikeserve.values import Decision, EpisodeSummary, Policy, SessionOptions
 _API_KEY = "Api-Key "  # of the header Authorization, as openpi-client sends it
 _LONGEST_REASON = 120  # bytes, of a close frame
 _LONGEST_ERROR = 1024  # characters, of a text frame
+_CROWDED = "connections: expected no more of one token than are free; try again later"
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class GatewaySettings:
     mapping: ObservationMapping = field(default_factory=ObservationMapping)
     server: str | None = None  # None: as Client
     credentials: grpc.ChannelCredentials | None = None
-    max_connections: int = 256
+    max_connections: int = 512  # which tokens divide; see Places
     max_message_bytes: int = 16 << 20
     # Of the gateway's own call when it starts. A connection has the token of its API key, or none:
     # whoever reaches the gateway, perhaps through a proxy, does not get the rights of another.
@@ -63,7 +65,7 @@ class OpenpiGateway:
     def __init__(self, settings: GatewaySettings) -> None:
         self._settings = settings
         self._clients: dict[str, tuple[AsyncClient, int]] = {}  # by token, with their users
-        self._connections = 0
+        self._connections = Places(settings.max_connections)
 
     async def listen(self, host: str, port: int) -> Server:
         """Starts to listen. Port 0 picks one."""
@@ -83,13 +85,12 @@ class OpenpiGateway:
         """Answers a request that does not become a connection, with the reason as its body."""
         if request.path == "/healthz":
             return connection.respond(http.HTTPStatus.OK, "OK\n")
-        if self._connections >= self._settings.max_connections:
-            text = f"connections: expected at most {self._settings.max_connections}\n"
-            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, text)
         token = _token_of(request)
         if token is None:
             text = "authorization: expected one header Api-Key TOKEN, received another form\n"
             return connection.respond(http.HTTPStatus.UNAUTHORIZED, text)
+        if not self._connections.has(_group_of(connection, token)):
+            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{_CROWDED}\n")
         try:
             async with self._client(token) as client:
                 await self._find_policy(client)
@@ -142,22 +143,19 @@ class OpenpiGateway:
         raise ValueError(f"policy: expected one that is served ({served}), received {wanted}")
 
     async def _handle(self, connection: ServerConnection) -> None:
-        if self._connections >= self._settings.max_connections:  # others came while _admit() waited
-            text = f"connections: expected at most {self._settings.max_connections}"
-            await connection.close(CloseCode.TRY_AGAIN_LATER, text)
-            return
-        self._connections += 1
-        try:
-            token = _token_of(connection.request)
-            assert token is not None  # _admit has refused the others
-            async with self._client(token) as client:
-                await self._converse(connection, client)
-        except websockets.ConnectionClosed:
-            pass
-        except SpikeserveError as error:
-            await _fail(connection, error)
-        finally:
-            self._connections -= 1
+        token = _token_of(connection.request)
+        assert token is not None  # _admit has refused the others
+        with self._connections.taken(_group_of(connection, token)) as is_taken:
+            if not is_taken:  # others were faster
+                await connection.close(CloseCode.TRY_AGAIN_LATER, _CROWDED)
+                return
+            try:
+                async with self._client(token) as client:
+                    await self._converse(connection, client)
+            except websockets.ConnectionClosed:
+                pass
+            except SpikeserveError as error:
+                await _fail(connection, error)
 
     async def _converse(self, connection: ServerConnection, client: AsyncClient) -> None:
         """Answers the frames of a connection. Its session is replaced by `_Robot` if it is lost."""
@@ -308,6 +306,11 @@ def _token_of(request: Any) -> str | None:
         return None
     token = headers[0][len(_API_KEY) :]
     return token if token.isascii() and token.isprintable() else None  # else gRPC cannot send it
+
+
+def _group_of(connection: ServerConnection, token: str) -> str:
+    """Returns what connections share places by: their token, or without one their address."""
+    return token or str(connection.remote_address[0])
 
 
 def _short(error: Exception) -> str:
