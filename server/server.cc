@@ -114,6 +114,10 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> LoadPolicies(const ServerOptions
     ASSIGN_OR_RETURN(signatures, PolicySignatures::Read(options.trusted_keys, options.signing_key));
   }
   ASSIGN_OR_RETURN(const WiringRules wiring, ParseWiringRules(options.wiring));
+  OpenHeadLog open_log;
+  if (auto* const heads = store.heads.get(); heads != nullptr) {
+    open_log = [heads](const ServedPolicy& served) { return heads->Open(served); };
+  }
   return PolicyRegistry::Load(
       {.directory = options.policies,
        .settings_path = options.policy_settings,
@@ -121,7 +125,7 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> LoadPolicies(const ServerOptions
        .share_heads = options.share_heads_across_tenants,
        .withhold_files = options.withhold_policies,
        .shared = store.shared.get(),
-       .head_logs = store.heads.get(),
+       .open_log = std::move(open_log),
        .signatures = std::move(signatures),
        .tracer = tracer},
       [metrics, wiring, deviations = options.unusual_deviations](

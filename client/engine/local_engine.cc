@@ -96,7 +96,7 @@ absl::Status LocalEngine::Player::Load(const v1::ExportSessionResponse& exported
   served->version = exported.version();
   served->sha256 = digest;
   served->engine = MakeEngine(shared);
-  served->fleet = std::make_shared<FleetHead>(shared);
+  served->heads = std::make_shared<TenantHeads>(shared);
   served->observer = std::make_shared<SessionObserver>();
   served_ = std::move(served);
   return absl::OkStatus();

@@ -21,7 +21,7 @@ std::shared_ptr<const ServedPolicy> Serve(Policy policy) {
   served->name = "policy";  // sessions need a name, but only a server has several policies
   served->version = 1;
   served->engine = MakeEngine(shared);
-  served->fleet = std::make_shared<FleetHead>(shared);
+  served->heads = std::make_shared<TenantHeads>(shared);
   served->observer = std::make_shared<SessionObserver>();
   return served;
 }

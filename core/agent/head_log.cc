@@ -4,17 +4,6 @@
 
 namespace spikeserve {
 
-FleetContribution::FleetContribution(std::shared_ptr<const ServedPolicy> served,
-                                     std::string session, std::string head, std::string contributor,
-                                     bool held_out,
-                                     std::shared_ptr<const PendingContribution> pending)
-    : served_(std::move(served)),
-      session_(std::move(session)),
-      head_(std::move(head)),
-      contributor_(std::move(contributor)),
-      held_out_(held_out),
-      pending_(std::move(pending)) {}
-
 void FleetContribution::Append() {
   {
     absl::MutexLock lock(&mutex_);
@@ -39,35 +28,21 @@ void FleetContribution::WhenMerged(Done done) {
   done(absl::OkStatus());
 }
 
-void FleetContribution::OnMerged(const MergeOutcome& outcome, bool is_new) {
-  LearningSummary summary = pending_->summary;
-  if (!outcome.paused && IsRefusedByFleet(outcome.update)) {
-    summary.rejected += std::exchange(summary.updates, 0);
-  }
-  summary.rolled_back = outcome.rolled_back;
-  summary.head_drift = outcome.drift;
-  summary.watched_return = outcome.watched_return;
+void FleetContribution::OnOutcome(const absl::StatusOr<MergeOutcome>& outcome, bool is_new) {
+  LearningSummary summary = value_.summary;
+  if (outcome.ok()) TakeOutcome(*outcome, &summary);
   std::vector<Done> waiters;
   {
     absl::MutexLock lock(&mutex_);
     if (merged_.has_value()) return;
-    merged_ = summary;
+    if (outcome.ok()) merged_ = summary;
     waiters.swap(waiters_);
   }
   if (is_new) {
-    if (!outcome.paused) served_->observer->OnHeadUpdate(outcome.update);
+    if (!outcome->paused) served_->observer->OnHeadUpdate(outcome->update);
     served_->observer->OnLearned(summary);
   }
-  for (const Done& done : waiters) done(absl::OkStatus());
-}
-
-void FleetContribution::OnUnreachable(const absl::Status& status) {
-  std::vector<Done> waiters;
-  {
-    absl::MutexLock lock(&mutex_);
-    waiters.swap(waiters_);
-  }
-  for (const Done& done : waiters) done(status);
+  for (const Done& done : waiters) done(outcome.status());
 }
 
 }  // namespace spikeserve

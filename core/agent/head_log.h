@@ -2,9 +2,9 @@
 // has an ordered log, to which a session appends what an episode contributes. Every server folds
 // the entries of the log into its heads in their order, so the heads of all servers are equal.
 //
-//   auto contribution = std::make_shared<FleetContribution>(served, "id", "", "id", pending);
-//   contribution->Append();  // once the store has the session with `pending`
-//   contribution->WhenMerged([](const absl::Status& status) { ... });
+//   auto fleet = std::make_shared<FleetContribution>(served, contribution);
+//   fleet->Append();  // once the store has the session with `contribution`
+//   fleet->WhenMerged([](const absl::Status& status) { ... });
 #ifndef CORE_AGENT_HEAD_LOG_H_
 #define CORE_AGENT_HEAD_LOG_H_
 
@@ -19,24 +19,13 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
-#include "core/learning/head_update.h"
+#include "core/learning/contribution.h"
 #include "core/learning/tenant_heads.h"
-#include "core/session/episode.h"
-#include "core/session/session.h"
 
 namespace spikeserve {
 
 class FleetContribution;
 struct ServedPolicy;
-
-// The outcome of a contribution at its place in the log.
-struct MergeOutcome {
-  bool paused = false;  // learning was paused: the head has not taken it
-  UpdateOutcome update = UpdateOutcome::kApplied;
-  bool rolled_back = false;     // the guard restored an earlier head
-  double drift = 0.0;           // of the head after the entry
-  double watched_return = 0.0;  // level of the guard's last window after the entry
-};
 
 // The log of the heads of one policy version. Implementations are thread-safe.
 class HeadLog {
@@ -47,8 +36,8 @@ class HeadLog {
   virtual std::shared_ptr<TenantHeads> heads() const = 0;
 
   // Adds the contribution to the log unless the log has it, and returns at once. Calls its
-  // OnMerged() on another thread when the heads of this process have taken the entry, and its
-  // OnUnreachable() whenever the log cannot be reached; then tries again.
+  // OnOutcome() on another thread when the heads of this process have taken the entry, and whenever
+  // the log cannot be reached; then tries again.
   virtual void Append(std::shared_ptr<FleetContribution> contribution) = 0;
 
   // The methods below block until the heads of this process have taken all that the log has, with
@@ -61,32 +50,19 @@ class HeadLog {
   virtual absl::Status SetPaused(bool paused) = 0;
 };
 
-// Opens the logs of policy versions. Implementations are thread-safe.
-class HeadLogs {
- public:
-  virtual ~HeadLogs() = default;
-
-  // Returns the log of a version. Versions of equal name, number and file share one. `served` has
-  // all members except its heads and its log.
-  virtual std::shared_ptr<HeadLog> Open(const ServedPolicy& served) = 0;
-};
+// Opens the log of a policy version, which has all members except its heads and its log. Versions
+// of equal name, number and file share one. Thread-safe.
+using OpenHeadLog = std::function<std::shared_ptr<HeadLog>(const ServedPolicy& served)>;
 
 // The contribution of one episode on its way into the log. Thread-safe.
 class FleetContribution : public std::enable_shared_from_this<FleetContribution> {
  public:
   using Done = std::function<void(const absl::Status&)>;
 
-  // `head` is the tenant whose head it is for (TenantHeads), `contributor` as for
-  // FleetHead::Merge().
-  FleetContribution(std::shared_ptr<const ServedPolicy> served, std::string session,
-                    std::string head, std::string contributor, bool held_out,
-                    std::shared_ptr<const PendingContribution> pending);
+  FleetContribution(std::shared_ptr<const ServedPolicy> served, Contribution value)
+      : served_(std::move(served)), value_(std::move(value)) {}
 
-  const std::string& session() const { return session_; }
-  const std::string& head() const { return head_; }
-  const std::string& contributor() const { return contributor_; }
-  bool held_out() const { return held_out_; }
-  const PendingContribution& pending() const { return *pending_; }
+  const Contribution& value() const { return value_; }
 
   // Hands it to the log of its policy. Further calls do nothing.
   void Append() ABSL_LOCKS_EXCLUDED(mutex_);
@@ -100,16 +76,12 @@ class FleetContribution : public std::enable_shared_from_this<FleetContribution>
 
   // Called by the log. `is_new`: this process has made the entry, so that it reports the outcome to
   // the observer of the policy.
-  void OnMerged(const MergeOutcome& outcome, bool is_new) ABSL_LOCKS_EXCLUDED(mutex_);
-  void OnUnreachable(const absl::Status& status) ABSL_LOCKS_EXCLUDED(mutex_);
+  void OnOutcome(const absl::StatusOr<MergeOutcome>& outcome, bool is_new)
+      ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:
   const std::shared_ptr<const ServedPolicy> served_;
-  const std::string session_;
-  const std::string head_;
-  const std::string contributor_;
-  const bool held_out_;
-  const std::shared_ptr<const PendingContribution> pending_;
+  const Contribution value_;
 
   mutable absl::Mutex mutex_;
   bool appended_ ABSL_GUARDED_BY(mutex_) = false;

@@ -112,9 +112,8 @@ struct ServedPolicy {
   std::string sha256;   // of the policy's file, in hexadecimal; empty: not read from a file
   std::shared_ptr<const Engine> engine;
   std::shared_ptr<SessionObserver> observer;
-  // Learned by the sessions without a tenant, and by all sessions if the tenants share their heads.
-  std::shared_ptr<FleetHead> fleet;
-  std::shared_ptr<TenantHeads> tenant_heads;  // null: the tenants share `fleet`
+  std::shared_ptr<TenantHeads> heads;  // learned by the fleet sessions
+  bool share_heads = false;            // by all tenants: they learn the head without a name
   // The log that changes the heads (head_log.h); null: they are those of this process alone.
   std::shared_ptr<HeadLog> log;
   // Shared by all versions of the policy that are served at the same time.
@@ -122,17 +121,14 @@ struct ServedPolicy {
 
   const Policy& policy() const { return engine->policy(); }
 
-  // Returns the head that the fleet sessions of a tenant learn.
+  // Returns the name in `heads` of the head that a tenant learns.
+  std::string HeadName(const std::string& tenant) const { return share_heads ? "" : tenant; }
   std::shared_ptr<FleetHead> HeadOf(const std::string& tenant) const {
-    return SharesHead(tenant) ? fleet : tenant_heads->Of(tenant);
+    return heads->Of(HeadName(tenant));
   }
-  // As above, but returns null if the tenant has learned nothing yet.
+  // Returns null if the tenant has learned nothing yet.
   std::shared_ptr<FleetHead> FindHead(const std::string& tenant) const {
-    return SharesHead(tenant) ? fleet : tenant_heads->Find(tenant);
-  }
-  // Returns true if the tenant learns `fleet`.
-  bool SharesHead(const std::string& tenant) const {
-    return tenant.empty() || tenant_heads == nullptr;
+    return heads->Find(HeadName(tenant));
   }
 };
 

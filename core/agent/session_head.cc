@@ -22,7 +22,7 @@ SessionHead::SessionHead(std::shared_ptr<const ServedPolicy> served, Session* se
     session->learner = Learner::New(*options.learning, policy, std::move(delta));
   }
   if (options.learning.has_value() && options.learning->scope == Scope::kFleet) {
-    const bool by_tenant = served_->SharesHead(options.tenant) && !options.tenant.empty();
+    const bool by_tenant = served_->share_heads && !options.tenant.empty();
     member_ = std::make_unique<FleetHead::Member>(
         served_->HeadOf(options.tenant), by_tenant ? options.tenant : session->id, session->id);
     if (served_->log == nullptr) session->pending = nullptr;
@@ -106,29 +106,25 @@ void SessionHead::MergeIntoFleet(double episode_return, const Clock& clock, Sess
                                  LearningSummary* summary) {
   FleetHead& fleet = member_->head();
   const Learner& learner = *session->learner;
-  std::shared_ptr<const FleetHead::Snapshot> snapshot;
+  Contribution contribution = {.episode = session->episode,
+                               .contributor = member_->contributor(),
+                               .held_out = member_->held_out(),
+                               .delta = learner.head_delta,
+                               .episode_return = episode_return};
+  const auto snapshot = fleet.Read();
+  MergeOutcome outcome = {
+      .paused = true, .drift = snapshot->drift, .watched_return = snapshot->level.mean};
   const bool is_logged = served_->log != nullptr;
-  const auto merge = [&] {
-    FleetHead::Merged merged = fleet.Merge(learner.head_delta, episode_return,
-                                           {.contributor = member_->contributor(),
-                                            .held_out = member_->held_out(),
-                                            .now = clock.Now()});
-    served_->observer->OnHeadUpdate(merged.outcome);
-    if (IsRefusedByFleet(merged.outcome)) summary->rejected += std::exchange(summary->updates, 0);
-    summary->rolled_back = merged.rolled_back;
-    snapshot = std::move(merged.snapshot);
-  };
-  const bool merged =
-      !is_logged && !learner.suspended && served_->learning->MergeUnlessPaused(merge);
-  if (!merged) snapshot = fleet.Read();
-  summary->head_drift = snapshot->drift;
-  summary->watched_return = snapshot->level.mean;
+  if (!is_logged && !learner.suspended) {
+    served_->learning->MergeUnlessPaused([&] {
+      outcome = fleet.Merge(contribution, clock.Now());
+      served_->observer->OnHeadUpdate(outcome.update);
+    });
+  }
+  TakeOutcome(outcome, summary);
   if (!is_logged || learner.suspended) return;
-  session->pending = std::make_shared<const PendingContribution>(
-      PendingContribution{.episode = session->episode,
-                          .delta = learner.head_delta,
-                          .episode_return = episode_return,
-                          .summary = *summary});
+  contribution.summary = *summary;
+  session->pending = std::make_shared<const Contribution>(std::move(contribution));
 }
 
 void SessionHead::WatchPrivateHead(double episode_return, Session* session,
@@ -147,10 +143,12 @@ void SessionHead::WatchPrivateHead(double episode_return, Session* session,
 void SessionHead::NewContribution(const Session& session) {
   if (session.pending == nullptr) return;
   SPIKESERVE_DCHECK(IsInFleet());
-  const std::string& tenant = session.options.tenant;
-  contribution_ = std::make_shared<FleetContribution>(
-      served_, session.id, served_->SharesHead(tenant) ? "" : tenant, member_->contributor(),
-      member_->held_out(), session.pending);
+  Contribution contribution = *session.pending;
+  contribution.session = session.id;
+  contribution.head = served_->HeadName(session.options.tenant);
+  contribution.contributor = member_->contributor();
+  contribution.held_out = member_->held_out();
+  contribution_ = std::make_shared<FleetContribution>(served_, std::move(contribution));
 }
 
 void SessionHead::TakeMerged(Session* session) {

@@ -23,12 +23,12 @@ constexpr absl::string_view kHeldOutMark = "held out: ";
 template <Is<HeadEntry> T, typename Visitor>
 void VisitFields(T& entry, Visitor&& visit) {
   visit("kind", entry.kind);
-  visit("session", entry.session);
-  visit("episode", entry.episode);
-  visit("head", entry.head);
-  visit("contributor", entry.contributor);  // with kHeldOutMark
-  visit("delta", entry.delta);
-  visit("episode_return", entry.episode_return);
+  visit("session", entry.contribution.session);
+  visit("episode", entry.contribution.episode);
+  visit("head", entry.contribution.head);
+  visit("contributor", entry.contribution.contributor);  // with kHeldOutMark
+  visit("delta", entry.contribution.delta);
+  visit("episode_return", entry.contribution.episode_return);
 }
 
 std::string HeadEntryIdentity(const HeadEntry& entry) {
@@ -37,18 +37,19 @@ std::string HeadEntryIdentity(const HeadEntry& entry) {
   writer.Begin(kEntryFormat);
   CborWriter(&bytes).Array(kFields);
   writer.Write(entry.kind);
-  writer.Write(entry.session);
-  writer.Write(entry.episode);
+  writer.Write(entry.contribution.session);
+  writer.Write(entry.contribution.episode);
   return bytes;
 }
 
 std::string SerializeHeadEntry(const HeadEntry& entry) {
   std::string bytes = HeadEntryIdentity(entry);
   codec::Writer writer(&bytes);
-  writer.Write(entry.head);
-  writer.Write(absl::StrCat(entry.held_out ? kHeldOutMark : "", entry.contributor));
-  writer.Write(entry.delta);
-  writer.Write(entry.episode_return);
+  writer.Write(entry.contribution.head);
+  writer.Write(absl::StrCat(entry.contribution.held_out ? kHeldOutMark : "",
+                            entry.contribution.contributor));
+  writer.Write(entry.contribution.delta);
+  writer.Write(entry.contribution.episode_return);
   return bytes;
 }
 
@@ -58,9 +59,9 @@ absl::StatusOr<HeadEntry> ParseHeadEntry(const std::string& bytes) {
   codec::Reader reader;
   reader.Read(json, "head entry", entry);
   if (!reader.status().ok()) return reader.status();
-  absl::string_view contributor = entry.contributor;
-  entry.held_out = absl::ConsumePrefix(&contributor, kHeldOutMark);
-  entry.contributor = std::string(contributor);
+  absl::string_view contributor = entry.contribution.contributor;
+  entry.contribution.held_out = absl::ConsumePrefix(&contributor, kHeldOutMark);
+  entry.contribution.contributor = std::string(contributor);
   return entry;
 }
 

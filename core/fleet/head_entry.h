@@ -8,10 +8,10 @@
 #include <cstdint>
 #include <string>
 
-#include "Eigen/Core"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "core/base/enum_names.h"
+#include "core/learning/contribution.h"
 
 namespace spikeserve {
 
@@ -19,17 +19,10 @@ struct HeadEntry {
   enum class Kind { kMerge, kRollback, kPause, kResume };
 
   Kind kind = Kind::kMerge;
-  // Identify the entry, which the log has once: the session and its episode, or a random name.
-  std::string session = "";
-  int64_t episode = 0;
-  std::string head =
-      "";  // tenant whose head it changes; unused by kPause and kResume, which change all
-  // kMerge only:
-  std::string contributor = "";  // as for FleetHead::Merge()
-  // As for FleetHead::Merge(). The server of the session decides it, so that all servers agree.
-  bool held_out = false;
-  Eigen::VectorXf delta = {};  // [act * d]
-  double episode_return = 0.0;
+  // kRollback has only the head, and kPause and kResume, which change all heads, not even that; a
+  // random name is their session. The log has each session and episode once. The server of the
+  // session decides whether it is held out, so that all servers agree.
+  Contribution contribution = {};
 };
 
 constexpr std::array<EnumName<HeadEntry::Kind>, 4> EnumNames(HeadEntry::Kind) {

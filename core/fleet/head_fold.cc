@@ -46,7 +46,7 @@ void VisitFields(T& account, Visitor&& visit) {
   visit("suspended_windows", account.suspended_windows);
 }
 
-template <Is<ContributionBudget::State> T, typename Visitor>
+template <Is<ContributionBudget> T, typename Visitor>
 void VisitFields(T& budget, Visitor&& visit) {
   visit("contributors", budget.contributors);
   visit("accounts", budget.accounts);
@@ -54,7 +54,7 @@ void VisitFields(T& budget, Visitor&& visit) {
   visit("total_in_minute", budget.total_in_minute);
 }
 
-template <Is<PeerNorms::State> T, typename Visitor>
+template <Is<PeerNorms> T, typename Visitor>
 void VisitFields(T& norms, Visitor&& visit) {
   visit("contributors", norms.contributors);
   visit("norms", norms.norms);
@@ -131,15 +131,15 @@ absl::Status HeadFold::Fold(const LoggedEntry& entry) {
   ASSIGN_OR_RETURN(const auto parsed, ParseHeadEntry(entry.bytes));
   const bool merges = parsed.kind == HeadEntry::Kind::kMerge;
   const auto size = static_cast<Eigen::Index>(heads_->policy()->weights.head.weight.values.size());
-  if (merges && parsed.delta.size() != size) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("delta: expected ", size, " numbers, received ", parsed.delta.size()));
+  if (merges && parsed.contribution.delta.size() != size) {
+    return absl::InvalidArgumentError(absl::StrCat("delta: expected ", size, " numbers, received ",
+                                                   parsed.contribution.delta.size()));
   }
   position_ = entry.position;
   Remember(position_);
   last_.push_back({.position = position_,
-                   .session = parsed.session,
-                   .episode = parsed.episode,
+                   .session = parsed.contribution.session,
+                   .episode = parsed.contribution.episode,
                    .outcome = Apply(parsed, entry)});
   return absl::OkStatus();
 }
@@ -152,27 +152,18 @@ MergeOutcome HeadFold::Apply(const HeadEntry& entry, const LoggedEntry& logged) 
       paused_ = entry.kind == HeadEntry::Kind::kPause;
       return outcome;
     case HeadEntry::Kind::kRollback:
-      outcome.drift = heads_->Of(entry.head)->Rollback()->drift;
+      outcome.drift = heads_->Of(entry.contribution.head)->Rollback()->drift;
       return outcome;
     case HeadEntry::Kind::kMerge:
       break;
   }
-  const std::shared_ptr<FleetHead> head = heads_->Of(entry.head);
-  outcome.paused = paused_;
+  const std::shared_ptr<FleetHead> head = heads_->Of(entry.contribution.head);
   if (!paused_) {
-    const auto merged =
-        head->Merge(entry.delta, entry.episode_return,
-                    {.contributor = entry.contributor,
-                     .held_out = entry.held_out,
-                     .now = TimeOf(logged.position),
-                     .members = static_cast<size_t>(std::max<int64_t>(logged.members, 0))});
-    outcome.update = merged.outcome;
-    outcome.rolled_back = merged.rolled_back;
+    return head->Merge(entry.contribution, TimeOf(logged.position),
+                       static_cast<size_t>(std::max<int64_t>(logged.members, 0)));
   }
   const auto snapshot = head->Read();
-  outcome.drift = snapshot->drift;
-  outcome.watched_return = snapshot->level.mean;
-  return outcome;
+  return {.paused = true, .drift = snapshot->drift, .watched_return = snapshot->level.mean};
 }
 
 std::optional<MergeOutcome> HeadFold::Find(const std::string& session, int64_t episode) const {

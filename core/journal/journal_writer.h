@@ -11,7 +11,6 @@
 
 namespace spikeserve {
 
-class FleetContribution;
 class SessionJournal;
 
 // One write to the journal of a session.
@@ -33,8 +32,6 @@ struct JournalRecord {
   uint64_t position = 0;   // of the record in all that its owner writes, from 1
   uint64_t base = 0;       // position of the snapshot that the journal begins with; 0: claimed
   std::shared_ptr<SessionJournal> journal;
-  // To append to the log of its head when the record was written; null: none.
-  std::shared_ptr<FleetContribution> contribution = nullptr;
 };
 
 // Implementations are thread-safe.

@@ -191,12 +191,13 @@ void VisitFields(T& options, Visitor&& visit) {
   visit("policy_sha256", options.policy_sha256);
 }
 
-template <Is<PendingContribution> T, typename Visitor>
-void VisitFields(T& pending, Visitor&& visit) {
-  visit("episode", pending.episode);
-  visit("delta", pending.delta);
-  visit("episode_return", pending.episode_return);
-  visit("summary", pending.summary);
+// The session itself has the other members of a contribution.
+template <Is<Contribution> T, typename Visitor>
+void VisitFields(T& contribution, Visitor&& visit) {
+  visit("episode", contribution.episode);
+  visit("delta", contribution.delta);
+  visit("episode_return", contribution.episode_return);
+  visit("summary", contribution.summary);
 }
 
 template <Is<WiringHypothesis> T, typename Visitor>

@@ -125,7 +125,7 @@ void SessionJournal::WriteAgainIfMissing(const Session& session) {
 }
 
 void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, const Session* session,
-                           std::shared_ptr<FleetContribution> contribution) {
+                           const std::shared_ptr<FleetContribution>& contribution) {
   if (session != nullptr) {
     decisions_.store(session->decisions, std::memory_order_relaxed);
     changes_ = session->decisions + static_cast<uint64_t>(session->episode);
@@ -139,12 +139,15 @@ void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, const Se
                           .decisions = decisions_.load(std::memory_order_relaxed),
                           .changes = changes_,
                           .records = records_,
-                          .journal = shared_from_this(),
-                          .contribution = std::move(contribution)};
+                          .journal = shared_from_this()};
   // The lock makes the order of the queue that of the positions.
   absl::MutexLock lock(&mutex_);
   if (withdrawn_) return;
   record.position = ++written_;
+  if (contribution != nullptr) {
+    contribution_ = contribution;
+    contribution_position_ = written_;
+  }
   if (is_snapshot) base_ = record.position;
   record.base = base_;
   if (is_snapshot && first_valid_.load(std::memory_order_relaxed) == kNoPosition) {
@@ -187,23 +190,15 @@ void SessionJournal::LoseRecords() {
   missing_.store(true, std::memory_order_release);
 }
 
-void SessionJournal::OnReplaced(const JournalRecord& record) {
-  if (record.contribution == nullptr) return;
-  absl::MutexLock lock(&mutex_);
-  kept_.push_back(record.contribution);
-}
-
 void SessionJournal::OnWritten(const JournalRecord& record, const absl::Status& status) {
   std::vector<Waiter> ready;
-  std::vector<std::shared_ptr<FleetContribution>> contributions;
+  std::shared_ptr<FleetContribution> contribution;
   absl::Status outcome;
   {
     absl::MutexLock lock(&mutex_);
     if (absl::IsNotFound(status) && record.kind != JournalRecord::Kind::kClose) {
       // A snapshot will follow, which has this record and the ones before. Answers wait for it.
-      LoseRecords();
-      if (record.contribution != nullptr) kept_.push_back(record.contribution);
-      return;
+      return LoseRecords();
     }
     stored_ = record.position;
     acknowledged_ = {.base = record.base, .records = record.records};
@@ -218,12 +213,11 @@ void SessionJournal::OnWritten(const JournalRecord& record, const absl::Status& 
                               std::memory_order_release);
       durable_changes_.store(record.changes, std::memory_order_release);
       is_set_back_.store(false, std::memory_order_release);
-      contributions = std::exchange(kept_, {});
-      if (record.contribution != nullptr) contributions.push_back(record.contribution);
+      if (stored_ >= contribution_position_) contribution = std::exchange(contribution_, nullptr);
     }
     ready = TakeReady(/*all=*/!outcome.ok());
   }
-  for (const auto& contribution : contributions) contribution->Append();
+  if (contribution != nullptr) contribution->Append();
   for (const Waiter& waiter : ready) waiter.done(outcome);
 }
 

@@ -140,8 +140,6 @@ class SessionJournal final : public SessionListener,
     return record.position < first_valid_.load(std::memory_order_acquire) &&
            record.kind != JournalRecord::Kind::kClose;
   }
-  // The record was left out, because it is replaced.
-  void OnReplaced(const JournalRecord& record) ABSL_LOCKS_EXCLUDED(mutex_);
   // The store has the journal under another id than that of the session. Called at most once.
   void OnStoredAs(std::string id) {
     second_id_ = std::move(id);
@@ -175,7 +173,8 @@ class SessionJournal final : public SessionListener,
   void LoseRecords() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // `session` is what it is with the record; null: as it was.
   void Write(JournalRecord::Kind kind, std::string bytes, const Session* session,
-             std::shared_ptr<FleetContribution> contribution = nullptr) ABSL_LOCKS_EXCLUDED(mutex_);
+             const std::shared_ptr<FleetContribution>& contribution = nullptr)
+      ABSL_LOCKS_EXCLUDED(mutex_);
 
   const Key key_;
   const bool is_sync_;
@@ -205,8 +204,10 @@ class SessionJournal final : public SessionListener,
   absl::Status loss_ ABSL_GUARDED_BY(mutex_);  // not OK if the copy is lost
   bool withdrawn_ ABSL_GUARDED_BY(mutex_) = false;
   std::vector<Waiter> waiters_ ABSL_GUARDED_BY(mutex_);
-  // Their records were replaced. The snapshot that replaces them has the contributions, too.
-  std::vector<std::shared_ptr<FleetContribution>> kept_ ABSL_GUARDED_BY(mutex_);
+  // Of the last episode, until it is appended to the log of its head: when the record at the
+  // position, or a later snapshot, is stored. Null: none.
+  std::shared_ptr<FleetContribution> contribution_ ABSL_GUARDED_BY(mutex_);
+  uint64_t contribution_position_ ABSL_GUARDED_BY(mutex_) = 0;
 };
 
 }  // namespace spikeserve

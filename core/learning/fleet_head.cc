@@ -15,10 +15,9 @@ FleetHead::FleetHead(std::shared_ptr<const Policy> policy, FleetOptions options,
                      const HeldOutKey& held_out_key)
     : policy_(std::move(policy)), options_(options), held_out_key_(held_out_key) {
   absl::MutexLock lock(&mutex_);
-  delta_.setZero(AsVector(policy_->weights.head.weight.values).size());
-  guard_ = ReturnGuard::New(delta_);
-  held_out_guard_ = guard_;
-  held_out_budget_.CountMembers(ContributionBudget::kProtectedMembers);
+  state_.delta.setZero(AsVector(policy_->weights.head.weight.values).size());
+  state_.guard = ReturnGuard::New(state_.delta);
+  state_.held_out_guard = state_.guard;
   Publish();
 }
 
@@ -33,148 +32,141 @@ FleetHead::Member::Member(std::shared_ptr<FleetHead> head, std::string contribut
       contributor_(std::move(contributor)),
       held_out_(IsHeldOut(head_->held_out_key_, session_id)) {
   absl::MutexLock lock(&head_->mutex_);
-  head_->budget_.Join(contributor_);
+  ++head_->members_[contributor_];
   if (held_out_) ++head_->held_out_sessions_;
 }
 
 FleetHead::Member::~Member() {
   absl::MutexLock lock(&head_->mutex_);
-  head_->budget_.Leave(contributor_);
+  const auto member = head_->members_.find(contributor_);
+  if (--member->second == 0) head_->members_.erase(member);
   if (held_out_) --head_->held_out_sessions_;
 }
 
-FleetHead::Merged FleetHead::Merge(const Eigen::VectorXf& contribution, double episode_return,
-                                   const Source& source) {
-  Merged merged;
+MergeOutcome FleetHead::Merge(const Contribution& contribution, absl::Duration now,
+                              std::optional<size_t> members) {
+  MergeOutcome outcome;
   absl::MutexLock lock(&mutex_);
-  if (source.members.has_value()) budget_.CountMembers(*source.members);
-  const bool is_client = !source.contributor.empty();
-  const bool held_out = source.held_out && budget_.is_protected();
-  if (is_client && !budget_.Take(source.contributor, source.now)) {
-    merged.outcome = UpdateOutcome::kOverBudget;
+  if (members.has_value()) counted_ = members;
+  const std::string& contributor = contribution.contributor;
+  const bool held_out = contribution.held_out && is_protected();
+  if (!contributor.empty() && !state_.budget.Take(contributor, now, is_protected())) {
+    outcome.update = UpdateOutcome::kOverBudget;
   } else {
-    merged.outcome = Take(contribution, source, held_out);
-    merged.rolled_back = Judge(episode_return, source, held_out);
+    outcome.update = Take(contribution, held_out);
+    outcome.rolled_back = Judge(contribution, now, held_out);
   }
-  ++(merged.outcome == UpdateOutcome::kApplied ? updates_ : rejected_);
-  if (merged.rolled_back) {
-    updates_ = 0;
-    ++rollbacks_;
+  ++(outcome.update == UpdateOutcome::kApplied ? state_.updates : state_.rejected);
+  if (outcome.rolled_back) {
+    state_.updates = 0;
+    ++state_.rollbacks;
   }
   Publish();
-  merged.snapshot = Read();
-  return merged;
+  outcome.drift = Read()->drift;
+  outcome.watched_return = state_.guard.last.mean;
+  return outcome;
 }
 
-UpdateOutcome FleetHead::Take(const Eigen::VectorXf& contribution, const Source& source,
-                              bool held_out) {
-  SPIKESERVE_DCHECK_EQ(contribution.size(), delta_.size());
-  Eigen::VectorXf clipped = Eigen::VectorXf::Zero(contribution.size());
+UpdateOutcome FleetHead::Take(const Contribution& contribution, bool held_out) {
+  const Eigen::VectorXf& delta = contribution.delta;
+  const std::string& contributor = contribution.contributor;
+  SPIKESERVE_DCHECK_EQ(delta.size(), state_.delta.size());
+  Eigen::VectorXf clipped = Eigen::VectorXf::Zero(delta.size());
   const UpdateBounds bounds = {.clip = options_.clip, .max_norm = options_.clip};
-  const UpdateOutcome outcome = ApplyUpdate(1.0, contribution, bounds, &clipped);
+  const UpdateOutcome outcome = ApplyUpdate(1.0, delta, bounds, &clipped);
   if (outcome != UpdateOutcome::kApplied) return outcome;
-  if (!source.contributor.empty()) norms_.Add(source.contributor, FrobeniusNorm(clipped));
+  if (!contributor.empty()) state_.norms.Add(contributor, FrobeniusNorm(clipped));
   if (held_out) return UpdateOutcome::kHeldOut;
-  if (budget_.IsSuspended(source.contributor)) return UpdateOutcome::kOverBudget;
-  if (guard_.on_probation) return UpdateOutcome::kHeldOut;
-  if (guard_.has_reference || !budget_.is_protected()) return Add(contribution, source.contributor);
-  gathered_.push_back({.contributor = source.contributor, .delta = std::move(clipped)});
+  if (state_.budget.IsSuspended(contributor)) return UpdateOutcome::kOverBudget;
+  if (state_.guard.on_probation) return UpdateOutcome::kHeldOut;
+  if (state_.guard.has_reference || !is_protected()) return Add(delta, contributor);
+  state_.gathered.push_back({.contributor = contributor, .delta = std::move(clipped)});
   return UpdateOutcome::kApplied;
 }
 
-UpdateOutcome FleetHead::Add(const Eigen::VectorXf& contribution, const std::string& contributor) {
+UpdateOutcome FleetHead::Add(const Eigen::VectorXf& delta, const std::string& contributor) {
   UpdateBounds bounds = {.clip = options_.clip,
                          .max_norm = options_.max_drift * BaseNorm(*policy_)};
-  if (budget_.is_protected()) {
-    const double limit = norms_.Limit(contributor);
-    if (std::min(FrobeniusNorm(contribution), bounds.clip) > limit) {
+  if (is_protected()) {
+    const double limit = state_.norms.Limit(contributor);
+    if (std::min(FrobeniusNorm(delta), bounds.clip) > limit) {
       bounds.clip = limit;
-      ++trimmed_;
+      ++state_.trimmed;
     }
   }
-  return ApplyUpdate(1.0, contribution, bounds, &delta_);
+  return ApplyUpdate(1.0, delta, bounds, &state_.delta);
 }
 
-bool FleetHead::Judge(double episode_return, const Source& source, bool held_out) {
+bool FleetHead::Judge(const Contribution& contribution, absl::Duration now, bool held_out) {
   const double margin = options_.guard_margin;
-  if (guard_.OnEpisode(episode_return, margin, &delta_)) {
-    held_out_guard_.OnRestored(delta_);
-    held_out_budget_.OnWindowEnd(/*bad=*/false);
+  if (state_.guard.OnEpisode(contribution.episode_return, margin, &state_.delta)) {
+    state_.held_out_guard.OnRestored(state_.delta);
+    state_.held_out_budget.OnWindowEnd(/*bad=*/false, /*is_protected=*/true);
     EndWindow(/*bad=*/true);
     return true;
   }
-  if (guard_.returns.empty()) EndWindow(/*bad=*/false);
-  if (!held_out || !held_out_budget_.Take(source.contributor, source.now)) return false;
-  const bool bad = held_out_guard_.OnEpisode(episode_return, margin, &delta_);
-  if (held_out_guard_.returns.empty()) held_out_budget_.OnWindowEnd(/*bad=*/false);
+  if (state_.guard.returns.empty()) EndWindow(/*bad=*/false);
+  if (!held_out ||
+      !state_.held_out_budget.Take(contribution.contributor, now, /*is_protected=*/true)) {
+    return false;
+  }
+  const bool bad =
+      state_.held_out_guard.OnEpisode(contribution.episode_return, margin, &state_.delta);
+  if (state_.held_out_guard.returns.empty()) {
+    state_.held_out_budget.OnWindowEnd(/*bad=*/false, /*is_protected=*/true);
+  }
   if (!bad) return false;
-  guard_.OnRestored(delta_);
+  state_.guard.OnRestored(state_.delta);
   EndWindow(/*bad=*/true);
   return true;
 }
 
 void FleetHead::EndWindow(bool bad) {
-  budget_.OnWindowEnd(bad);
+  state_.budget.OnWindowEnd(bad, is_protected());
   if (!bad) {
-    for (const Gathered& each : gathered_) Add(each.delta, each.contributor);
+    for (const Gathered& each : state_.gathered) Add(each.delta, each.contributor);
   }
-  gathered_.clear();
+  state_.gathered.clear();
 }
 
 std::shared_ptr<const FleetHead::Snapshot> FleetHead::Rollback() {
   absl::MutexLock lock(&mutex_);
   std::shared_ptr<const Snapshot> before = Read();
-  delta_.setZero();
-  gathered_.clear();
-  budget_.OnWindowEnd(/*bad=*/false);
-  held_out_budget_.OnWindowEnd(/*bad=*/false);
-  guard_ = ReturnGuard::New(delta_);
-  held_out_guard_ = guard_;
-  updates_ = 0;
-  ++rollbacks_;
+  state_.delta.setZero();
+  state_.gathered.clear();
+  state_.budget.OnWindowEnd(/*bad=*/false, is_protected());
+  state_.held_out_budget.OnWindowEnd(/*bad=*/false, /*is_protected=*/true);
+  state_.guard = ReturnGuard::New(state_.delta);
+  state_.held_out_guard = state_.guard;
+  state_.updates = 0;
+  ++state_.rollbacks;
   Publish();
   return before;
 }
 
 std::vector<std::string> FleetHead::Members() const {
   absl::MutexLock lock(&mutex_);
-  return budget_.Members();
+  std::vector<std::string> members;
+  for (const auto& [contributor, sessions] : members_) {
+    if (members.size() < ContributionBudget::kProtectedMembers) members.push_back(contributor);
+  }
+  return members;
 }
 
 int64_t FleetHead::HeldOutSessions() const {
   absl::MutexLock lock(&mutex_);
-  return budget_.is_protected() ? held_out_sessions_ : 0;
+  return is_protected() ? held_out_sessions_ : 0;
 }
 
 FleetHead::State FleetHead::state() const {
   absl::MutexLock lock(&mutex_);
-  return {.delta = delta_,
-          .gathered = gathered_,
-          .guard = guard_,
-          .held_out_guard = held_out_guard_,
-          .budget = budget_.state(),
-          .held_out_budget = held_out_budget_.state(),
-          .norms = norms_.state(),
-          .updates = updates_,
-          .rejected = rejected_,
-          .trimmed = trimmed_,
-          .rollbacks = rollbacks_};
+  return state_;
 }
 
 void FleetHead::Restore(const State& state) {
   SPIKESERVE_DCHECK(IsPossible(state));
   absl::MutexLock lock(&mutex_);
-  delta_ = state.delta;
-  gathered_ = state.gathered;
-  guard_ = state.guard;
-  held_out_guard_ = state.held_out_guard;
-  budget_.Restore(state.budget);
-  held_out_budget_.Restore(state.held_out_budget);
-  norms_.Restore(state.norms);
-  updates_ = state.updates;
-  rejected_ = state.rejected;
-  trimmed_ = state.trimmed;
-  rollbacks_ = state.rollbacks;
+  state_ = state;
   Publish();
 }
 
@@ -184,8 +176,9 @@ bool FleetHead::IsPossible(const State& state) const {
     return guard.beginning.size() == size && guard.good.size() == size &&
            guard.returns.size() < ReturnGuard::kWindow;
   };
-  const auto is_budget = [](const ContributionBudget::State& budget) {
-    return budget.contributors.size() == budget.accounts.size();
+  const auto is_budget = [](const ContributionBudget& budget) {
+    return budget.contributors.size() == budget.accounts.size() &&
+           std::is_sorted(budget.contributors.begin(), budget.contributors.end());
   };
   return state.delta.size() == size && is_guard(state.guard) && is_guard(state.held_out_guard) &&
          is_budget(state.budget) && is_budget(state.held_out_budget) &&
@@ -197,15 +190,15 @@ bool FleetHead::IsPossible(const State& state) const {
 }
 
 void FleetHead::Publish() {
-  auto next =
-      std::make_shared<const Snapshot>(Snapshot{.head = HeadWith(*policy_, delta_),
-                                                .delta = delta_,
-                                                .drift = FrobeniusNorm(delta_) / BaseNorm(*policy_),
-                                                .updates = updates_,
-                                                .rejected = rejected_,
-                                                .trimmed = trimmed_,
-                                                .rollbacks = rollbacks_,
-                                                .level = guard_.last});
+  auto next = std::make_shared<const Snapshot>(
+      Snapshot{.head = HeadWith(*policy_, state_.delta),
+               .delta = state_.delta,
+               .drift = FrobeniusNorm(state_.delta) / BaseNorm(*policy_),
+               .updates = state_.updates,
+               .rejected = state_.rejected,
+               .trimmed = state_.trimmed,
+               .rollbacks = state_.rollbacks,
+               .level = state_.guard.last});
   absl::MutexLock lock(&snapshot_mutex_);
   snapshot_.swap(next);  // the snapshot before is freed after the lock is released
 }

@@ -17,13 +17,15 @@
 //   session contributes in the next one of the first guard, which measures the restored head.
 //
 // Equal sequences of Merge() and Rollback() leave heads that are equal bit for bit, in whichever
-// processes they run, if all of them pass the number of members.
+// processes they run, if all of them pass the time and the number of members.
 //
 // Thread-safe.
 #ifndef CORE_LEARNING_FLEET_HEAD_H_
 #define CORE_LEARNING_FLEET_HEAD_H_
 
+#include <cstddef>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -34,6 +36,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "core/learning/contribution.h"
 #include "core/learning/contribution_budget.h"
 #include "core/learning/head_update.h"
 #include "core/learning/held_out.h"
@@ -77,29 +80,14 @@ class FleetHead {
   // Returns the current snapshot. Does not wait for a merge.
   std::shared_ptr<const Snapshot> Read() const;
 
-  // Where an episode comes from.
-  struct Source {
-    std::string contributor = "";               // empty: no client; no budget applies
-    bool held_out = false;                      // of the session, see held_out.h
-    absl::Duration now = absl::ZeroDuration();  // of a monotonic clock, the same in every call
-    // Contributors with a session in all processes that share the head; absent: the Members of this
-    // one.
-    std::optional<size_t> members = std::nullopt;
-  };
+  // Adds the contribution of an episode and passes its return to the guards, unless the contributor
+  // has used up its budget. `now` is the time of a monotonic clock, the same in every call;
+  // `members` counts the contributors with a session in all processes that share the head (absent:
+  // the Members of this one).
+  MergeOutcome Merge(const Contribution& contribution, absl::Duration now,
+                     std::optional<size_t> members = std::nullopt);
 
-  struct Merged {
-    UpdateOutcome outcome = UpdateOutcome::kApplied;
-    bool rolled_back = false;                  // a guard restored an earlier head
-    std::shared_ptr<const Snapshot> snapshot;  // after the merge
-  };
-  // Adds the contribution [act * d] of one episode and passes the return of that episode to the
-  // guards, unless the contributor has used up its budget.
-  Merged Merge(const Eigen::VectorXf& contribution, double episode_return, const Source& source);
-  Merged Merge(const Eigen::VectorXf& contribution, double episode_return) {
-    return Merge(contribution, episode_return, Source());
-  }
-
-  // Returns contributors with a Member; see ContributionBudget::Members().
+  // Returns contributors with a Member, at most kProtectedMembers: more make no difference.
   std::vector<std::string> Members() const;
   // Returns how many sessions of this process are held out: 0 while the head is not protected.
   int64_t HeldOutSessions() const;
@@ -116,9 +104,9 @@ class FleetHead {
     std::vector<Gathered> gathered;
     ReturnGuard guard;           // of all returns
     ReturnGuard held_out_guard;  // of the returns of sessions that are held out
-    ContributionBudget::State budget;
-    ContributionBudget::State held_out_budget;
-    PeerNorms::State norms;
+    ContributionBudget budget;
+    ContributionBudget held_out_budget;  // always protected
+    PeerNorms norms;
     int64_t updates = 0;
     int64_t rejected = 0;
     int64_t trimmed = 0;
@@ -153,14 +141,17 @@ class FleetHead {
   std::shared_ptr<const Snapshot> Rollback();
 
  private:
+  bool is_protected() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    return counted_.value_or(members_.size()) >= ContributionBudget::kProtectedMembers;
+  }
   // Takes a contribution that is within the budget. Returns its outcome.
-  UpdateOutcome Take(const Eigen::VectorXf& contribution, const Source& source, bool held_out)
+  UpdateOutcome Take(const Contribution& contribution, bool held_out)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Adds a contribution to the head, shortened if the head is protected.
-  UpdateOutcome Add(const Eigen::VectorXf& contribution, const std::string& contributor)
+  UpdateOutcome Add(const Eigen::VectorXf& delta, const std::string& contributor)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Passes a return to the guards. Returns true if one of them restored an earlier head.
-  bool Judge(double episode_return, const Source& source, bool held_out)
+  bool Judge(const Contribution& contribution, absl::Duration now, bool held_out)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Starts a new window of the budget and adds what was gathered. `bad`: a guard has restored an
   // earlier head.
@@ -174,18 +165,10 @@ class FleetHead {
   const HeldOutKey held_out_key_;
 
   mutable absl::Mutex mutex_;  // held for a whole merge
-  Eigen::VectorXf delta_ ABSL_GUARDED_BY(mutex_);
-  std::vector<Gathered> gathered_ ABSL_GUARDED_BY(mutex_);
-  ReturnGuard guard_ ABSL_GUARDED_BY(mutex_);           // of all returns
-  ReturnGuard held_out_guard_ ABSL_GUARDED_BY(mutex_);  // of the sessions that are held out
-  ContributionBudget budget_ ABSL_GUARDED_BY(mutex_);
-  ContributionBudget held_out_budget_ ABSL_GUARDED_BY(mutex_);  // always protected
-  PeerNorms norms_ ABSL_GUARDED_BY(mutex_);
-  int64_t held_out_sessions_ ABSL_GUARDED_BY(mutex_) = 0;  // Members
-  int64_t updates_ ABSL_GUARDED_BY(mutex_) = 0;
-  int64_t rejected_ ABSL_GUARDED_BY(mutex_) = 0;
-  int64_t trimmed_ ABSL_GUARDED_BY(mutex_) = 0;
-  int64_t rollbacks_ ABSL_GUARDED_BY(mutex_) = 0;
+  State state_ ABSL_GUARDED_BY(mutex_);
+  std::map<std::string, int> members_ ABSL_GUARDED_BY(mutex_);  // open sessions by contributor
+  std::optional<size_t> counted_ ABSL_GUARDED_BY(mutex_);       // members in all processes
+  int64_t held_out_sessions_ ABSL_GUARDED_BY(mutex_) = 0;       // Members
 
   mutable absl::Mutex snapshot_mutex_ ABSL_ACQUIRED_AFTER(mutex_);  // held only to copy a pointer
   std::shared_ptr<const Snapshot> snapshot_ ABSL_GUARDED_BY(snapshot_mutex_);

@@ -7,7 +7,6 @@ namespace spikeserve {
 
 void PeerNorms::Add(const std::string& contributor, double norm) {
   if (!(norm > 0.0)) return;
-  auto& [contributors, norms] = state_;
   const auto found = std::find(contributors.begin(), contributors.end(), contributor);
   if (found != contributors.end()) {
     norms.erase(norms.begin() + (found - contributors.begin()));
@@ -22,8 +21,8 @@ void PeerNorms::Add(const std::string& contributor, double norm) {
 
 double PeerNorms::Limit(const std::string& contributor) const {
   std::vector<double> others;
-  for (size_t i = 0; i < state_.norms.size(); ++i) {
-    if (state_.contributors[i] != contributor) others.push_back(state_.norms[i]);
+  for (size_t i = 0; i < norms.size(); ++i) {
+    if (contributors[i] != contributor) others.push_back(norms[i]);
   }
   if (others.size() < kOthers) return std::numeric_limits<double>::infinity();
   const auto median = others.begin() + static_cast<std::ptrdiff_t>((others.size() - 1) / 2);

@@ -8,7 +8,7 @@
 // does not count for its own limit. One contributor, and any minority of them, can therefore not
 // raise the limit beyond what the others do.
 //
-// Not thread-safe.
+// A plain value.
 #ifndef CORE_LEARNING_PEER_NORMS_H_
 #define CORE_LEARNING_PEER_NORMS_H_
 
@@ -18,8 +18,7 @@
 
 namespace spikeserve {
 
-class PeerNorms {
- public:
+struct PeerNorms {
   // The contributors that are remembered: those who have contributed last.
   static constexpr size_t kContributors = 20;
   // There is no limit before this many others have contributed.
@@ -27,26 +26,15 @@ class PeerNorms {
   // A contribution may be this many times as long as the median of the others'.
   static constexpr double kFactor = 10.0;
 
+  std::vector<std::string> contributors;  // in the order of their last contributions
+  std::vector<double> norms;              // of `contributors`
+
   // Remembers the norm of a contribution. Ignores one of zero, which shows nothing about the length
   // of updates.
   void Add(const std::string& contributor, double norm);
 
   // Returns the largest norm of a contribution, or infinity if too few others have contributed.
   double Limit(const std::string& contributor) const;
-
-  // All that decides about later limits.
-  struct State {
-    std::vector<std::string> contributors;  // in the order of their last contributions
-    std::vector<double> norms;              // of `contributors`
-
-    friend bool operator==(const State&, const State&) = default;
-  };
-  const State& state() const { return state_; }
-  // Continues from `state`. REQUIRES: it has as many norms as contributors.
-  void Restore(const State& state) { state_ = state; }
-
- private:
-  State state_;
 };
 
 }  // namespace spikeserve

@@ -7,8 +7,7 @@
 #include <vector>
 
 #include "core/action/action_space.h"
-#include "core/learning/learning_options.h"
-#include "core/learning/return_statistics.h"
+#include "core/learning/contribution.h"
 
 namespace spikeserve {
 
@@ -34,17 +33,6 @@ inline bool IsSameEnd(const EpisodeEnd& end, EpisodeEnd again) {
   }
   return end == again;
 }
-
-// The learning of a session in one episode.
-struct LearningSummary {
-  Scope scope = Scope::kSession;
-  int64_t updates = 0;          // applied to the head; scope fleet: to the contribution
-  int64_t rejected = 0;         // updates that were refused: not finite, or by the fleet's head
-  double head_drift = 0.0;      // of the head that the session uses
-  ReturnStatistics returns;     // mu and sigma^2, with this episode included
-  bool rolled_back = false;     // the guard restored the last good head
-  double watched_return = 0.0;  // level of the guard's last window; see return_guard.h
-};
 
 // The totals of an episode.
 struct EpisodeSummary {

@@ -17,6 +17,7 @@
 #include "core/action/action_head.h"
 #include "core/action/action_space.h"
 #include "core/engine/counts.h"
+#include "core/learning/contribution.h"
 #include "core/learning/learner.h"
 #include "core/learning/learning_options.h"
 #include "core/session/durability.h"
@@ -57,15 +58,6 @@ struct SessionOptions {
   std::string policy_sha256;  // of the policy's file, in hexadecimal; empty: unknown
 };
 
-// What an ended episode of a fleet session contributes to the shared head, until it is in the log
-// of the head (head_log.h).
-struct PendingContribution {
-  int64_t episode = 0;    // index of the episode
-  Eigen::VectorXf delta;  // [act * d]: sum of the updates
-  double episode_return = 0.0;
-  LearningSummary summary;  // of the episode, without the outcome of the merge
-};
-
 // The value of a session.
 struct Session {
   std::string id;
@@ -89,8 +81,10 @@ struct Session {
   uint64_t decisions = 0;  // all decisions; with options.seed, the key of its random draws
   uint64_t spikes = 0;
   double energy_joules = 0.0;
-  std::optional<Learner> learner;                      // present if and only if options.learning is
-  std::shared_ptr<const PendingContribution> pending;  // null: none
+  std::optional<Learner> learner;  // present if and only if options.learning is
+  // What the last episode of a fleet session contributes to the shared head, until it is in the log
+  // of the head (head_log.h); null: nothing.
+  std::shared_ptr<const Contribution> pending;
   WiringState wiring;
 };
 

@@ -104,7 +104,7 @@ absl::Status HeadHandler::GetHead(CallContext& context, const v1::GetHeadRequest
   response->set_rollbacks(snapshot->rollbacks);
   response->set_watched_return(snapshot->level.mean);
   response->set_paused(served->learning->paused());
-  const bool shared = served->SharesHead(tenant);
+  const bool shared = served->share_heads || tenant.empty();
   const auto on_it = [&](const SessionEntry& entry) {
     return entry.served == served && (shared || entry.tenant == tenant);
   };
@@ -191,7 +191,7 @@ absl::Status HeadHandler::RollbackHead(CallContext& context, const v1::RollbackH
     return absl::OkStatus();
   }
   response->set_shared(true);
-  const auto drift = served->log->Rollback(served->SharesHead(tenant) ? "" : tenant);
+  const auto drift = served->log->Rollback(served->HeadName(tenant));
   if (drift.ok()) response->set_drift(*drift);
   return drift.status();
 }

@@ -13,17 +13,6 @@ namespace {
 using prometheus::ClientMetric;
 using prometheus::MetricFamily;
 
-// Returns all shared heads of a version.
-std::vector<std::shared_ptr<FleetHead>> HeadsOf(const ServedPolicy& served) {
-  std::vector<std::shared_ptr<FleetHead>> heads = {served.fleet};
-  if (served.tenant_heads == nullptr) return heads;
-  for (const std::string& tenant : served.tenant_heads->Tenants()) {
-    auto head = served.tenant_heads->Find(tenant);
-    if (head != nullptr && head != served.fleet) heads.push_back(std::move(head));
-  }
-  return heads;
-}
-
 }  // namespace
 
 std::vector<MetricFamily> CollectHeads(const PolicyCatalog& catalog) {
@@ -38,7 +27,9 @@ std::vector<MetricFamily> CollectHeads(const PolicyCatalog& catalog) {
   for (const auto& [name, policy] : catalog.policies()) {
     for (const auto& [version, served] : policy.versions) {
       int64_t sessions = 0, contributions = 0;
-      for (const auto& head : HeadsOf(*served)) {
+      for (const std::string& tenant : served->heads->Tenants()) {
+        if (served->HeadName(tenant) != tenant) continue;  // of a time when heads were not shared
+        const auto head = served->heads->Of(tenant);
         sessions += head->HeldOutSessions();
         contributions += head->Read()->trimmed;
       }

@@ -21,10 +21,6 @@ constexpr absl::Duration kReadInterval = absl::Milliseconds(100);
 constexpr absl::Duration kUnusedReadInterval = absl::Seconds(1);
 constexpr int64_t kUnusedReadsPerInterval = 32;
 
-// How often this server looks which heads its sessions use. What it has read of a log is as old as
-// this, at most, when a session has begun to use it.
-constexpr absl::Duration kUseInterval = absl::Seconds(1);
-
 // How often a store that stops tries to append what waits.
 constexpr absl::Duration kStopInterval = absl::Milliseconds(10);
 
@@ -132,17 +128,6 @@ bool HeadLogStore::IsOver() {
   return stopping_ && settings_.clock->Now() >= stop_by_;
 }
 
-void HeadLogStore::NoteUse(const Logs& logs) {
-  const absl::Duration now = settings_.clock->Now();
-  if (now - use_noted_ < kUseInterval) return;
-  use_noted_ = now;
-  for (const auto& log : logs) log->NoteUse();
-  const auto unused =
-      std::count_if(logs.begin(), logs.end(), [](const auto& log) { return !log->is_used(); });
-  unused_interval_ =
-      kUnusedReadInterval * std::max(1.0, static_cast<double>(unused) / kUnusedReadsPerInterval);
-}
-
 HeadLogStore::Logs HeadLogStore::OpenLogs() {
   Logs logs;
   absl::MutexLock lock(&mutex_);
@@ -160,7 +145,10 @@ HeadLogStore::Logs HeadLogStore::OpenLogs() {
 void HeadLogStore::Run() {
   while (Wait()) {
     const Logs logs = OpenLogs();
-    NoteUse(logs);
+    const auto unused =
+        std::count_if(logs.begin(), logs.end(), [](const auto& log) { return !log->is_used(); });
+    unused_interval_ =
+        kUnusedReadInterval * std::max(1.0, static_cast<double>(unused) / kUnusedReadsPerInterval);
     const absl::Status connected = Connect();
     for (const auto& log : logs) {
       if (IsOver()) break;

@@ -27,15 +27,16 @@
 
 namespace spikeserve {
 
-class HeadLogStore final : public HeadLogs {
+class HeadLogStore {
  public:
   // Redis remembers for `retention` that an entry is in a log. Registers metrics in `registry`,
   // which must outlive the store, as must `clock`.
   HeadLogStore(RedisOptions options, absl::Duration retention, const Clock* clock,
                prometheus::Registry* registry);
-  ~HeadLogStore() override;
+  ~HeadLogStore();
 
-  std::shared_ptr<HeadLog> Open(const ServedPolicy& served) override;
+  // See OpenHeadLog.
+  std::shared_ptr<HeadLog> Open(const ServedPolicy& served);
 
   // Returns true once the heads of all versions were taken from their logs.
   bool has_joined() const { return joined_.load(std::memory_order_acquire); }
@@ -61,8 +62,6 @@ class HeadLogStore final : public HeadLogs {
   bool Wait() ABSL_LOCKS_EXCLUDED(mutex_);
   // Returns true if the store stops and the time for it is over.
   bool IsOver() ABSL_LOCKS_EXCLUDED(mutex_);
-  // Finds out which logs a session of this server uses, and sets when the others are read next.
-  void NoteUse(const Logs& logs);
   // Returns the logs of the versions that are still served.
   Logs OpenLogs() ABSL_LOCKS_EXCLUDED(mutex_);
   absl::Status Connect();
@@ -73,7 +72,6 @@ class HeadLogStore final : public HeadLogs {
   std::atomic<bool> joined_ = false;
   std::atomic<bool> follows_ = false;
   std::unique_ptr<RedisClient> client_;  // of the thread
-  absl::Duration use_noted_;             // when, of the thread
   absl::BitGen random_;                  // of the thread
   absl::Duration unused_interval_;       // of reading a log that no session uses, of the thread
 

@@ -217,9 +217,11 @@ std::string RedisHeadLog::MarkerOf(absl::string_view session, int64_t episode) c
 void RedisHeadLog::SendAppend(RedisClient& client, const HeadPosition& at, const HeadEntry& entry,
                               absl::string_view bytes,
                               const std::vector<std::string>& members) const {
+  const Contribution& contribution = entry.contribution;
   client.Append({"EVAL", AppendScript(), "5", log_, snapshot_,
-                 MarkerOf(entry.session, entry.episode), MarkerOf(entry.session, entry.episode - 1),
-                 absl::StrCat(members_prefix_, entry.head), at.id, absl::StrCat(at.number),
+                 MarkerOf(contribution.session, contribution.episode),
+                 MarkerOf(contribution.session, contribution.episode - 1),
+                 absl::StrCat(members_prefix_, contribution.head), at.id, absl::StrCat(at.number),
                  at.digest, bytes, retention_, kMarkerGrace, absl::StrCat(kAliveMilliseconds),
                  HeadEntryIdentity(entry), kMostUnread, kSettling, absl::StrJoin(members, "\n")});
 }

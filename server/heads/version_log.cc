@@ -23,6 +23,10 @@ constexpr absl::Duration kOperationTimeout = absl::Seconds(5);
 constexpr absl::Duration kFirstRetry = absl::Milliseconds(100);
 constexpr absl::Duration kLongestRetry = absl::Seconds(1);
 
+// How often this server looks whether its sessions use the heads of a log. What it has read of the
+// log is as old as this, at most, when a session has begun to.
+constexpr absl::Duration kUseInterval = absl::Seconds(1);
+
 // A connection that breaks fails once. What fails again has another cause, which is logged.
 constexpr int kFailuresToLog = 2;
 
@@ -51,28 +55,18 @@ VersionLog::VersionLog(const HeadLogSettings* settings, const ServedPolicy& serv
 
 VersionLog::Request VersionLog::NewRequest(HeadEntry::Kind kind, const std::string& head) {
   const auto id = NewSessionId();  // any random name
-  HeadEntry entry = {.kind = kind, .session = id.value_or(""), .head = head};
+  HeadEntry entry = {.kind = kind, .contribution = {.session = id.value_or(""), .head = head}};
   std::string bytes = id.ok() ? SerializeHeadEntry(entry) : "";
   return {.entry = std::move(entry), .bytes = std::move(bytes), .done = [](const auto&, bool) {}};
 }
 
 void VersionLog::Append(std::shared_ptr<FleetContribution> contribution) {
-  const PendingContribution& pending = contribution->pending();
-  HeadEntry entry = {.session = contribution->session(),
-                     .episode = pending.episode,
-                     .head = contribution->head(),
-                     .contributor = contribution->contributor(),
-                     .held_out = contribution->held_out(),
-                     .delta = pending.delta,
-                     .episode_return = pending.episode_return};
+  HeadEntry entry = {.contribution = contribution->value()};
   std::string bytes = SerializeHeadEntry(entry);
   Add({.entry = std::move(entry),
        .bytes = std::move(bytes),
-       .done =
-           [contribution = std::move(contribution)](const auto& outcome, bool is_new) {
-             if (!outcome.ok()) return contribution->OnUnreachable(outcome.status());
-             contribution->OnMerged(*outcome, is_new);
-           },
+       .done = [contribution = std::move(contribution)](
+                   const auto& outcome, bool is_new) { contribution->OnOutcome(outcome, is_new); },
        .is_kept = true});
 }
 
@@ -93,7 +87,7 @@ absl::StatusOr<MergeOutcome> VersionLog::Do(Request request) {
       kFirstRetry);
 }
 
-absl::Status VersionLog::CatchUp() { return Do({}).status(); }
+absl::Status VersionLog::CatchUp() { return Do(Request()).status(); }
 
 absl::StatusOr<double> VersionLog::Rollback(const std::string& tenant) {
   RETURN_IF_ERROR(CatchUp());
@@ -137,17 +131,17 @@ bool VersionLog::has_requests() const {
   return !requests_.empty();
 }
 
-void VersionLog::NoteUse() {
-  const auto tenants = heads()->Tenants();
-  const bool is_used = std::any_of(tenants.begin(), tenants.end(), [&](const auto& tenant) {
-    return !heads()->Of(tenant)->Members().empty();
-  });
-  if (is_used && !is_used_) read_at_ = settings_.clock->Now();
-  is_used_ = is_used;
-}
-
-bool VersionLog::IsDue() const {
+bool VersionLog::IsDue() {
   const absl::Duration now = settings_.clock->Now();
+  if (now - use_noted_ >= kUseInterval) {
+    use_noted_ = now;
+    const auto tenants = heads()->Tenants();
+    const bool was_used = std::exchange(
+        is_used_, std::any_of(tenants.begin(), tenants.end(), [&](const auto& tenant) {
+          return !heads()->Of(tenant)->Members().empty();
+        }));
+    if (is_used_ && !was_used) read_at_ = now;
+  }
   return now >= retry_at_ && (now >= read_at_ || has_requests());
 }
 

@@ -72,12 +72,10 @@ class VersionLog final : public HeadLog {
 
   // Returns true once the heads were taken from the log.
   bool has_joined() const { return has_joined_; }
-  // Returns whether a session on this server used a head when NoteUse() was called last.
+  // Returns whether a session on this server uses a head, as IsDue() has found out.
   bool is_used() const { return is_used_; }
-  // Finds out whether one does now. The log is due when that begins.
-  void NoteUse();
-  // Returns true if the log is to be served now.
-  bool IsDue() const;
+  // Returns true if the log is to be served now: also when a session begins to use a head.
+  bool IsDue();
 
   // Takes the oldest requests, unless it has, appends them, and folds what the log has. After an
   // error some of them may be in the log. Returns UNAVAILABLE if Redis or the log cannot be used
@@ -155,9 +153,10 @@ class VersionLog final : public HeadLog {
   int64_t snapshot_number_ = 0;
   bool wants_snapshot_ = false;
   bool is_used_ = false;
-  int failures_ = 0;         // since the log was read last, on a connection that was made
-  absl::Duration read_at_;   // the next time without requests
-  absl::Duration retry_at_;  // not before
+  absl::Duration use_noted_;  // when
+  int failures_ = 0;          // since the log was read last, on a connection that was made
+  absl::Duration read_at_;    // the next time without requests
+  absl::Duration retry_at_;   // not before
   absl::Duration retry_delay_;
   absl::Duration members_kept_;                // when
   std::optional<absl::Duration> gap_since_;    // the stored log has a gap

@@ -51,14 +51,14 @@ void VersionLog::NoteInLog(Request& request, bool is_new) {
 absl::StatusOr<bool> VersionLog::AppendAndRead(RedisClient& client) {
   for (Request& request : taken_) {
     if (!request.IsToBeAppended()) continue;
-    const HeadEntry& entry = request.entry;
+    const Contribution& entry = request.entry.contribution;
     // The log may have forgotten that it has the entry, if Redis has lost something.
     if (fold_.Find(entry.session, entry.episode).has_value()) {
       NoteInLog(request, request.is_sent);
       continue;
     }
     const auto head = heads()->Find(entry.head);
-    redis_.SendAppend(client, fold_.position(), entry, request.bytes,
+    redis_.SendAppend(client, fold_.position(), request.entry, request.bytes,
                       head == nullptr ? std::vector<std::string>() : head->Members());
   }
   redis_.SendTail(client, fold_.position());
@@ -189,7 +189,7 @@ absl::Status VersionLog::KeepMembers(RedisClient& client) {
 }
 
 MergeOutcome VersionLog::OutcomeOf(const Request& request) const {
-  const HeadEntry& entry = request.entry;
+  const Contribution& entry = request.entry.contribution;
   if (auto outcome = fold_.Find(entry.session, entry.episode); outcome.has_value()) return *outcome;
   // An entry from before those that are remembered, or none.
   MergeOutcome outcome;

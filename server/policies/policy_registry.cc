@@ -165,7 +165,7 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
     learning->set_paused(set != settings_.policies.end() && set->second.learning_paused);
   }
   auto served = LoadPolicyVersion(options_.directory, version, options_.signatures.get(), learning,
-                                  new_observer_, options_.share_heads, options_.head_logs);
+                                  new_observer_, options_.share_heads, options_.open_log);
   file.status = served.status();
   span.Fail(file.status);
   return served;

@@ -60,7 +60,7 @@ struct RegistryOptions {
   bool share_heads = false;          // see LoadPolicyVersion
   bool withhold_files = false;       // see ReadVersionFile
   SharedSettings* shared = nullptr;  // null: the settings are those of this server
-  HeadLogs* head_logs = nullptr;     // null: the shared heads are those of this server
+  OpenHeadLog open_log = nullptr;    // see LoadPolicyVersion
   std::shared_ptr<const PolicySignatures> signatures = nullptr;  // null: versions need no signature
   Tracer* tracer = nullptr;                                      // null: nothing is traced
 };

@@ -191,7 +191,7 @@ std::string Sha256Of(absl::string_view bytes) {
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
     const std::string& directory, const PolicyVersion& version, const PolicySignatures* signatures,
     std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer, bool share_heads,
-    HeadLogs* logs) {
+    const OpenHeadLog& open_log) {
   const std::string path = PolicyFilePath(directory, version);
   for (const std::string& file : {path, SignaturePath(path)}) {
     RETURN_IF_ERROR(CheckWithin(directory, file));
@@ -207,10 +207,11 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
   served->engine = MakeEngine(*std::move(policy));
   const std::shared_ptr<const Policy> shared(served->engine, &served->policy());
   served->learning = std::move(learning);
-  if (logs != nullptr) served->log = logs->Open(*served);
-  const auto heads = logs != nullptr ? served->log->heads() : std::make_shared<TenantHeads>(shared);
-  served->fleet = heads->Of("");
-  if (!share_heads) served->tenant_heads = heads;
+  if (open_log != nullptr) served->log = open_log(*served);
+  served->heads =
+      served->log != nullptr ? served->log->heads() : std::make_shared<TenantHeads>(shared);
+  served->share_heads = share_heads;
+  served->heads->Of("");  // exists before a session learns it
   RETURN_IF_ERROR(WarmUp(*served->engine, path));
   served->observer = new_observer(served->name, served->version, served->policy());
   return served;

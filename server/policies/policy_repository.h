@@ -79,12 +79,12 @@ using NewObserver = std::function<std::shared_ptr<SessionObserver>(
 // memory. Returns the errors of ReadVersionFiles and ParsePolicyFile, and INVALID_ARGUMENT if the
 // decision is not finite; messages start with the path. `signatures`: see ReadVersionFiles.
 // `learning` pauses this version together with the others that share the switch. `share_heads`: the
-// fleet sessions of all tenants learn one head; otherwise each tenant has its own. `logs` opens the
-// log that changes the heads; null: they are those of this process alone.
+// fleet sessions of all tenants learn one head; otherwise each tenant has its own. `open_log` opens
+// the log that changes the heads; null: they are those of this process alone.
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
     const std::string& directory, const PolicyVersion& version, const PolicySignatures* signatures,
     std::shared_ptr<LearningSwitch> learning, const NewObserver& new_observer,
-    bool share_heads = false, HeadLogs* logs = nullptr);
+    bool share_heads = false, const OpenHeadLog& open_log = nullptr);
 
 }  // namespace spikeserve
 

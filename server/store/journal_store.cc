@@ -281,9 +281,7 @@ size_t JournalStore::SkipReplaced(size_t first, size_t end, Work* work) {
     }
   }
   for (size_t i = first; i < kept; ++i) {
-    const JournalRecord& record = work->records[i];
-    backlog_bytes_.fetch_sub(BacklogOf(record), std::memory_order_relaxed);
-    record.journal->OnReplaced(record);
+    backlog_bytes_.fetch_sub(BacklogOf(work->records[i]), std::memory_order_relaxed);
   }
   return kept;
 }

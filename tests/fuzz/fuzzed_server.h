@@ -46,7 +46,7 @@ class FuzzedServer {
     std::unique_ptr<Authenticator> authenticator = *Authenticator::Create("");
     const FleetHead::State untaught = fleet().state();
 
-    FleetHead& fleet() { return *(*registry.get()->catalog()->Find("small", 1))->fleet; }
+    FleetHead& fleet() { return *(*registry.get()->catalog()->Find("small", 1))->HeadOf(""); }
   };
   static Parts& Shared() {
     static auto* const parts = new Parts;  // lives as long as the process

@@ -87,7 +87,7 @@ class Play {
     served->name = "golden";
     served->version = 1;
     served->engine = MakeEngine(policy_);
-    served->fleet = std::make_shared<FleetHead>(policy_);
+    served->heads = std::make_shared<TenantHeads>(policy_);
     served->observer = std::make_shared<SessionObserver>();
     SessionRequest request = {.seed = 7, .sample = kind != Kind::kGreedy};
     if (request.sample) request.temperature = 0.75;

@@ -73,7 +73,7 @@ class Stream {
     served_->name = identity_.policy;
     served_->version = identity_.version;
     served_->engine = MakeEngine(policy_);
-    served_->fleet = std::make_shared<FleetHead>(policy_);
+    served_->heads = std::make_shared<TenantHeads>(policy_);
     served_->observer = std::make_shared<SessionObserver>();
     auto environment = MakeEnvironment(policy_->environment);
     if (environment.ok()) environment_ = *std::move(environment);

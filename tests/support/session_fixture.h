@@ -48,7 +48,7 @@ inline std::shared_ptr<const ServedPolicy> Serve(
   auto served = std::make_shared<ServedPolicy>();
   served->name = "small";
   served->version = 1;
-  served->fleet = std::make_shared<FleetHead>(policy);
+  served->heads = std::make_shared<TenantHeads>(policy);
   served->engine = MakeEngine(std::move(policy));
   served->observer = std::move(observer);
   return served;

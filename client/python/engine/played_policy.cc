@@ -24,7 +24,7 @@ std::shared_ptr<const ServedPolicy> Serve(std::shared_ptr<const Engine> engine) 
   served->name = kName;
   served->version = 1;
   served->engine = std::move(engine);
-  served->fleet = std::make_shared<FleetHead>(policy);
+  served->heads = std::make_shared<TenantHeads>(policy);
   served->observer = std::make_shared<SessionObserver>();
   return served;
 }

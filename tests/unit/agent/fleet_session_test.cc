@@ -47,7 +47,7 @@ TEST_F(FleetSessionTest, WhatOneLearnsAllHave) {
   End(teacher);
   EXPECT_GT(pupil.HeadDrift(), 0.0);
   EXPECT_EQ(pupil.HeadDelta(), teacher.HeadDelta());
-  EXPECT_EQ(pupil.HeadDelta(), served_->fleet->Read()->delta);
+  EXPECT_EQ(pupil.HeadDelta(), served_->HeadOf("")->Read()->delta);
 }
 
 TEST_F(FleetSessionTest, EpisodesPlayedOnOneHeadLeaveTheSameHeadInAnyOrder) {
@@ -57,7 +57,7 @@ TEST_F(FleetSessionTest, EpisodesPlayedOnOneHeadLeaveTheSameHeadInAnyOrder) {
     for (uint64_t seed = 0; seed < 16; ++seed) agents.push_back(NewAgent(seed));
     for (AgentSession& agent : agents) Play(agent);
     for (size_t i = 0; i < agents.size(); ++i) End(agents[reversed ? agents.size() - 1 - i : i]);
-    return served_->fleet->Read()->delta;
+    return served_->HeadOf("")->Read()->delta;
   };
   const Eigen::VectorXf forwards = play(false), backwards = play(true);
   for (Eigen::Index i = 0; i < forwards.size(); ++i) {
@@ -80,13 +80,13 @@ TEST_F(FleetSessionTest, SixtyFourLearnAtOnce) {
     });
   }
   served_->learning->set_paused(true);
-  const auto standing = served_->fleet->Read();
-  EXPECT_EQ(served_->fleet->Read(), standing);
+  const auto standing = served_->HeadOf("")->Read();
+  EXPECT_EQ(served_->HeadOf("")->Read(), standing);
   served_->learning->set_paused(false);
-  served_->fleet->Rollback();
+  served_->HeadOf("")->Rollback();
   for (std::thread& thread : threads) thread.join();
-  EXPECT_LE(served_->fleet->Read()->updates, kSessions * kEpisodes);
-  EXPECT_LE(served_->fleet->Read()->drift, FleetOptions().max_drift + 1e-6);
+  EXPECT_LE(served_->HeadOf("")->Read()->updates, kSessions * kEpisodes);
+  EXPECT_LE(served_->HeadOf("")->Read()->drift, FleetOptions().max_drift + 1e-6);
 }
 
 TEST_F(FleetSessionTest, AfterARollbackTheOldAnswersReturn) {
@@ -103,7 +103,7 @@ TEST_F(FleetSessionTest, AfterARollbackTheOldAnswersReturn) {
   Play(teacher);
   End(teacher);
   EXPECT_NE(answers(), before);
-  served_->fleet->Rollback();
+  served_->HeadOf("")->Rollback();
   EXPECT_EQ(answers(), before);
 }
 
@@ -116,7 +116,7 @@ TEST_F(FleetSessionTest, FrozenSessionsOfThePolicyAreUntouched) {
     EXPECT_EQ(**frozen.Act(t, ObservationAt(t), RewardAt(t)),
               **alone.Act(t, ObservationAt(t), RewardAt(t)));
   }
-  EXPECT_GT(served_->fleet->Read()->drift, 0.0);
+  EXPECT_GT(served_->HeadOf("")->Read()->drift, 0.0);
 }
 
 TEST(LearningSwitchTest, APauseWaitsForTheMergeUnderWayAndLetsNoneFollow) {

@@ -29,7 +29,7 @@ std::shared_ptr<const ServedPolicy> Serve(std::shared_ptr<const Policy> policy) 
   auto served = std::make_shared<ServedPolicy>();
   served->name = "cartpole";
   served->version = 1;
-  served->fleet = std::make_shared<FleetHead>(policy);
+  served->heads = std::make_shared<TenantHeads>(policy);
   served->engine = MakeEngine(std::move(policy));
   served->observer = std::make_shared<SessionObserver>();
   return served;
@@ -90,7 +90,7 @@ FleetRun PlayFleet(const std::shared_ptr<const Policy>& policy, uint64_t seed) {
     }
     run.rounds.push_back(sum / kSessions);
   }
-  run.rollbacks = served->fleet->Read()->rollbacks;
+  run.rollbacks = served->HeadOf("")->Read()->rollbacks;
   return run;
 }
 

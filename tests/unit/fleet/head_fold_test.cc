@@ -26,19 +26,18 @@ std::shared_ptr<const Policy> TestPolicy() {
 HeadFold NewFold() { return HeadFold(std::make_shared<TenantHeads>(TestPolicy())); }
 
 // Returns what episode `i` of seven sessions of two tenants contributes.
-HeadEntry Contribution(int i) {
-  HeadEntry entry;
-  entry.session = absl::StrCat("session", i % 7);
-  entry.episode = i / 7;
-  entry.head = std::string(i % 3 == 0 ? 1 : 0, 'a');
-  entry.contributor = entry.session;
-  entry.held_out = i % 7 == 2;
-  entry.delta.resize(kSize);
+HeadEntry EntryOf(int i) {
+  Contribution contribution = {.session = absl::StrCat("session", i % 7),
+                               .episode = i / 7,
+                               .head = std::string(i % 3 == 0 ? 1 : 0, 'a'),
+                               .held_out = i % 7 == 2,
+                               .delta = Eigen::VectorXf(kSize),
+                               .episode_return = i < 100 ? 10.0 : 1.0};
+  contribution.contributor = contribution.session;
   for (Eigen::Index j = 0; j < kSize; ++j) {
-    entry.delta[j] = 0.03f * std::sin(0.7f * static_cast<float>(i) + static_cast<float>(j));
+    contribution.delta[j] = 0.03f * std::sin(0.7f * static_cast<float>(i) + static_cast<float>(j));
   }
-  entry.episode_return = i < 100 ? 10.0 : 1.0;
-  return entry;
+  return {.contribution = std::move(contribution)};
 }
 
 // A log as Redis keeps it.
@@ -73,9 +72,8 @@ class Log {
 Log FullLog() {
   Log log;
   for (int i = 0; i < 150; ++i) {
-    log.Append(Contribution(i), i < 50 ? 2 : 7);
-    HeadEntry action;
-    action.session = absl::StrCat("action", i);
+    log.Append(EntryOf(i), i < 50 ? 2 : 7);
+    HeadEntry action = {.contribution = {.session = absl::StrCat("action", i)}};
     if (i == 30) action.kind = HeadEntry::Kind::kRollback;
     if (i == 60) action.kind = HeadEntry::Kind::kPause;
     if (i == 64) action.kind = HeadEntry::Kind::kResume;

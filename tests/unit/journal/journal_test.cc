@@ -358,7 +358,6 @@ TEST_F(SessionJournalTest, WhatTheStoreHasLostIsWrittenAgain) {
   const JournalRecord replaced = writer_.waiting_.front();
   writer_.waiting_.pop_front();
   EXPECT_TRUE(journal_->IsReplaced(replaced));
-  journal_->OnReplaced(replaced);
   EXPECT_FALSE(outcome->has_value());
   journal_->WriteAgainIfMissing(agent_.session());
   EXPECT_EQ(writer_.kinds_.back(), Kind::kOpen);

@@ -9,15 +9,11 @@ namespace {
 
 using Budget = ContributionBudget;
 
-// Joins members "0", "1" and so on.
-void Join(Budget& budget, size_t members) {
-  for (size_t i = 0; i < members; ++i) budget.Join(std::to_string(i));
-}
-
 // Returns how many of 1000 contributions are accepted.
-int Accepted(Budget& budget, const std::string& contributor, absl::Duration now) {
+int Accepted(Budget& budget, const std::string& contributor, absl::Duration now,
+             bool is_protected = false) {
   int accepted = 0;
-  for (int i = 0; i < 1000; ++i) accepted += budget.Take(contributor, now) ? 1 : 0;
+  for (int i = 0; i < 1000; ++i) accepted += budget.Take(contributor, now, is_protected) ? 1 : 0;
   return accepted;
 }
 
@@ -31,33 +27,26 @@ TEST(ContributionBudgetTest, AMinuteIsBoundedForOneAndForAll) {
   EXPECT_EQ(Accepted(budget, "0", absl::Seconds(100)), Budget::kPerMinute);
 }
 
-TEST(ContributionBudgetTest, WithEnoughMembersNoneGivesAQuarterOfAWindow) {
+TEST(ContributionBudgetTest, OfAProtectedHeadNoneGivesAQuarterOfAWindow) {
   Budget budget;
-  Join(budget, Budget::kProtectedMembers - 1);
-  EXPECT_FALSE(budget.is_protected());
-  budget.Join("last");
-  budget.Join("last");
-  EXPECT_TRUE(budget.is_protected());
-  EXPECT_EQ(Accepted(budget, "0", {}), Budget::kPerWindow);
-  budget.OnWindowEnd(/*bad=*/false);
-  EXPECT_EQ(Accepted(budget, "0", {}), Budget::kPerWindow);
-  budget.Leave("last");
-  EXPECT_TRUE(budget.is_protected());
-  budget.Leave("last");
-  EXPECT_FALSE(budget.is_protected());
+  for (int window = 0; window < 3; ++window) {
+    EXPECT_EQ(Accepted(budget, "0", {}, /*is_protected=*/true), Budget::kPerWindow);
+    budget.OnWindowEnd(/*bad=*/false, /*is_protected=*/true);
+  }
 }
 
 TEST(ContributionBudgetTest, AFullShareOfABadWindowSuspends) {
   Budget budget;
-  Join(budget, Budget::kProtectedMembers);
-  Accepted(budget, "0", {});
-  EXPECT_TRUE(budget.Take("1", {}));
-  budget.OnWindowEnd(/*bad=*/true);
+  constexpr bool kIsProtected = true;
+  Accepted(budget, "0", {}, kIsProtected);
+  EXPECT_TRUE(budget.Take("1", {}, kIsProtected));
+  budget.OnWindowEnd(/*bad=*/true, kIsProtected);
   for (int window = 0; window < Budget::kSuspendedWindows; ++window) {
     EXPECT_TRUE(budget.IsSuspended("0")) << window;
     EXPECT_FALSE(budget.IsSuspended("1")) << window;
-    EXPECT_TRUE(budget.Take("0", {})) << window;  // its returns count, so that windows end
-    budget.OnWindowEnd(/*bad=*/false);
+    EXPECT_TRUE(budget.Take("0", {}, kIsProtected))
+        << window;  // its returns count, so that windows end
+    budget.OnWindowEnd(/*bad=*/false, kIsProtected);
   }
   EXPECT_FALSE(budget.IsSuspended("0"));
 }

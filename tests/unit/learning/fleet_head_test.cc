@@ -26,13 +26,17 @@ std::shared_ptr<const Policy> TestPolicy() {
   return std::make_shared<const Policy>(std::move(policy));
 }
 
-// Returns the contribution of session `i`, whose elements are a few hundredths.
-Eigen::VectorXf Contribution(int i) {
-  Eigen::VectorXf contribution(kSize);
+// Returns what session `i` contributes, whose elements are a few hundredths.
+Eigen::VectorXf DeltaOf(int i) {
+  Eigen::VectorXf delta(kSize);
   for (Eigen::Index j = 0; j < kSize; ++j) {
-    contribution[j] = 0.03f * std::sin(0.7f * static_cast<float>(i) + static_cast<float>(j));
+    delta[j] = 0.03f * std::sin(0.7f * static_cast<float>(i) + static_cast<float>(j));
   }
-  return contribution;
+  return delta;
+}
+
+MergeOutcome Merge(FleetHead& fleet, const Eigen::VectorXf& delta, double episode_return) {
+  return fleet.Merge({.delta = delta, .episode_return = episode_return}, absl::ZeroDuration());
 }
 
 void ExpectNear(const Eigen::VectorXf& actual, const Eigen::VectorXd& expected) {
@@ -53,10 +57,9 @@ TEST(FleetHeadTest, StartsAsThePolicys) {
 TEST(FleetHeadTest, ASnapshotNeverChanges) {
   FleetHead fleet(TestPolicy());
   const auto before = fleet.Read();
-  const auto merged = fleet.Merge(Contribution(1), 10.0);
-  EXPECT_EQ(merged.outcome, UpdateOutcome::kApplied);
+  EXPECT_EQ(Merge(fleet, DeltaOf(1), 10.0).update, UpdateOutcome::kApplied);
   EXPECT_EQ(before->delta, Eigen::VectorXf::Zero(kSize));
-  EXPECT_EQ(merged.snapshot->delta, Contribution(1));
+  EXPECT_EQ(fleet.Read()->delta, DeltaOf(1));
   EXPECT_EQ(fleet.Read()->updates, 1);
 }
 
@@ -64,14 +67,14 @@ TEST(FleetHeadTest, ASnapshotNeverChanges) {
 TEST(FleetHeadTest, TheOrderOfContributionsDoesNotMatter) {
   constexpr int kSessions = 64, kEpisodes = 10;
   Eigen::VectorXd sum = Eigen::VectorXd::Zero(kSize);
-  for (int i = 0; i < kSessions * kEpisodes; ++i) sum += Contribution(i).cast<double>();
+  for (int i = 0; i < kSessions * kEpisodes; ++i) sum += DeltaOf(i).cast<double>();
   FleetHead fleet(TestPolicy());
   std::vector<std::thread> sessions;
   for (int session = 0; session < kSessions; ++session) {
     sessions.emplace_back([&fleet, session] {
       for (int i = 0; i < kEpisodes; ++i) {
         EXPECT_LE(fleet.Read()->drift, FleetOptions().max_drift + 1e-6);
-        fleet.Merge(Contribution(session * kEpisodes + i), 10.0);
+        Merge(fleet, DeltaOf(session * kEpisodes + i), 10.0);
       }
     });
   }
@@ -82,30 +85,30 @@ TEST(FleetHeadTest, TheOrderOfContributionsDoesNotMatter) {
 
 TEST(FleetHeadTest, NoContributionIsLongerThanTheClip) {
   FleetHead fleet(TestPolicy(), {.clip = 0.25, .max_drift = 1.0, .guard_margin = 0.02});
-  fleet.Merge(Eigen::VectorXf::Constant(kSize, 1e30f), 10.0);
+  Merge(fleet, Eigen::VectorXf::Constant(kSize, 1e30f), 10.0);
   EXPECT_NEAR(FrobeniusNorm(fleet.Read()->delta), 0.25, 1e-6);
 }
 
 TEST(FleetHeadTest, DriftStaysWithinItsBound) {
   FleetHead fleet(TestPolicy(), {.clip = 0.5, .max_drift = 0.1, .guard_margin = 0.02});
-  for (int i = 0; i < 19; ++i) fleet.Merge(Eigen::VectorXf::Constant(kSize, 1.0f), 10.0);
+  for (int i = 0; i < 19; ++i) Merge(fleet, Eigen::VectorXf::Constant(kSize, 1.0f), 10.0);
   EXPECT_NEAR(fleet.Read()->drift, 0.1, 1e-6);
 }
 
 TEST(FleetHeadTest, NonFiniteContributionsAreRefused) {
   FleetHead fleet(TestPolicy());
-  fleet.Merge(Contribution(1), 10.0);
-  Eigen::VectorXf broken = Contribution(2);
+  Merge(fleet, DeltaOf(1), 10.0);
+  Eigen::VectorXf broken = DeltaOf(2);
   broken[3] = std::numeric_limits<float>::quiet_NaN();
-  EXPECT_EQ(fleet.Merge(broken, 10.0).outcome, UpdateOutcome::kNonFinite);
-  EXPECT_EQ(fleet.Read()->delta, Contribution(1));
+  EXPECT_EQ(Merge(fleet, broken, 10.0).update, UpdateOutcome::kNonFinite);
+  EXPECT_EQ(fleet.Read()->delta, DeltaOf(1));
   EXPECT_EQ(fleet.Read()->rejected, 1);
 }
 
 TEST(FleetHeadTest, AnOperatorPutsThePolicysHeadBackBitForBit) {
   const auto policy = TestPolicy();
   FleetHead fleet(policy);
-  fleet.Merge(Contribution(1), 10.0);
+  Merge(fleet, DeltaOf(1), 10.0);
   EXPECT_GT(fleet.Rollback()->drift, 0.0);
   EXPECT_EQ(fleet.Read()->head.weight.values, policy->weights.head.weight.values);
   EXPECT_EQ(fleet.Read()->drift, 0.0);
@@ -118,7 +121,7 @@ TEST(FleetHeadTest, TheGuardPutsTheLastGoodHeadBack) {
   const auto window = [&](double level) {
     bool rolled_back = false;
     for (size_t i = 0; i < ReturnGuard::kWindow; ++i) {
-      rolled_back = fleet.Merge(Contribution(1), level).rolled_back;
+      rolled_back = Merge(fleet, DeltaOf(1), level).rolled_back;
     }
     return rolled_back;
   };
@@ -134,16 +137,15 @@ TEST(FleetHeadTest, TheGuardPutsTheLastGoodHeadBack) {
 // A protected head and what its contributors do, with names that tell them apart.
 class ProtectedHead {
  public:
-  FleetHead::Merged Merge(const std::string& contributor, double length, double episode_return,
-                          bool held_out = false) {
-    Eigen::VectorXf contribution = Eigen::VectorXf::Zero(kSize);
-    contribution[0] = static_cast<float>(length);
+  MergeOutcome Merge(const std::string& contributor, double length, double episode_return,
+                     bool held_out = false) {
+    Contribution contribution = {.contributor = contributor,
+                                 .held_out = held_out,
+                                 .delta = Eigen::VectorXf::Zero(kSize),
+                                 .episode_return = episode_return};
+    contribution.delta[0] = static_cast<float>(length);
     now_ += absl::Seconds(1);
-    return head_.Merge(contribution, episode_return,
-                       {.contributor = contributor,
-                        .held_out = held_out,
-                        .now = now_,
-                        .members = ContributionBudget::kProtectedMembers});
+    return head_.Merge(contribution, now_, ContributionBudget::kProtectedMembers);
   }
 
   // Ends `episodes` episodes of five contributors in turn. Returns true if the head was rolled
@@ -170,7 +172,7 @@ TEST(FleetHeadTest, ALongContributionIsShortenedToThoseOfTheOthers) {
   ProtectedHead fleet;
   fleet.Play(ReturnGuard::kWindow, kLength, 10.0);
   const double before = fleet.moved();
-  EXPECT_EQ(fleet.Merge("attacker", 0.4, 10.0).outcome, UpdateOutcome::kApplied);
+  EXPECT_EQ(fleet.Merge("attacker", 0.4, 10.0).update, UpdateOutcome::kApplied);
   EXPECT_NEAR(fleet.moved() - before, PeerNorms::kFactor * kLength, 1e-6);
   EXPECT_EQ(fleet.head().Read()->trimmed, 1);
 }
@@ -191,13 +193,13 @@ TEST(FleetHeadTest, AHeldOutSessionContributesOnlyToAHeadThatIsNotProtected) {
   ProtectedHead fleet;
   fleet.Play(ReturnGuard::kWindow, kLength, 10.0);
   const double before = fleet.moved();
-  EXPECT_EQ(fleet.Merge("judge", kLength, 10.0, /*held_out=*/true).outcome,
-            UpdateOutcome::kHeldOut);
+  EXPECT_EQ(fleet.Merge("judge", kLength, 10.0, /*held_out=*/true).update, UpdateOutcome::kHeldOut);
   EXPECT_EQ(fleet.moved(), before);
   EXPECT_EQ(fleet.head().Read()->rejected, 1);
   FleetHead small(TestPolicy());
-  const auto merged = small.Merge(Contribution(1), 10.0, {.contributor = "a", .held_out = true});
-  EXPECT_EQ(merged.outcome, UpdateOutcome::kApplied);
+  const auto merged = small.Merge({.contributor = "a", .held_out = true, .delta = DeltaOf(1)},
+                                  absl::ZeroDuration());
+  EXPECT_EQ(merged.update, UpdateOutcome::kApplied);
 }
 
 // Contributors that invent good returns hide from the first guard that the head becomes worse.
@@ -223,9 +225,9 @@ TEST(FleetHeadTest, AFleetWhoseSessionsAreAllSuspendedGoesOn) {
   ProtectedHead fleet;
   EXPECT_FALSE(fleet.Play(ReturnGuard::kWindow, kLength, 10.0));
   EXPECT_TRUE(fleet.Play(ReturnGuard::kWindow, kLength, 1.0));
-  EXPECT_EQ(fleet.Merge("0", kLength, 10.0).outcome, UpdateOutcome::kOverBudget);
+  EXPECT_EQ(fleet.Merge("0", kLength, 10.0).update, UpdateOutcome::kOverBudget);
   fleet.Play(ReturnGuard::kWindow * ContributionBudget::kSuspendedWindows, kLength, 10.0);
-  EXPECT_EQ(fleet.Merge("0", kLength, 10.0).outcome, UpdateOutcome::kApplied);
+  EXPECT_EQ(fleet.Merge("0", kLength, 10.0).update, UpdateOutcome::kApplied);
 }
 
 TEST(FleetHeadTest, AboutOneSessionInFiveIsHeldOut) {

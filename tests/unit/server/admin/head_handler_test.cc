@@ -29,7 +29,9 @@ class HeadHandlerTest : public ::testing::Test {
   void Teach(const std::string& name) {
     const auto served = Served(name);
     const auto size = static_cast<Eigen::Index>(served->policy().weights.head.weight.values.size());
-    served->fleet->Merge(Eigen::VectorXf::Constant(size, 0.01f), 10.0);
+    served->HeadOf("")->Merge(
+        {.delta = Eigen::VectorXf::Constant(size, 0.01f), .episode_return = 10.0},
+        absl::ZeroDuration());
   }
 
   absl::StatusOr<v1::PromoteHeadResponse> Promote(const std::string& name, int64_t version) {
@@ -61,8 +63,8 @@ TEST_F(HeadHandlerTest, APromotionNeverTakesANumberThatIsThere) {
   EXPECT_EQ(promoted->version(), 8);
   EXPECT_EQ(Promote("a", 1)->version(), 9);
   EXPECT_EQ(Served("a", 8)->policy().weights.head.weight.values,
-            Served("a", 1)->fleet->Read()->head.weight.values);
-  EXPECT_EQ(Served("a", 8)->fleet->Read()->drift, 0.0);
+            Served("a", 1)->HeadOf("")->Read()->head.weight.values);
+  EXPECT_EQ(Served("a", 8)->HeadOf("")->Read()->drift, 0.0);
 }
 
 TEST_F(HeadHandlerTest, APromotionThatCannotBeWrittenChangesNothing) {
@@ -71,7 +73,7 @@ TEST_F(HeadHandlerTest, APromotionThatCannotBeWrittenChangesNothing) {
   std::ofstream(registry_.path() / "a") << "in the way";
   EXPECT_FALSE(Promote("a", 1).ok());
   EXPECT_EQ(registry_.get()->catalog()->policies().at("a").versions.size(), 1u);
-  EXPECT_GT(Served("a")->fleet->Read()->drift, 0.0);
+  EXPECT_GT(Served("a")->HeadOf("")->Read()->drift, 0.0);
 }
 
 TEST_F(HeadHandlerTest, ARollbackIsOfOneVersion) {
@@ -84,9 +86,9 @@ TEST_F(HeadHandlerTest, ARollbackIsOfOneVersion) {
   v1::RollbackHeadResponse response;
   ASSERT_TRUE(admin_.RollbackHead(context_, request, &response).ok());
   EXPECT_GT(response.drift(), 0.0);
-  EXPECT_EQ(Served("a", 1)->fleet->Read()->drift, 0.0);
-  EXPECT_EQ(Served("a", 2)->fleet->Read()->rollbacks, 0);
-  EXPECT_GT(Served("b")->fleet->Read()->drift, 0.0);
+  EXPECT_EQ(Served("a", 1)->HeadOf("")->Read()->drift, 0.0);
+  EXPECT_EQ(Served("a", 2)->HeadOf("")->Read()->rollbacks, 0);
+  EXPECT_GT(Served("b")->HeadOf("")->Read()->drift, 0.0);
 }
 
 TEST_F(HeadHandlerTest, APauseIsOfOnePolicyOrAllAndOfVersionsYetToCome) {
