@@ -27,6 +27,8 @@ LEARNING = spikeserve.SessionOptions(
 class Flight:
     """Flies a pilot with made-up observations, and remembers what was executed."""
 
+    servers_restart = False
+
     def __init__(self, client, policy="pendulum", period=PERIOD, **options):
         # On a busy machine answers are late. Only the test of stale answers is about that.
         options.setdefault("max_age", 30.0)
@@ -109,6 +111,9 @@ class Flight:
         for beats, last, summary in ended:
             result = summary.result(WAIT)
             assert result.steps == len(beats), f"expected {len(beats)} steps, received {result}"
+            # A server that was restarted within the next episode answers an end again with the steps alone.
+            if self.servers_restart and result.energy_joules == 0.0:
+                continue
             rewards = sum(reward for _, reward, _ in beats[1:]) + last
             assert result.episode_return == pytest.approx(rewards), f"expected {rewards}, received {result}"
 
