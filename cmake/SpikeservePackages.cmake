@@ -35,7 +35,8 @@ install(CODE "
 set_target_properties(spikeserve_client PROPERTIES EXPORT_NAME client)
 set_target_properties(spikeserve_proto PROPERTIES EXPORT_NAME proto)
 set_target_properties(spikeserve_stubs PROPERTIES EXPORT_NAME stubs)
-install(TARGETS spikeserve_client spikeserve_stubs spikeserve_proto EXPORT spikeserveTargets
+set_target_properties(spikeserve_robot PROPERTIES EXPORT_NAME robot)
+install(TARGETS spikeserve_client spikeserve_robot spikeserve_stubs spikeserve_proto EXPORT spikeserveTargets
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT client
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 

@@ -1,95 +1,129 @@
-// The robot's side of a pilot: what a beat does on the robot's own thread. It waits for decisions
-// within its budget, and allocates no memory.
+// The threads and calls around a robot's end of a session, core/robot, which decides everything.
+//
+// The robot's own thread waits for decisions within the budget of a beat, and allocates no memory.
+// A background thread does what RobotSession::Next wants, again and again, without blocking for
+// long. The pilots of one client share it; one with an engine on the robot, which computes, has one
+// of its own. Replies arrive on threads of gRPC.
 //
 // For one thread, but Stats and session_id.
 #ifndef CLIENT_SRC_PILOT_CONTROLLER_H_
 #define CLIENT_SRC_PILOT_CONTROLLER_H_
 
+#include <condition_variable>
 #include <cstdint>
 #include <future>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "absl/types/span.h"
-#include "client/src/pilot/link.h"
-#include "client/src/pilot/shared_state.h"
+#include "client/src/pilot/action_stream.h"
+#include "client/src/pilot/background_thread.h"
+#include "client/src/pilot/server_call.h"
+#include "client/src/replicas.h"
+#include "core/robot/robot_session.h"
 #include "spikeserve/pilot.h"
 
 namespace spikeserve {
 
-class Pilot::Controller {
+class Pilot::Controller : private piloting::ActionStream::Listener,
+                          private piloting::BackgroundThread::Worker {
  public:
   // `opening` has opened the session with the answer `opened`, on `route`. `neutral` belongs to its
-  // action space.
+  // action space. `background` is that of the client. The arguments must outlive the controller.
   Controller(Replicas* replicas, piloting::BackgroundThread* background,
              std::shared_ptr<Route> route, v1::OpenSessionRequest opening,
-             const v1::OpenSessionResponse& opened, const piloting::ActionValue& neutral,
+             const v1::OpenSessionResponse& opened, const robot::ActionValue& neutral,
              PilotOptions options);
+  ~Controller() override { Close(); }
 
-  piloting::Link& link() { return link_; }
-  const PilotOptions& options() const { return options_; }
+  // Brings the session to the engine on the robot, if there is one. Only before Start. Returns OK
+  // if only the server could not be reached: the background thread tries again.
+  absl::Status Resume(Client* client) ABSL_LOCKS_EXCLUDED(mutex_);
+  // Lets the background thread work.
+  void Start();
 
   // Those of Pilot.
   PilotAction Beat(absl::Span<const float> observation, double reward,
-                   const std::optional<ActionView>& executed) ABSL_LOCKS_EXCLUDED(state_.mutex);
-  std::future<Summary> EndEpisode(EpisodeOutcome outcome) ABSL_LOCKS_EXCLUDED(state_.mutex);
-  bool WaitReady(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(state_.mutex);
-  PilotStats Stats() const ABSL_LOCKS_EXCLUDED(state_.mutex);
-  std::string session_id() const ABSL_LOCKS_EXCLUDED(state_.mutex);
+                   const std::optional<ActionView>& executed) ABSL_LOCKS_EXCLUDED(mutex_);
+  std::future<Summary> EndEpisode(const EpisodeOutcome& outcome) ABSL_LOCKS_EXCLUDED(mutex_);
+  bool WaitReady(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mutex_);
+  PilotStats Stats() const ABSL_LOCKS_EXCLUDED(mutex_);
+  std::string session_id() const ABSL_LOCKS_EXCLUDED(mutex_);
+  void Close() ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:
-  // Returns the trace context of this beat.
+  // On the robot's thread: controller.cc.
   absl::string_view Traceparent() const;
-  // Asks for the decision of the newest beat, if a request may be sent. A beat without an
-  // observation (`sees` is false) asks for nothing: it only reports, and brings what was before.
-  void Queue(uint64_t number, bool sees, absl::Duration now)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(state_.mutex);
-  // Takes the best action but the robot's own one, and waits for it until `deadline`. Returns false
-  // if there is none. Nothing is decided without an observation.
-  bool Choose(uint64_t number, bool sees, absl::Duration observed_at, absl::Duration deadline)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(state_.mutex);
-  bool TakeAnswer(absl::Duration deadline) ABSL_EXCLUSIVE_LOCKS_REQUIRED(state_.mutex);
-  bool TakeLocal(uint64_t number, absl::Duration observed_at, absl::Duration deadline)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(state_.mutex);
-  // Returns whether the server's newest answer may be executed.
-  bool HasAnswer() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(state_.mutex);
-  // Returns the newest beat whose answer should arrive before `deadline`; nothing: none should.
-  std::optional<uint64_t> ExpectedAnswer(absl::Duration deadline) const
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(state_.mutex);
-  // Waits for a decision. Returns false at the deadline.
-  bool Wait(absl::Duration deadline) ABSL_EXCLUSIVE_LOCKS_REQUIRED(state_.mutex);
-  // Returns the action of the robot's own function for an observation, or the neutral one. Sets
-  // `failed` if the function threw, or returned an action that is none.
-  ActionView Fallback(absl::Span<const float> observation, bool* failed);
-  // Returns the error of a beat before the first valid observation.
-  PilotAction RefuseBeat(const piloting::Blindness& why) ABSL_LOCKS_EXCLUDED(state_.mutex);
-  PilotAction Finish() ABSL_EXCLUSIVE_LOCKS_REQUIRED(state_.mutex);
+  // Takes the action of the robot's own function, which may ask the pilot for its counts.
+  PilotAction TakeOwn(absl::Span<const float> observation) ABSL_LOCKS_EXCLUDED(mutex_);
+  PilotAction Finish() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Waits for an event or `deadline`, of SteadyNow().
+  void Wait(absl::Duration deadline) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
-  // Replace what is not valid, which is counted, and logged once.
-  double Finite(double reward) ABSL_EXCLUSIVE_LOCKS_REQUIRED(state_.mutex);
-  void TakeExecuted(const std::optional<ActionView>& executed)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(state_.mutex);
-  void Replace(piloting::Replaced kind) ABSL_EXCLUSIVE_LOCKS_REQUIRED(state_.mutex);
+  // On the background thread, then that of Close: background_work.cc.
+  std::optional<absl::Duration> Work() override ABSL_LOCKS_EXCLUDED(mutex_);
+  // `request` is that of a task that sends.
+  void Do(const robot::Task& task, v1::ActRequest* request) ABSL_LOCKS_EXCLUDED(mutex_);
+  void Fill(const robot::Request& request, v1::ActRequest* message)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void WriteLog(const std::vector<std::string>& lines) const;
+  void Forget(const robot::Task& task) ABSL_LOCKS_EXCLUDED(mutex_);
+  void OpenStream() ABSL_LOCKS_EXCLUDED(mutex_);
+  void CloseStream() ABSL_LOCKS_EXCLUDED(mutex_);
+  void Play() ABSL_LOCKS_EXCLUDED(mutex_);
+  void OpenSession();
+  void ExportSession() ABSL_LOCKS_EXCLUDED(mutex_);
+  void CallEndEpisode() ABSL_LOCKS_EXCLUDED(mutex_);
+  piloting::ServerCall& NewCall();
+  void TakeCall(robot::CallState kind) ABSL_LOCKS_EXCLUDED(mutex_);
+  bool TakeExported(const v1::ExportSessionResponse& exported)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void TakeOpened(const v1::OpenSessionResponse& opened) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void Stop() ABSL_LOCKS_EXCLUDED(mutex_);
+  size_t IndexOf(const Replica* replica) const;
+
+  // On threads of gRPC.
+  void OnReply(const v1::ActResponse& reply) override ABSL_LOCKS_EXCLUDED(mutex_);
+  void OnEnd(const absl::Status& status) override ABSL_LOCKS_EXCLUDED(mutex_);
+
+  // Completes the summaries of the episodes before `serial` with an error.
+  void FailSummaries(uint64_t serial, absl::string_view reason)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Completes the summary of an episode, if it is awaited.
+  void Complete(const robot::Settled& settled, v1::EndEpisodeResponse summary)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   const PilotOptions options_;
+  Replicas* const replicas_;
   const std::shared_ptr<Route> route_;
-  const piloting::ActionShape shape_;
-  const piloting::ActionValue neutral_;
-  piloting::SharedState state_;
-  piloting::Link link_;
-
+  std::vector<Replica*> servers_;
+  std::unique_ptr<piloting::BackgroundThread> own_background_;  // null: that of the client is used
+  piloting::BackgroundThread* const background_;
+  const robot::ActionValue neutral_;
   const std::vector<float> no_observation_;  // NaN in each element
-  bool is_miswired_ = false;                 // says the newest answer: actions are safe ones
-  bool has_seen_ = false;                    // whether an observation was valid
-  piloting::ActionValue fitted_;             // an action of the caller, with its elements in bounds
-  piloting::ActionValue returned_;           // by the last beat
-  uint64_t next_answer_ = 0;                 // answers to older beats are not executed
+  bool is_started_ = false;
   uint64_t beats_ = 0;
-  bool is_new_episode_ = true;
+
+  // Of the background thread, and after it of Close.
+  v1::OpenSessionRequest opening_;  // has an id while it is under way
+  std::unique_ptr<piloting::ActionStream> stream_;
+  std::unique_ptr<piloting::ServerCall> call_;  // one at a time
+  Replica* replica_ = nullptr;                  // of the stream
+
+  mutable absl::Mutex mutex_;
+  // Notified after each event. A CondVar of Abseil would measure its timeouts by the time of day.
+  std::condition_variable_any has_event_;
+  robot::RobotSession session_ ABSL_GUARDED_BY(mutex_);
+  std::string session_id_ ABSL_GUARDED_BY(mutex_);
+  bool is_call_done_ ABSL_GUARDED_BY(mutex_) = false;
+  std::map<uint64_t, std::promise<Summary>> summaries_ ABSL_GUARDED_BY(mutex_);  // by serial number
 };
 
 }  // namespace spikeserve

@@ -5,31 +5,19 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/src/pilot/controller.h"
+#include "client/src/pilot/robot_messages.h"
 #include "client/src/replicas.h"
-#include "spikeserve/retry.h"
 
 namespace spikeserve {
 namespace {
 
-// Brings an opened session to the engine on the robot. Returns OK if only the server could not be
-// reached: the background thread tries again.
-absl::Status ResumeLocal(Client* client, const std::string& session_id,
-                         const std::shared_ptr<Route>& route, LocalPolicy* local,
-                         piloting::Link* link) {
-  const auto exported = client->ExportSession(session_id, local->NeedsPolicyFile(), route);
-  if (!exported.ok()) {
-    return IsRetryable(exported.status()) ? absl::OkStatus() : exported.status();
-  }
-  return link->Resume(*exported);
-}
-
-absl::StatusOr<piloting::ActionValue> NeutralOf(const PilotOptions& options,
-                                                const v1::OpenSessionResponse& opened,
-                                                FeatureOrder order) {
-  const piloting::ActionShape shape(opened.action_space());
+absl::StatusOr<robot::ActionValue> NeutralOf(const PilotOptions& options,
+                                             const v1::OpenSessionResponse& opened,
+                                             FeatureOrder order) {
+  const robot::ActionShape shape = piloting::ShapeOf(opened.action_space());
   v1::Action neutral = options.neutral.value_or(opened.neutral_action());
   if (options.neutral.has_value()) order.ToPolicy(&neutral);
-  piloting::ActionValue value;
+  robot::ActionValue value;
   if (shape.Fit(piloting::ViewOf(neutral), &value)) return value;
   return absl::InvalidArgumentError(
       absl::StrCat("neutral: expected an action of the policy's action space, received {",
@@ -70,15 +58,11 @@ absl::StatusOr<std::unique_ptr<Pilot>> Pilot::Create(Client* client, v1::OpenSes
   const auto neutral = NeutralOf(options, *opened, order);
   if (!neutral.ok()) return close_after(neutral.status());
   options.fallback = Ordered(std::move(options.fallback), order);
-  LocalPolicy* const local = options.local.get();
   auto controller =
       std::make_unique<Controller>(client->replicas_.get(), client->background_.get(), route,
                                    std::move(request), *opened, *neutral, std::move(options));
-  if (local != nullptr) {
-    const absl::Status status = ResumeLocal(client, id, route, local, &controller->link());
-    if (!status.ok()) return close_after(status);
-  }
-  controller->link().Start();
+  if (absl::Status status = controller->Resume(client); !status.ok()) return close_after(status);
+  controller->Start();
   return std::unique_ptr<Pilot>(new Pilot(std::move(controller), order));
 }
 
@@ -105,7 +89,7 @@ std::future<Pilot::Summary> Pilot::EndEpisode(const EpisodeOutcome& outcome) {
   const auto observation = order_.Observation(outcome.observation);
   ordered.observation.assign(observation.begin(), observation.end());
   if (ordered.executed_action.has_value()) order_.ToPolicy(&*ordered.executed_action);
-  return controller_->EndEpisode(std::move(ordered));
+  return controller_->EndEpisode(ordered);
 }
 
 bool Pilot::WaitReady(absl::Duration timeout) { return controller_->WaitReady(timeout); }
@@ -114,6 +98,6 @@ PilotStats Pilot::Stats() const { return controller_->Stats(); }
 
 std::string Pilot::session_id() const { return controller_->session_id(); }
 
-void Pilot::Close() { controller_->link().Close(controller_->options().close_timeout); }
+void Pilot::Close() { controller_->Close(); }
 
 }  // namespace spikeserve

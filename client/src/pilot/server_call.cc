@@ -42,26 +42,6 @@ std::function<void(grpc::Status)> ServerCall::Done() {
   };
 }
 
-void ServerCall::Begin(const v1::OpenSessionRequest& request) {
-  open_ = request;
-  watched_.line().stub->async()->OpenSession(&context_, &open_, &opened_, Done());
-}
-
-void ServerCall::Begin(const v1::ExportSessionRequest& request) {
-  export_ = request;
-  watched_.line().stub->async()->ExportSession(&context_, &export_, &exported_, Done());
-}
-
-void ServerCall::Begin(const v1::EndEpisodeRequest& request) {
-  end_ = request;
-  watched_.line().stub->async()->EndEpisode(&context_, &end_, &ended_, Done());
-}
-
-void ServerCall::Begin(const v1::CloseSessionRequest& request) {
-  close_ = request;
-  watched_.line().stub->async()->CloseSession(&context_, &close_, &closed_, Done());
-}
-
 absl::Status ServerCall::Await() {
   absl::Status status;
   {

@@ -7,6 +7,7 @@
 #include <grpcpp/client_context.h>
 
 #include <functional>
+#include <memory>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
@@ -26,21 +27,30 @@ class ServerCall {
   // Cancels a call that is under way, and blocks until on_done has returned.
   ~ServerCall();
 
-  // Begin the call. Exactly one of them, once.
-  void Begin(const v1::OpenSessionRequest& request);
-  void Begin(const v1::ExportSessionRequest& request);
-  void Begin(const v1::EndEpisodeRequest& request);
-  void Begin(const v1::CloseSessionRequest& request);
+  using Async = v1::PolicyService::StubInterface::async_interface;
+
+  // Begins a call of `method`. Once.
+  template <typename Request, typename Response>
+  void Begin(void (Async::*method)(grpc::ClientContext*, const Request*, Response*,
+                                   std::function<void(grpc::Status)>),
+             const Request& request) {
+    const auto sent = std::make_shared<Request>(request);
+    const auto received = std::make_shared<Response>();
+    request_ = sent;
+    response_ = received;
+    (watched_.line().stub->async()->*method)(&context_, sent.get(), received.get(), Done());
+  }
 
   // Waits for the end of the call. Returns its status, and tells the replicas about it.
   absl::Status Await() ABSL_LOCKS_EXCLUDED(mutex_);
 
   const Replica* replica() const { return replica_; }
 
-  // The response, after the call has ended with OK.
-  const v1::OpenSessionResponse& opened() const { return opened_; }
-  const v1::ExportSessionResponse& exported() const { return exported_; }
-  const v1::EndEpisodeResponse& ended() const { return ended_; }
+  // Returns the response, after the call has ended with OK. REQUIRES: it is of this type.
+  template <typename Response>
+  const Response& response() const {
+    return *static_cast<const Response*>(response_.get());
+  }
 
  private:
   std::function<void(grpc::Status)> Done();
@@ -52,14 +62,8 @@ class ServerCall {
   Replica* const replica_;
   grpc::ClientContext context_;
   Connection::Watched watched_;
-  v1::OpenSessionRequest open_;
-  v1::ExportSessionRequest export_;
-  v1::EndEpisodeRequest end_;
-  v1::CloseSessionRequest close_;
-  v1::OpenSessionResponse opened_;
-  v1::ExportSessionResponse exported_;
-  v1::EndEpisodeResponse ended_;
-  v1::CloseSessionResponse closed_;
+  std::shared_ptr<void> request_;
+  std::shared_ptr<void> response_;
   absl::Mutex mutex_;
   grpc::Status status_ ABSL_GUARDED_BY(mutex_);
   bool is_under_way_ ABSL_GUARDED_BY(mutex_) = false;

@@ -1,19 +1,20 @@
-// Simulates a robot, with the log of the C++ pilot, and a server that dies again and again before
-// its store has what it has acknowledged. Everything is driven by one random number generator.
+// Simulates a robot, with its end of a session, and a server that dies again and again before its
+// store has what it has acknowledged. Everything is driven by one random number generator.
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <deque>
-#include <future>
+#include <map>
 #include <memory>
 #include <random>
 #include <string>
 #include <utility>
 #include <vector>
 
-#include "client/src/pilot/beat_log.h"
+#include "client/src/pilot/robot_messages.h"
 #include "core/journal/journal_entry.h"
 #include "core/journal/session_export.h"
+#include "core/robot/robot_session.h"
 #include "server/base/expected_decision.h"
 #include "tests/support/policy_handler_fixture.h"
 
@@ -21,7 +22,10 @@ namespace spikeserve {
 namespace {
 
 using Kind = JournalRecord::Kind;
-using piloting::BeatLog;
+using robot::RobotSession;
+using robot::Task;
+
+constexpr robot::Time kPeriod = std::chrono::milliseconds(20);
 
 // A store that is behind its server: what waits is lost when the server dies.
 class LateWriter final : public JournalWriter {
@@ -64,18 +68,10 @@ struct DoneBeat {
   int64_t executed;
 };
 
-struct Sent {
-  v1::ActRequest request;
-  int64_t episode;
-};
-
 class LossyStoreTest : public PolicyHandlerFixture {
  protected:
   void Open(size_t kept, uint64_t seed) {
     random_.seed(seed);
-    v1::ActionSpace space;
-    space.mutable_discrete()->set_n(2);
-    log_ = std::make_unique<BeatLog>(kept, kObservationSize, piloting::ActionShape(space));
     life_ = std::make_unique<Life>(registry_.get(), &shadows_, &clock_, &writer_);
     v1::OpenSessionRequest request;
     request.set_policy("small");
@@ -86,7 +82,15 @@ class LossyStoreTest : public PolicyHandlerFixture {
     CallContext context{.caller = caller_.get()};
     ASSERT_TRUE(life_->handler.OpenSession(context, request, &opened).ok());
     id_ = opened.session_id();
-    log_->set_history_limit(opened.history_limit());
+    robot_ = std::make_unique<RobotSession>(robot::Settings{.observation_size = kObservationSize,
+                                                            .period = kPeriod,
+                                                            .oldest = std::chrono::seconds(1),
+                                                            .oldest_held = std::chrono::seconds(1),
+                                                            .hold_steps = 2,
+                                                            .most_in_flight = 8,
+                                                            .kept_steps = kept},
+                                            piloting::ShapeOf(opened.action_space()),
+                                            piloting::OpeningOf(opened), Now());
     writer_.Store(1);
     const auto entry = life_->store.Peek(id_);
     const absl::MutexLock lock(&entry->mutex);
@@ -96,36 +100,48 @@ class LossyStoreTest : public PolicyHandlerFixture {
 
   size_t Draw(size_t below) { return random_() % below; }
 
+  robot::Now Now() const { return {now_, now_}; }
+
+  // A control step. Sometimes a safety layer has replaced the action before.
   void Beat() {
+    now_ += kPeriod;
     const auto t = static_cast<int64_t>(beats_++);
-    episodes_.back().push_back(
-        {ObservationAt(t), 0.25 * static_cast<double>(t % 5), static_cast<int64_t>(Draw(2))});
-    const DoneBeat& beat = episodes_.back().back();
-    log_->Add(beat.observation, beat.reward, t);
-    log_->SetExecuted({.discrete = beat.executed, .continuous = {}});
+    std::vector<DoneBeat>& episode = episodes_.back();
+    const robot::ActionView replaced = {.discrete = static_cast<int64_t>(Draw(2))};
+    const bool is_replaced = !episode.empty() && Draw(4) == 0;
+    if (is_replaced) episode.back().executed = replaced.discrete;
+    const std::vector<float> observation = ObservationAt(t);
+    const double reward = 0.25 * static_cast<double>(t % 5);
+    ASSERT_TRUE(robot_->BeginStep({.observation = observation,
+                                   .reward = reward,
+                                   .executed = is_replaced ? &replaced : nullptr},
+                                  Now()));
+    if (robot_->Choose(Now(), now_) == robot::Choice::kOwnAction) robot_->TakeOwn(&replaced);
+    episode.push_back({observation, reward, robot_->FinishStep(Now()).action.discrete});
   }
 
   void End() {
-    if (episodes_.back().empty()) return;
-    summaries_.push_back(log_->End({.reward = 1.0, .terminated = true}));
+    if (!robot_->EndEpisode({.reward = 1.0, .terminated = true}, nullptr).has_value()) return;
     episodes_.emplace_back();
   }
 
-  // As Link::SendRequest.
+  // Does what the robot's end of the session wants, up to its next request.
   void Send() {
-    const bool is_end = !log_->is_current();
-    if (is_end ? !log_->oldest().ending.has_value() || log_->is_ending()
-               : log_->running().steps == 0) {
-      return;
+    now_ += std::chrono::milliseconds(1);
+    while (true) {
+      const Task task = robot_->Next(now_);
+      if (task.kind == Task::Kind::kSend) {
+        v1::ActRequest request;
+        piloting::ToProto(robot_->log(), task.request, &request);
+        request.set_session_id(id_);
+        wire_.push_back(std::move(request));
+        return;
+      }
+      if (task.kind == Task::Kind::kWait) return;
+      ASSERT_NE(task.kind, Task::Kind::kForget) << task.reason;
+      if (task.kind == Task::Kind::kOpenStream) robot_->OnStreamOpened(0);
+      if (task.kind == Task::Kind::kCloseStream) robot_->OnStreamClosed(false, now_);
     }
-    Sent sent = {.request = {}, .episode = log_->asked().index};
-    log_->FillRequest(&sent.request);
-    sent.request.set_session_id(id_);
-    if (is_end && log_->FitsOne()) {
-      log_->FillEnd(sent.request.mutable_end_episode());
-      log_->BeginEnd();
-    }
-    wire_.push_back(std::move(sent));
   }
 
   absl::Status Serve(const v1::ActRequest& request, v1::ActResponse* response) {
@@ -136,33 +152,33 @@ class LossyStoreTest : public PolicyHandlerFixture {
     return status;
   }
 
-  // The server answers the next request. As Link::OnReply.
+  // The server answers the next request.
   void Deliver() {
     if (wire_.empty()) return;
-    const Sent sent = std::move(wire_.front());
+    const v1::ActRequest request = std::move(wire_.front());
     wire_.pop_front();
-    v1::ActResponse reply;
-    const absl::Status status = Serve(sent.request, &reply);
+    v1::ActResponse response;
+    const absl::Status status = Serve(request, &response);
     if (absl::IsUnavailable(status)) return Cut();  // too much waits for the store
-    const bool is_oldest = sent.episode == log_->oldest().index;
-    if (status.ok() && is_oldest) {
-      log_->ForgetDurable(reply.durable_decision(), reply.durable_episode());
-      if (!sent.request.has_end_episode()) return log_->Acknowledge(reply.next_step());
-      log_->Settle(/*is_stored=*/true).summary.set_value(reply.ended());
-    } else if (!status.ok()) {
+    robot::Error error;
+    robot::Reply reply = piloting::ReplyOf(response, &error);
+    if (!status.ok()) {
       const auto expected = ExpectedDecisionOf(status);
       ASSERT_TRUE(expected.has_value()) << status;
-      if (!is_oldest) return;
-      if (sent.request.has_end_episode()) log_->AbandonEnd();
-      ASSERT_TRUE(log_->Rewind(expected->decision, expected->episode)) << status;
+      error = {.message = status.ToString(),
+               .expected_decision = expected->decision,
+               .expected_episode = expected->episode};
+      reply.error = &error;
     }
+    const auto settled = robot_->OnReply(reply, Now()).settled;
+    if (settled.has_value()) summaries_.emplace(settled->serial, response.ended());
   }
 
   // What was under way when the link was cut arrives after all, when nobody waits for its answer.
   void DeliverLate() {
-    for (const Sent& sent : std::exchange(late_, {})) {
+    for (const v1::ActRequest& request : std::exchange(late_, {})) {
       v1::ActResponse reply;
-      const absl::Status status = Serve(sent.request, &reply);
+      const absl::Status status = Serve(request, &reply);
       EXPECT_TRUE(status.ok() || absl::IsUnavailable(status) ||
                   ExpectedDecisionOf(status).has_value())
           << status;
@@ -171,7 +187,7 @@ class LossyStoreTest : public PolicyHandlerFixture {
 
   void Cut() {
     late_ = std::exchange(wire_, {});
-    log_->AbandonEnd();
+    robot_->OnStreamEnded({.text = "cut"});
   }
 
   // Loses all that waits, or the last few records.
@@ -219,23 +235,23 @@ class LossyStoreTest : public PolicyHandlerFixture {
     }
     Beat();
     End();
-    for (int i = 0; i < 100'000 && log_->oldest().ending.has_value(); ++i) {
+    for (int i = 0; i < 100'000 && robot_->log().oldest().has_ended(); ++i) {
       Send();
       Deliver();
       writer_.Store(1);
       if (HasFatalFailure()) return;
     }
-    ASSERT_FALSE(log_->oldest().ending.has_value()) << "the server never got all episodes";
+    ASSERT_FALSE(robot_->log().oldest().has_ended()) << "the server never got all episodes";
   }
 
   void CheckSummaries() {
-    for (size_t i = 0; i < summaries_.size(); ++i) {
-      const auto summary = summaries_[i].get();
-      ASSERT_TRUE(summary.ok()) << summary.status();
+    EXPECT_EQ(summaries_.size(), episodes_.size() - 1);
+    for (const auto& [serial, summary] : summaries_) {
+      const std::vector<DoneBeat>& episode = episodes_[serial];
       double rewards = 1.0;
-      for (size_t t = 1; t < episodes_[i].size(); ++t) rewards += episodes_[i][t].reward;
-      EXPECT_EQ(summary->episode_return(), rewards);
-      EXPECT_EQ(summary->steps(), static_cast<int64_t>(episodes_[i].size()));
+      for (size_t t = 1; t < episode.size(); ++t) rewards += episode[t].reward;
+      EXPECT_EQ(summary.episode_return(), rewards);
+      EXPECT_EQ(summary.steps(), static_cast<int64_t>(episode.size()));
     }
   }
 
@@ -264,16 +280,17 @@ class LossyStoreTest : public PolicyHandlerFixture {
   std::mt19937_64 random_;
   LateWriter writer_;
   std::unique_ptr<Life> life_;
-  std::unique_ptr<BeatLog> log_;
+  std::unique_ptr<RobotSession> robot_;
+  robot::Time now_ = robot::Time::zero();
   std::unique_ptr<AgentSession> steady_;
   std::shared_ptr<const ServedPolicy> served_;
   std::string id_;
   uint64_t epoch_ = 1;
   size_t beats_ = 0;
   std::vector<std::vector<DoneBeat>> episodes_{1};
-  std::vector<std::future<absl::StatusOr<v1::EndEpisodeResponse>>> summaries_;
-  std::deque<Sent> wire_;
-  std::deque<Sent> late_;
+  std::map<uint64_t, v1::EndEpisodeResponse> summaries_;  // by serial number of the episode
+  std::deque<v1::ActRequest> wire_;
+  std::deque<v1::ActRequest> late_;
 };
 
 class LossyStoreSeedTest : public LossyStoreTest, public ::testing::WithParamInterface<int> {};

@@ -1,19 +1,18 @@
 // Tells an observation from what a robot passes in its place. Allocates no memory for it, so that
-// a beat can.
+// a control step can.
 //
-// Not thread-safe.
-#ifndef CLIENT_SRC_PILOT_SIGHT_H_
-#define CLIENT_SRC_PILOT_SIGHT_H_
+// Free functions, safe to call from many threads.
+#ifndef CORE_ROBOT_OBSERVATION_H_
+#define CORE_ROBOT_OBSERVATION_H_
 
 #include <cstddef>
+#include <span>
 #include <string>
 
-#include "absl/types/span.h"
-
-namespace spikeserve::piloting {
+namespace spikeserve::robot {
 
 // Why an observation is not valid.
-struct Blindness {
+struct InvalidObservation {
   size_t expected = 0;  // numbers
   size_t received = 0;
   size_t element = 0;  // of the first number that is not finite, if the size is right
@@ -24,8 +23,8 @@ struct Blindness {
 };
 
 // Returns whether `observation` has `size` numbers that are finite; otherwise fills `why`.
-bool IsObservation(absl::Span<const float> observation, size_t size, Blindness* why);
+bool IsObservation(std::span<const float> observation, size_t size, InvalidObservation* why);
 
-}  // namespace spikeserve::piloting
+}  // namespace spikeserve::robot
 
-#endif  // CLIENT_SRC_PILOT_SIGHT_H_
+#endif  // CORE_ROBOT_OBSERVATION_H_

@@ -1,16 +1,20 @@
-// The actions of a policy as a pilot stores them: of one size, so that nothing is allocated later.
-#ifndef CLIENT_SRC_PILOT_ACTION_SHAPE_H_
-#define CLIENT_SRC_PILOT_ACTION_SHAPE_H_
+// The actions of a policy as a robot stores them: of one size, so that nothing is allocated later.
+#ifndef CORE_ROBOT_ACTION_SHAPE_H_
+#define CORE_ROBOT_ACTION_SHAPE_H_
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <vector>
 
-#include "absl/types/span.h"
-#include "spikeserve/local_policy.h"
-#include "spikeserve/v1/policy_service.pb.h"
+namespace spikeserve::robot {
 
-namespace spikeserve::piloting {
+// An action that somebody else owns: an index of a Discrete space, or one number for each element
+// of a Box, in environment units.
+struct ActionView {
+  int64_t discrete = 0;
+  std::span<const float> continuous = {};
+};
 
 // An action that has its own memory.
 struct ActionValue {
@@ -28,7 +32,8 @@ struct ActionValue {
 // An action space. Immutable.
 class ActionShape {
  public:
-  explicit ActionShape(const v1::ActionSpace& space);
+  // A Discrete space of `n` actions, or with 0 a Box with these bounds of its elements.
+  ActionShape(int64_t n, std::vector<float> low, std::vector<float> high);
 
   bool is_box() const { return n_ == 0; }
   // Returns the number of elements of a Box; 0 for a Discrete space.
@@ -39,17 +44,11 @@ class ActionShape {
   bool Fit(const ActionView& action, ActionValue* fitted) const;
 
  private:
-  int64_t n_ = 0;
+  int64_t n_;
   std::vector<float> low_;
   std::vector<float> high_;
 };
 
-// Returns a view of `action`, which is valid as long as that is not changed.
-ActionView ViewOf(const v1::Action& action);
+}  // namespace spikeserve::robot
 
-// Writes `action` to a message.
-void ToProto(const ActionView& action, const ActionShape& shape, v1::Action* message);
-
-}  // namespace spikeserve::piloting
-
-#endif  // CLIENT_SRC_PILOT_ACTION_SHAPE_H_
+#endif  // CORE_ROBOT_ACTION_SHAPE_H_

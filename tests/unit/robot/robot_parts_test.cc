@@ -1,180 +1,169 @@
-// The parts of a pilot that wait for nothing: the fallback order, the log of beats, the ages.
+// The parts of the robot's end of a session: the fallback order, the log of steps, the ages.
+#include <array>
+#include <chrono>
 #include <cmath>
 #include <vector>
 
-#include "client/src/pilot/beat_log.h"
-#include "client/src/pilot/counters.h"
-#include "client/src/pilot/fallback_order.h"
-#include "client/src/pilot/sight.h"
+#include "core/robot/counters.h"
+#include "core/robot/fallback_order.h"
+#include "core/robot/observation.h"
+#include "core/robot/step_log.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 
-namespace spikeserve::piloting {
+namespace spikeserve::robot {
 namespace {
 
+using std::chrono::milliseconds;
+using std::chrono::seconds;
 using ::testing::ElementsAre;
 
-ActionShape Box() {
-  v1::ActionSpace space;
-  for (const float bound : {2.0f, 1.0f}) {
-    space.mutable_box()->add_low(-bound);
-    space.mutable_box()->add_high(bound);
-  }
-  return ActionShape(space);
-}
+ActionShape Box() { return ActionShape(0, {-2.0f, -1.0f}, {2.0f, 1.0f}); }
 
 ActionValue Values(float first, float second) { return {0, {first, second}}; }
 
 TEST(FallbackOrderTest, TheSourcesFollowEachOther) {
-  FallbackOrder fallback(Box(), Values(0, 0), /*hold_beats=*/2, /*oldest_held=*/absl::Seconds(1),
-                         /*ramp_beats=*/4, absl::ZeroDuration());
-  const absl::Duration now = absl::Seconds(8);
+  FallbackOrder fallback(Box(), Values(0, 0), /*hold_steps=*/2, /*oldest_held=*/seconds(1),
+                         /*ramp_steps=*/4, Time::zero());
+  const Time now = seconds(8);
   EXPECT_FALSE(fallback.Hold(now));  // there is nothing to hold
   EXPECT_FALSE(fallback.Ramp());
   fallback.TakeSafe(fallback.neutral().view());
   const ActionValue answer = Values(1, 1);
-  fallback.TakeFresh(answer.view(), absl::Seconds(7));
+  fallback.TakeFresh(answer.view(), seconds(7));
   EXPECT_TRUE(fallback.Hold(now) && fallback.Hold(now));
   EXPECT_FALSE(fallback.Hold(now));
   EXPECT_THAT(fallback.action().continuous, ElementsAre(1.0f, 1.0f));
-  EXPECT_EQ(fallback.observed_at(), absl::Seconds(7));
+  EXPECT_EQ(fallback.observed_at(), seconds(7));
   const ActionValue own = Values(0.5f, -0.5f);
-  fallback.TakeLocal(own.view(), absl::Seconds(9));
+  fallback.TakeLocal(own.view(), seconds(9));
   EXPECT_FALSE(fallback.Hold(now));
   EXPECT_TRUE(fallback.Ramp());
   EXPECT_THAT(fallback.action().continuous, ElementsAre(0.375f, -0.375f));
   EXPECT_TRUE(fallback.Ramp() && fallback.Ramp() && fallback.Ramp());
   EXPECT_THAT(fallback.action().continuous, ElementsAre(0.0f, 0.0f));
   EXPECT_FALSE(fallback.Ramp());
-  EXPECT_EQ(fallback.entries(), (PilotStats::BySource{1, 1, 1, 2}));
+  EXPECT_EQ(fallback.entries(), (BySource{1, 1, 1, 2}));
 }
 
 TEST(FallbackOrderTest, NothingIsHeldOverTheEndOfAnEpisode) {
-  FallbackOrder fallback(Box(), Values(0, 0), 3, absl::Seconds(1), 4, absl::ZeroDuration());
+  FallbackOrder fallback(Box(), Values(0, 0), 3, seconds(1), 4, Time::zero());
   const ActionValue answer = Values(1, 1);
-  fallback.TakeFresh(answer.view(), absl::ZeroDuration());
+  fallback.TakeFresh(answer.view(), Time::zero());
   fallback.BeginEpisode();
-  EXPECT_FALSE(fallback.Hold(absl::ZeroDuration()));
+  EXPECT_FALSE(fallback.Hold(Time::zero()));
 }
 
-// A robot's computer that was suspended has an old action, and few beats since.
+// A robot's computer that was suspended has an old action, and few steps since.
 TEST(FallbackOrderTest, AnActionIsNotHeldForLongerThanItsBeatsTake) {
-  FallbackOrder fallback(Box(), Values(0, 0), 3, absl::Seconds(1), 4, absl::ZeroDuration());
+  FallbackOrder fallback(Box(), Values(0, 0), 3, seconds(1), 4, Time::zero());
   const ActionValue answer = Values(1, 1);
-  fallback.TakeFresh(answer.view(), absl::Seconds(7));
-  EXPECT_TRUE(fallback.Hold(absl::Seconds(8)));
-  EXPECT_FALSE(fallback.Hold(absl::Seconds(8) + absl::Nanoseconds(1)));
+  fallback.TakeFresh(answer.view(), seconds(7));
+  EXPECT_TRUE(fallback.Hold(seconds(8)));
+  EXPECT_FALSE(fallback.Hold(seconds(8) + Time(1)));
 }
 
 TEST(FallbackOrderTest, ChangesAreToldOnceAndOnlyThoseThatMatter) {
-  FallbackOrder fallback(Box(), Values(0, 0), 1, absl::Seconds(1), 0, absl::ZeroDuration());
+  FallbackOrder fallback(Box(), Values(0, 0), 1, seconds(1), 0, Time::zero());
   const ActionValue answer = Values(1, 1);
   for (int i = 0; i < 3; ++i) {
-    fallback.TakeFresh(answer.view(), absl::ZeroDuration());
-    fallback.Hold(absl::ZeroDuration());
+    fallback.TakeFresh(answer.view(), Time::zero());
+    fallback.Hold(Time::zero());
   }
   EXPECT_FALSE(fallback.has_change());
   fallback.TakeSafe(answer.view());
   fallback.TakeSafe(answer.view());
   const auto change = fallback.TakeChange();
-  EXPECT_EQ(change->to, ActionSource::kSafe);
-  EXPECT_EQ(change->beats, 1);
+  EXPECT_EQ(change->to, Source::kSafe);
+  EXPECT_EQ(change->steps, 1);
   EXPECT_FALSE(fallback.TakeChange().has_value());
 }
 
-// Adds beats to a log, and does with its requests what the server does.
+// Adds steps to a log, and does with its requests what the server does.
 class Robot {
  public:
   explicit Robot(size_t kept) : log(kept, 1, Box()) { log.set_history_limit(100); }
 
-  void Beat(bool sees = true) {
-    const float number = static_cast<float>(beats_++);
-    log.Add({&number, sees ? 1u : 0u}, number, beats_);
+  void Step(bool sees = true) {
+    const float number = static_cast<float>(steps_++);
+    log.Add({&number, sees ? 1u : 0u}, number, Time(steps_));
     log.SetExecuted(Values(number, number).view());
   }
 
   // Sends the request of the oldest episode. Returns whether it asks for a decision.
   bool Ask() {
-    v1::ActRequest request;
-    log.FillRequest(&request);
-    const int64_t begin = request.step() - request.history_size();
-    const auto known = static_cast<int64_t>(session.size());
-    EXPECT_LE(begin - request.skipped_rewards_size(), known);
+    const Request request = log.NextRequest();
+    const Episode& episode = *request.episode;
+    const uint64_t known = episode.first + session.size();
+    EXPECT_LE(request.skipped, known);
     // Of a stored session, what was executed before the expected step may be lost.
-    if (known > 0 && request.step() > known && request.skipped_rewards_size() == 0) {
-      EXPECT_LT(begin, known);
+    if (!session.empty() && request.end > known && request.skipped == request.begin) {
+      EXPECT_LT(request.begin, known);
     }
-    for (int64_t step = known; step < begin; ++step) {
+    for (uint64_t number = known; number < request.begin; ++number) {
       session.push_back(NAN);  // of which only the reward is known
-      const auto i = static_cast<int>(step - begin + request.skipped_rewards_size());
-      rewards += request.skipped_rewards(i);
+      rewards += log.RewardOf(number);
     }
-    for (const v1::Beat& beat : request.history()) {
-      EXPECT_TRUE(beat.has_executed());
-      if (beat.step() < static_cast<int64_t>(session.size())) continue;
-      EXPECT_EQ(beat.step(), static_cast<int64_t>(session.size()));
-      session.push_back(beat.observation().empty() ? NAN : beat.observation(0));
-      rewards += beat.reward();
+    for (uint64_t number = std::max(request.begin, known); number < request.end; ++number) {
+      Append(log.StepOf(episode, number));
     }
-    const bool asks = request.observation_size() > 0;
-    if (asks) {
-      session.push_back(request.observation(0));
-      rewards += request.reward();
-    }
+    if (request.asks) Append(log.At(request.end));
     log.Acknowledge(static_cast<int64_t>(session.size()));
-    return asks;
+    return request.asks;
   }
 
-  BeatLog log;
+  StepLog log;
   std::vector<float> session;  // observations of the running episode at the server
   double rewards = 0.0;
 
  private:
-  int64_t beats_ = 0;
+  void Append(const StepView& step) {
+    EXPECT_EQ(step.executed.continuous.size(), 2);
+    session.push_back(step.observation.empty() ? NAN : step.observation[0]);
+    rewards += step.reward;
+  }
+
+  int64_t steps_ = 0;
 };
 
-TEST(BeatLogTest, EveryBeatTravelsOnce) {
+TEST(StepLogTest, EveryBeatTravelsOnce) {
   Robot robot(100);
   for (const bool asks : {true, false, false, true, false, true}) {
-    robot.Beat();
+    robot.Step();
     if (asks) {
       EXPECT_TRUE(robot.Ask());
     }
   }
-  robot.Beat();
-  robot.Beat();
-  auto summary = robot.log.End({.reward = 1.0});
+  robot.Step();
+  robot.Step();
+  robot.log.End({.reward = 1.0});
   EXPECT_FALSE(robot.log.is_complete());
   EXPECT_FALSE(robot.Ask());
   EXPECT_TRUE(robot.log.is_complete());
   EXPECT_THAT(robot.session, ElementsAre(0, 1, 2, 3, 4, 5, 6, 7));
-  v1::EndEpisodeRequest end;
-  robot.log.FillEnd(&end);
-  EXPECT_EQ(end.steps(), 8);
-  EXPECT_EQ(end.executed_action().continuous().values(0), 7.0f);
-  robot.log.Settle(/*is_stored=*/false).summary.set_value(v1::EndEpisodeResponse());
-  EXPECT_TRUE(summary.get().ok());
+  EXPECT_EQ(robot.log.oldest().steps, 8);
+  EXPECT_EQ(robot.log.oldest().last.back().executed.continuous[0], 7.0f);
+  robot.log.Settle(/*is_stored=*/false);
   EXPECT_TRUE(robot.log.is_current());
   EXPECT_EQ(robot.log.running().index, 1);
   EXPECT_EQ(robot.log.running().first, 8);
 }
 
-TEST(BeatLogTest, TheNextEpisodeIsAskedForWhileTheEndIsUnderWay) {
+TEST(StepLogTest, TheNextEpisodeIsAskedForWhileTheEndIsUnderWay) {
   Robot robot(100);
-  for (int i = 0; i < 3; ++i) robot.Beat();
+  for (int i = 0; i < 3; ++i) robot.Step();
   robot.log.End({.reward = 1.0});
   EXPECT_TRUE(robot.log.FitsOne());
-  robot.Beat();
+  robot.Step();
   EXPECT_TRUE(robot.log.is_one_behind());
   robot.log.BeginEnd();
   EXPECT_TRUE(robot.log.is_current());
-  v1::ActRequest request;
-  robot.log.FillRequest(&request);
+  const Request request = robot.log.NextRequest();
   EXPECT_EQ(request.step(), 0);
-  EXPECT_EQ(request.decision(), 3);
-  EXPECT_EQ(request.history_size() + request.skipped_rewards_size(), 0);
+  EXPECT_EQ(request.decision, 3);
+  EXPECT_EQ(request.end - request.skipped, 0);
   robot.log.End({.reward = 1.0});
-  robot.Beat();
+  robot.Step();
   EXPECT_FALSE(robot.log.is_current());  // two ends are never under way
   robot.log.Settle(/*is_stored=*/false);
   EXPECT_FALSE(robot.log.is_ending() || robot.log.is_current());
@@ -182,18 +171,18 @@ TEST(BeatLogTest, TheNextEpisodeIsAskedForWhileTheEndIsUnderWay) {
   EXPECT_TRUE(robot.log.is_complete());
 }
 
-TEST(BeatLogTest, ALongHistoryTravelsInParts) {
+TEST(StepLogTest, ALongHistoryTravelsInParts) {
   Robot robot(1000);
-  for (int i = 0; i < 250; ++i) robot.Beat();
+  for (int i = 0; i < 250; ++i) robot.Step();
   EXPECT_FALSE(robot.Ask());
   EXPECT_FALSE(robot.Ask());
   EXPECT_TRUE(robot.Ask());
   for (size_t i = 0; i < 250; ++i) EXPECT_EQ(robot.session[i], static_cast<float>(i));
 }
 
-TEST(BeatLogTest, OfBeatsThatAreNotKeptTheRewardsTravel) {
+TEST(StepLogTest, OfBeatsThatAreNotKeptTheRewardsTravel) {
   Robot robot(10);
-  for (int i = 0; i < 30; ++i) robot.Beat();
+  for (int i = 0; i < 30; ++i) robot.Step();
   EXPECT_EQ(robot.log.dropped(), 19);
   EXPECT_TRUE(robot.Ask());
   EXPECT_EQ(robot.rewards, 435.0);
@@ -202,19 +191,19 @@ TEST(BeatLogTest, OfBeatsThatAreNotKeptTheRewardsTravel) {
 }
 
 // Whatever the server expects, it is told what was executed before, or the context starts behind.
-TEST(BeatLogTest, AServerThatLostBeatsIsToldWhatWasExecutedBeforeThem) {
+TEST(StepLogTest, AServerThatLostBeatsIsToldWhatWasExecutedBeforeThem) {
   for (const size_t kept : {2, 3, 5, 100}) {
     for (size_t known = 0; known < 12; ++known) {
       for (const bool ends : {false, true}) {
         Robot robot(kept);
         for (int i = 0; i < 12; ++i) {
-          robot.Beat();
+          robot.Step();
           robot.Ask();
         }
         robot.session.resize(known);
         EXPECT_TRUE(robot.log.Rewind(known, std::nullopt));
         if (ends) robot.log.End({.reward = 1.0});
-        robot.Beat();
+        robot.Step();
         EXPECT_EQ(robot.Ask(), !ends);
         EXPECT_EQ(robot.session.size(), ends ? 12 : 13);
         if (kept == 100) {
@@ -225,47 +214,46 @@ TEST(BeatLogTest, AServerThatLostBeatsIsToldWhatWasExecutedBeforeThem) {
   }
 }
 
-TEST(BeatLogTest, TheLastBeatOfAnEpisodeOutlastsTheRing) {
+TEST(StepLogTest, TheLastBeatOfAnEpisodeOutlastsTheRing) {
   Robot robot(4);
-  robot.Beat();
-  robot.Beat();
+  robot.Step();
+  robot.Step();
   robot.log.End({.reward = 1.0});
-  for (int i = 0; i < 10; ++i) robot.Beat();
+  for (int i = 0; i < 10; ++i) robot.Step();
   EXPECT_FALSE(robot.Ask());
   EXPECT_TRUE(robot.log.is_complete());
   EXPECT_EQ(robot.rewards, 1.0);
   EXPECT_EQ(robot.session[1], 1.0f);
 }
 
-TEST(BeatLogTest, AServerThatLostBeatsGetsThemAgain) {
+TEST(StepLogTest, AServerThatLostBeatsGetsThemAgain) {
   Robot robot(100);
   for (int i = 0; i < 20; ++i) {
-    robot.Beat();
+    robot.Step();
     robot.Ask();
   }
   robot.session.resize(16);
   EXPECT_TRUE(robot.log.Rewind(16, std::nullopt));
-  robot.Beat();
+  robot.Step();
   EXPECT_TRUE(robot.Ask());
   EXPECT_EQ(robot.session.size(), 21);
   EXPECT_FALSE(robot.log.Rewind(22, std::nullopt));
 }
 
 // Its first answer may be that of a server that has died since.
-TEST(BeatLogTest, ARequestSentAgainTellsWhatWasExecutedBefore) {
+TEST(StepLogTest, ARequestSentAgainTellsWhatWasExecutedBefore) {
   Robot robot(100);
-  for (int i = 0; i < 3; ++i) robot.Beat();
+  for (int i = 0; i < 3; ++i) robot.Step();
   EXPECT_TRUE(robot.Ask());
-  v1::ActRequest request;
-  robot.log.FillRequest(&request);
+  const Request request = robot.log.NextRequest();
   EXPECT_EQ(request.step(), 2);
-  EXPECT_EQ(request.history_size(), 1);
+  EXPECT_EQ(request.end - request.begin, 1);
 }
 
-TEST(BeatLogTest, AStepWithoutAnObservationIsSentAsOne) {
+TEST(StepLogTest, AStepWithoutAnObservationIsSentAsOne) {
   Robot robot(100);
   for (const bool sees : {true, true, false, false}) {
-    robot.Beat(sees);
+    robot.Step(sees);
     EXPECT_EQ(robot.Ask(), sees);
   }
   robot.log.End({.reward = 1.0});
@@ -276,18 +264,18 @@ TEST(BeatLogTest, AStepWithoutAnObservationIsSentAsOne) {
   EXPECT_EQ(robot.rewards, 6.0);
 }
 
-TEST(BeatLogTest, MoreBlindStepsThanAHistoryHasCountAsRewards) {
+TEST(StepLogTest, MoreBlindStepsThanAHistoryHasCountAsRewards) {
   Robot robot(1000);
   robot.log.set_history_limit(10);
-  robot.Beat();
+  robot.Step();
   EXPECT_TRUE(robot.Ask());
-  for (int i = 0; i < 50; ++i) robot.Beat(/*sees=*/false);
-  robot.Beat();
+  for (int i = 0; i < 50; ++i) robot.Step(/*sees=*/false);
+  robot.Step();
   EXPECT_TRUE(robot.Ask());
   EXPECT_EQ(robot.session.size(), 52);
   EXPECT_TRUE(std::isnan(robot.session[50]));
   EXPECT_EQ(robot.session[51], 51.0f);
-  for (int i = 0; i < 50; ++i) robot.Beat(/*sees=*/false);
+  for (int i = 0; i < 50; ++i) robot.Step(/*sees=*/false);
   robot.log.End({.reward = 1.0});
   EXPECT_FALSE(robot.Ask());
   EXPECT_EQ(robot.session.size(), 102);
@@ -295,33 +283,30 @@ TEST(BeatLogTest, MoreBlindStepsThanAHistoryHasCountAsRewards) {
 }
 
 // Plays an episode that the server answers wholly.
-void EndAndSettle(int beats, Robot* robot, bool is_stored) {
-  for (int i = 0; i < beats; ++i) robot->Beat();
-  auto summary = robot->log.End({.reward = 1.0});
+void EndAndSettle(int steps, Robot* robot, bool is_stored) {
+  for (int i = 0; i < steps; ++i) robot->Step();
+  robot->log.End({.reward = 1.0});
   robot->Ask();
   robot->session.clear();
-  robot->log.Settle(is_stored).summary.set_value(v1::EndEpisodeResponse());
-  EXPECT_TRUE(summary.get().ok());
+  robot->log.Settle(is_stored);
 }
 
-TEST(BeatLogTest, TheEndOfAnEpisodeIsKeptUntilTheStoreHasIt) {
+TEST(StepLogTest, TheEndOfAnEpisodeIsKeptUntilTheStoreHasIt) {
   Robot robot(100);
-  for (const int beats : {3, 2, 4}) EndAndSettle(beats, &robot, /*is_stored=*/true);
-  robot.Beat();
+  for (const int steps : {3, 2, 4}) EndAndSettle(steps, &robot, /*is_stored=*/true);
+  robot.Step();
   EXPECT_TRUE(robot.Ask());
   robot.log.ForgetDurable(/*decisions=*/3, /*episodes=*/1);
   robot.log.ForgetDurable(6, 0);  // an older server: a decision behind the second end
   EXPECT_FALSE(robot.log.Rewind(4, 1));
-  // The server has lost the last end, and two beats before it.
+  // The server has lost the last end, and two steps before it.
   EXPECT_TRUE(robot.log.Rewind(7, 2));
   EXPECT_EQ(robot.log.oldest().index, 2);
   robot.session = {5, 6};
   EXPECT_FALSE(robot.Ask());
   EXPECT_THAT(robot.session, ElementsAre(5, 6, 7, 8));
   EXPECT_TRUE(robot.log.is_complete());
-  v1::EndEpisodeRequest end;
-  robot.log.FillEnd(&end);
-  EXPECT_EQ(end.steps(), 4);
+  EXPECT_EQ(robot.log.oldest().steps, 4);
   robot.log.Settle(true);
   robot.session.clear();
   EXPECT_TRUE(robot.Ask());
@@ -332,80 +317,82 @@ TEST(BeatLogTest, TheEndOfAnEpisodeIsKeptUntilTheStoreHasIt) {
   EXPECT_TRUE(robot.log.is_complete());
 }
 
-TEST(BeatLogTest, ASessionThatNoStoreHasKeepsNoEndedEpisode) {
+TEST(StepLogTest, ASessionThatNoStoreHasKeepsNoEndedEpisode) {
   Robot robot(100);
   EndAndSettle(3, &robot, /*is_stored=*/false);
-  robot.Beat();
+  robot.Step();
   EXPECT_FALSE(robot.log.Rewind(2, 0));
 }
 
-// As far as its beats are kept; of older ones, their rewards. What is missing is counted.
-TEST(BeatLogTest, ANewSessionHasTheWholeRunningEpisode) {
+// As far as its steps are kept; of older ones, their rewards. What is missing is counted.
+TEST(StepLogTest, ANewSessionHasTheWholeRunningEpisode) {
   Robot robot(10);
   for (int i = 0; i < 30; ++i) {
-    robot.Beat();
+    robot.Step();
     robot.Ask();
   }
   EXPECT_EQ(robot.log.dropped(), 0);
   robot.session.clear();
   robot.rewards = 0.0;
-  EXPECT_TRUE(robot.log.BeginAgain().empty());
-  robot.Beat();
+  robot.log.BeginAgain();
+  robot.Step();
   EXPECT_TRUE(robot.Ask());
   EXPECT_EQ(robot.session.size(), 31);
   EXPECT_EQ(robot.rewards, 465.0);
   EXPECT_EQ(robot.log.running().lost_steps, 0);
   // Beats that the server has refused are not sent to the next session.
-  EXPECT_TRUE(robot.log.BeginAgain(/*keeps_beats=*/false).empty());
+  robot.log.BeginAgain(/*keeps_steps=*/false);
   robot.session.clear();
-  robot.Beat();
+  robot.Step();
   EXPECT_TRUE(robot.Ask());
   EXPECT_THAT(robot.session, ElementsAre(31));
   EXPECT_EQ(robot.log.running().lost_steps, 31);
 }
 
-TEST(SightTest, AnObservationHasItsSizeAndFiniteNumbers) {
-  Blindness why;
-  const float nan = NAN;
-  EXPECT_TRUE(IsObservation({1.0f, 2.0f}, 2, &why));
-  EXPECT_FALSE(IsObservation({1.0f}, 2, &why));
+TEST(ObservationTest, AnObservationHasItsSizeAndFiniteNumbers) {
+  InvalidObservation why;
+  std::array<float, 2> two = {1.0f, 2.0f};
+  EXPECT_TRUE(IsObservation(two, 2, &why));
+  EXPECT_FALSE(IsObservation(std::span(two).first(1), 2, &why));
   EXPECT_EQ(why.ToString(), "observation: expected 2 numbers, received 1");
-  EXPECT_FALSE(IsObservation({1.0f, nan}, 2, &why));
+  two[1] = NAN;
+  EXPECT_FALSE(IsObservation(two, 2, &why));
   EXPECT_EQ(why.ToString(), "observation[1]: expected a finite number, received nan");
 }
 
-TEST(BeatLogTest, ANewSessionGoesOnWithTheBeatsThatAreKept) {
+TEST(StepLogTest, ANewSessionGoesOnWithTheBeatsThatAreKept) {
   Robot robot(100);
-  robot.Beat();
+  robot.Step();
   robot.log.End({.reward = 1.0});
-  for (int i = 0; i < 5; ++i) robot.Beat();
-  EXPECT_EQ(robot.log.BeginAgain().size(), 1);
+  for (int i = 0; i < 5; ++i) robot.Step();
+  robot.log.BeginAgain();
   EXPECT_TRUE(robot.Ask());
   EXPECT_THAT(robot.session, ElementsAre(1, 2, 3, 4, 5));
   EXPECT_EQ(robot.log.lost_episodes(), 1);
   EXPECT_EQ(robot.log.running().index, 0);
 }
 
-TEST(BeatLogTest, ManyEpisodesWithoutTheServerAreTooLong) {
+TEST(StepLogTest, ManyEpisodesWithoutTheServerAreTooLong) {
   Robot robot(100);
   while (!robot.log.is_too_long()) {
-    robot.Beat();
+    robot.Step();
     robot.log.End({.reward = 1.0});
   }
-  EXPECT_EQ(robot.log.BeginAgain().size(), 64);
+  robot.log.BeginAgain();
+  EXPECT_EQ(robot.log.lost_episodes(), 64);
   EXPECT_FALSE(robot.log.is_too_long());
 }
 
 TEST(AgesTest, PercentilesAreExactToTwoPercent) {
   Ages ages;
-  EXPECT_EQ(ages.Quantile(0.5), absl::ZeroDuration());
-  for (int i = 1; i <= 1000; ++i) ages.Add(absl::Milliseconds(i));
+  EXPECT_EQ(ages.Quantile(0.5), Time::zero());
+  for (int i = 1; i <= 1000; ++i) ages.Add(milliseconds(i));
   for (const double share : {0.5, 0.99, 0.999}) {
-    EXPECT_NEAR(absl::ToDoubleSeconds(ages.Quantile(share)), share, 0.02 * share);
+    EXPECT_NEAR(std::chrono::duration<double>(ages.Quantile(share)).count(), share, 0.02 * share);
   }
-  ages.Add(absl::Hours(1000));
-  EXPECT_GT(ages.Quantile(1.0), absl::Seconds(3000));
+  ages.Add(std::chrono::hours(1000));
+  EXPECT_GT(ages.Quantile(1.0), seconds(3000));
 }
 
 }  // namespace
-}  // namespace spikeserve::piloting
+}  // namespace spikeserve::robot

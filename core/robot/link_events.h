@@ -1,0 +1,88 @@
+// What happens on the link of a robot, and what its session wants to be done there. Plain values.
+#ifndef CORE_ROBOT_LINK_EVENTS_H_
+#define CORE_ROBOT_LINK_EVENTS_H_
+
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "core/robot/action_shape.h"
+#include "core/robot/step_log.h"
+#include "core/robot/time.h"
+
+namespace spikeserve::robot {
+
+// What a failed call or request says about the session.
+enum class Failure {
+  kNotFound,  // this server does not have it: NOT_FOUND
+  kConflict,  // it differs from the robot's: FAILED_PRECONDITION, DATA_LOSS
+  kInvalid,   // a step is not valid: INVALID_ARGUMENT
+  kAway,      // nothing; the server cannot be reached: UNAVAILABLE, DEADLINE_EXCEEDED
+  kOther,
+};
+
+struct Error {
+  Failure kind = Failure::kOther;
+  std::string message = {};
+  std::string text = {};                                     // for the log, with the code
+  std::optional<uint64_t> expected_decision = std::nullopt;  // that the server named
+  std::optional<int64_t> expected_episode = std::nullopt;    // of it
+  std::optional<Time> retry_after = std::nullopt;
+};
+
+// A reply on the stream. The replies follow the order of the requests.
+struct Reply {
+  const Error* error = nullptr;  // otherwise the rest counts
+  int64_t next_step = 0;         // that the server expects
+  std::optional<ActionView> action = std::nullopt;
+  Time observed_at = kLongAgo;    // of the action
+  bool is_miswired = false;       // the action is the neutral one: the observations look miswired
+  uint64_t durable_decision = 0;  // decisions that the store has
+  int64_t durable_episode = 0;    // ends of episodes that the store has
+  bool has_ended = false;         // the episode
+};
+
+// An episode whose end the server has answered for the first time, or again.
+struct Settled {
+  uint64_t serial;
+  uint64_t lost_steps;
+};
+
+struct Received {
+  std::optional<Settled> settled = std::nullopt;
+  bool has_work = false;  // RobotSession::Next may have more than to wait
+};
+
+// The server's answer to OpenSession.
+struct Opening {
+  int64_t history_limit = 0;
+  bool is_stored = false;  // the other servers may have the session, too
+};
+
+// What is to be done on the link.
+struct Task {
+  enum class Kind {
+    kWait,         // until `time`, or an event
+    kForget,       // the session is lost: close the stream, and any call but OpenSession; the
+                   // summaries of episodes before `serial` fail because of `reason`
+    kSend,         // `request`, on the stream
+    kPlay,         // RobotSession::work() on the robot's engine
+    kOpenSession,  // with the same id until it is answered
+    kOpenStream,   // at a server that has not denied the session
+    kCloseStream,
+    kDoubtLine,  // there were no answers since `time`: try a fresh connection
+    kExportSession,
+    kEndEpisode,  // the oldest one, by a call
+    kStop,        // everything; the robot has closed the session
+  };
+
+  Kind kind = Kind::kWait;
+  Time time = kNever;
+  Request request = {};
+  uint64_t serial = 0;
+  std::string reason = {};
+};
+
+}  // namespace spikeserve::robot
+
+#endif  // CORE_ROBOT_LINK_EVENTS_H_
