@@ -36,7 +36,7 @@ std::shared_ptr<const ServedPolicy> Serve(Policy policy) {
   served->name = "policy";
   served->version = 1;
   served->engine = MakeEngine(shared);
-  served->fleet = std::make_shared<FleetHead>(shared);
+  served->heads = std::make_shared<TenantHeads>(shared);
   served->observer = std::make_shared<SessionObserver>();
   return served;
 }
