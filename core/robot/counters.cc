@@ -8,7 +8,19 @@ namespace {
 
 constexpr Time kFirst = std::chrono::microseconds(10);  // shorter ages count as this one
 constexpr double kGrowth = 1.02;                        // from one bucket to the next
+constexpr double kMiddle = 1.00995049383620779;         // sqrt(kGrowth)
 constexpr Time kReportEvery = std::chrono::seconds(1);
+
+// Returns the nanoseconds at which each bucket begins.
+constexpr auto kBegins = [] {
+  std::array<double, Ages::kBuckets> begins = {};
+  double begin = static_cast<double>(kFirst.count());
+  for (double& each : begins) {
+    each = begin;
+    begin *= kGrowth;
+  }
+  return begins;
+}();
 
 }  // namespace
 
@@ -18,13 +30,9 @@ std::string_view SourceName(Source source) {
 }
 
 void Ages::Add(Time age) {
-  double bucket = 0.0;
-  if (age > kFirst) {
-    const double ratio = static_cast<double>(age.count()) / static_cast<double>(kFirst.count());
-    bucket = std::log(ratio) / std::log(kGrowth);
-  }
-  const double last = static_cast<double>(counts_.size() - 1);
-  ++counts_[static_cast<size_t>(std::min(bucket, last))];
+  const auto behind =
+      std::upper_bound(kBegins.begin() + 1, kBegins.end(), static_cast<double>(age.count()));
+  ++counts_[static_cast<size_t>(behind - kBegins.begin() - 1)];
   ++total_;
 }
 
@@ -33,8 +41,7 @@ Time Ages::Quantile(double share) const {
   for (size_t i = 0; i < counts_.size(); ++i) {
     left -= static_cast<double>(counts_[i]);
     if (counts_[i] > 0 && left <= 0.0) {
-      const double ratio = std::pow(kGrowth, static_cast<double>(i) + 0.5);
-      return Time(static_cast<int64_t>(ratio * static_cast<double>(kFirst.count())));
+      return Time(static_cast<int64_t>(kBegins[i] * kMiddle));
     }
   }
   return Time::zero();

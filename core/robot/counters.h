@@ -47,12 +47,14 @@ struct Report {
 // Ages in buckets that grow by 2 %, from 10 us to more than an hour.
 class Ages {
  public:
+  static constexpr size_t kBuckets = 1000;
+
   void Add(Time age);
   // Returns the age that `share` of the ages do not exceed; 0: there are none.
   Time Quantile(double share) const;
 
  private:
-  std::array<uint64_t, 1000> counts_ = {};
+  std::array<uint64_t, kBuckets> counts_ = {};
   uint64_t total_ = 0;
 };
 

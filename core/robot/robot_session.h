@@ -134,7 +134,7 @@ class RobotSession {
 
   LinkState link() const { return link_; }
   CallState call() const { return call_; }
-  const StepLog& log() const { return log_; }
+  const StepLog& step_log() const { return log_; }
   const Counters& counters() const { return counters_; }
   const FallbackOrder& fallback() const { return fallback_; }
   const LocalSession& local() const { return local_; }

@@ -111,7 +111,7 @@ void Pilot::Controller::Do(const Task& task, v1::ActRequest* request) {
 }
 
 void Pilot::Controller::Fill(const robot::Request& request, v1::ActRequest* message) {
-  piloting::ToProto(session_.log(), request, message);
+  piloting::ToProto(session_.step_log(), request, message);
   message->set_session_id(session_id_);
   if (message->has_observed_at()) {
     message->set_valid_until(message->observed_at() + absl::ToInt64Nanoseconds(options_.oldest()));
@@ -237,7 +237,7 @@ void Pilot::Controller::CallEndEpisode() {
   {
     absl::MutexLock lock(&mutex_);
     request.set_session_id(session_id_);
-    piloting::EndToProto(session_.log(), &request);
+    piloting::EndToProto(session_.step_log(), &request);
   }
   NewCall().Begin(&ServerCall::Async::EndEpisode, request);
 }

@@ -141,7 +141,7 @@ std::future<Pilot::Summary> Pilot::Controller::EndEpisode(const EpisodeOutcome& 
   std::promise<Summary> summary;
   std::future<Summary> future = summary.get_future();
   absl::MutexLock lock(&mutex_);
-  const uint64_t steps = session_.log().running().steps;
+  const uint64_t steps = session_.step_log().running().steps;
   const auto serial = session_.EndEpisode({.reward = outcome.reward,
                                            .terminated = outcome.terminated,
                                            .truncated = outcome.truncated,
@@ -155,7 +155,7 @@ std::future<Pilot::Summary> Pilot::Controller::EndEpisode(const EpisodeOutcome& 
     summary.set_value(piloting::LostEpisode(piloting::kClosed));
   } else {
     v1::EndEpisodeResponse empty;
-    empty.set_lost_steps(static_cast<int64_t>(session_.log().running().lost_steps));
+    empty.set_lost_steps(static_cast<int64_t>(session_.step_log().running().lost_steps));
     summary.set_value(std::move(empty));
   }
   return future;
@@ -188,8 +188,8 @@ PilotStats Pilot::Controller::Stats() const {
           .cancelled_calls = counts.cancelled_requests,
           .reconnects = counts.reconnects,
           .reopened = counts.reopened,
-          .dropped = session_.log().dropped(),
-          .lost_episodes = session_.log().lost_episodes(),
+          .dropped = session_.step_log().dropped(),
+          .lost_episodes = session_.step_log().lost_episodes(),
           .invalid = counts.invalid,
           .invalid_observations = counts.invalid_observations,
           .last_invalid_observation = invalid.expected > 0 ? invalid.ToString() : "",

@@ -113,7 +113,7 @@ TEST_F(RobotSessionTest, AStepWaitsForAnAnswerThatShouldArriveInTime) {
 TEST_F(RobotSessionTest, BeforeAValidObservationThereIsNoStep) {
   Connect(false);
   EXPECT_FALSE(robot_->BeginStep({.observation = {}}, Clock()));
-  EXPECT_EQ(robot_->log().next(), 0);
+  EXPECT_EQ(robot_->step_log().next(), 0);
   EXPECT_EQ(robot_->counters().counts().invalid, 1);
 }
 
@@ -205,7 +205,7 @@ TEST_P(RobotSessionLossTest, AnErrorDecidesWhatBecomesOfASessionThatNoStoreHas) 
     return;
   }
   ExpectForgotten();
-  EXPECT_EQ(robot_->log().running().steps, GetParam().steps);
+  EXPECT_EQ(robot_->step_log().running().steps, GetParam().steps);
   EXPECT_EQ(Next(), What::kOpenSession);
   EXPECT_EQ(Next(), What::kWait);  // one call at a time
   robot_->OnOpened({.history_limit = 100});
@@ -252,7 +252,7 @@ TEST_F(RobotSessionTest, AnEndTravelsOnTheStreamAndTheNextEpisodeDoesNotWait) {
   Answer(1);
   const Received received = Answer(0, /*has_ended=*/true);
   EXPECT_EQ(received.settled->serial, *serial);
-  EXPECT_EQ(robot_->log().running().index, 1);
+  EXPECT_EQ(robot_->step_log().running().index, 1);
 }
 
 // A fleet's head that a store keeps is merged by the call; a last step without an observation is
@@ -390,7 +390,7 @@ TEST_F(RobotSessionTest, AClosedSessionStopsAtItsTime) {
   now_ += milliseconds(10);
   EXPECT_EQ(Next(), What::kStop);
   robot_->Stop();
-  EXPECT_EQ(robot_->log().lost_episodes(), 1);
+  EXPECT_EQ(robot_->step_log().lost_episodes(), 1);
 }
 
 TEST_F(RobotSessionTest, TooManyMissedEpisodesLoseTheSession) {
@@ -400,7 +400,7 @@ TEST_F(RobotSessionTest, TooManyMissedEpisodesLoseTheSession) {
     robot_->EndEpisode({.reward = 1.0}, nullptr);
   }
   EXPECT_EQ(Next(), What::kForget);
-  EXPECT_EQ(robot_->log().lost_episodes(), 65);
+  EXPECT_EQ(robot_->step_log().lost_episodes(), 65);
 }
 
 // The background thread may be late: the step is of the history of the end then.

@@ -81,7 +81,7 @@ class Simulator {
     CheckServer();
     CheckSummaries();
     // A session that no store has is lost with its server; an old server does not repeat an end.
-    if (!is_stored() || kind_.is_old || robot_.log().dropped() > 0) return;
+    if (!is_stored() || kind_.is_old || robot_.step_log().dropped() > 0) return;
     EXPECT_LE(robot_.counters().counts().reopened, losses_) << "a session was given up in vain";
   }
 
@@ -105,7 +105,7 @@ class Simulator {
   };
 
   bool IsDone() const {
-    return robot_.link() == LinkState::kOnline && !robot_.log().oldest().has_ended();
+    return robot_.link() == LinkState::kOnline && !robot_.step_log().oldest().has_ended();
   }
   size_t Draw(size_t below) { return random_() % below; }
   Now Clock() const { return {now_, now_ + asleep_}; }
@@ -269,9 +269,10 @@ class Simulator {
       case Task::Kind::kSend:
         CheckRequest(task.request);
         last_request_ = std::max(last_request_, now_ + Delay());
-        return Push(last_request_, {.line = stream_,
-                                    .what = Event::What::kArrives,
-                                    .message = MessageOf(session_, robot_.log(), task.request)});
+        return Push(last_request_,
+                    {.line = stream_,
+                     .what = Event::What::kArrives,
+                     .message = MessageOf(session_, robot_.step_log(), task.request)});
       case Task::Kind::kPlay:
         return Play();
       case Task::Kind::kOpenStream:
@@ -306,7 +307,7 @@ class Simulator {
     ASSERT_GE(request.step(), 0);
     ASSERT_LT(request.step(), static_cast<int64_t>(request.episode->steps + 1));
     for (uint64_t i = request.begin; i < request.end; ++i) {
-      const StepView step = robot_.log().StepOf(*request.episode, i);
+      const StepView step = robot_.step_log().StepOf(*request.episode, i);
       ASSERT_EQ(step.observation.empty(), !all_[i].observation.has_value());
       ASSERT_EQ(step.executed.discrete, all_[i].executed) << "a history has another action";
     }
@@ -329,14 +330,14 @@ class Simulator {
       if (is_known) played_.reset();
       return;
     }
-    const uint64_t steps = robot_.log().oldest().steps;
+    const uint64_t steps = robot_.step_log().oldest().steps;
     const Answer answer =
         server_.End({.session = session_,
-                     .decision = robot_.log().oldest().past() - robot_.log().NumberOf(0),
+                     .decision = robot_.step_log().oldest().past() - robot_.step_log().NumberOf(0),
                      .step = steps,
-                     .end_reward = robot_.log().oldest().outcome.reward,
+                     .end_reward = robot_.step_log().oldest().outcome.reward,
                      .end_steps = steps,
-                     .end_executed = robot_.log().oldest().last.back().executed.discrete});
+                     .end_executed = robot_.step_log().oldest().last.back().executed.discrete});
     if (answer.error.has_value()) return robot_.OnCallFailed(*answer.error, 0, now_);
     ++episodes_[robot_.OnEpisodeEnded().serial].settled;
   }
@@ -445,13 +446,14 @@ class Simulator {
         const KnownStep& step = episode.steps[missing + t];
         ASSERT_EQ(known.reward, step.reward) << "step " << t;
         if (!known.observation.has_value()) {
-          ASSERT_TRUE(!step.observation.has_value() || robot_.log().dropped() > 0) << "step " << t;
+          ASSERT_TRUE(!step.observation.has_value() || robot_.step_log().dropped() > 0)
+              << "step " << t;
           continue;
         }
         ASSERT_EQ(known.observation, step.observation) << "step " << t;
         // In front of a gap, the server need not know what was executed.
         const bool is_last = t + 1 == ended.steps.size();
-        if (robot_.log().dropped() > 0) continue;
+        if (robot_.step_log().dropped() > 0) continue;
         if (is_last || ended.steps[t + 1].observation.has_value()) {
           ASSERT_EQ(known.executed, step.executed) << "step " << t << " of " << ended.steps.size();
         }

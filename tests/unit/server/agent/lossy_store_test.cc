@@ -132,7 +132,7 @@ class LossyStoreTest : public PolicyHandlerFixture {
       const Task task = robot_->Next(now_);
       if (task.kind == Task::Kind::kSend) {
         v1::ActRequest request;
-        piloting::ToProto(robot_->log(), task.request, &request);
+        piloting::ToProto(robot_->step_log(), task.request, &request);
         request.set_session_id(id_);
         wire_.push_back(std::move(request));
         return;
@@ -235,13 +235,13 @@ class LossyStoreTest : public PolicyHandlerFixture {
     }
     Beat();
     End();
-    for (int i = 0; i < 100'000 && robot_->log().oldest().has_ended(); ++i) {
+    for (int i = 0; i < 100'000 && robot_->step_log().oldest().has_ended(); ++i) {
       Send();
       Deliver();
       writer_.Store(1);
       if (HasFatalFailure()) return;
     }
-    ASSERT_FALSE(robot_->log().oldest().has_ended()) << "the server never got all episodes";
+    ASSERT_FALSE(robot_->step_log().oldest().has_ended()) << "the server never got all episodes";
   }
 
   void CheckSummaries() {
