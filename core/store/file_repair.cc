@@ -111,7 +111,9 @@ void Salvage::OnGap(absl::string_view table) {
 }
 
 absl::Status Salvage::MarkIncomplete() {
-  for (const auto& [id, end] : ends_) {
+  for (const auto& entry : ends_) {
+    const auto& id = entry.first;
+    const uint64_t end = entry.second;
     RETURN_IF_ERROR(transaction_->Get(records_, StoredRecordKey(id, end)).status());
     // What follows was read, so what is missing lies between: the journal shows it.
     bool is_last = true;
