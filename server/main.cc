@@ -94,7 +94,7 @@ void AddSessionFlags(Command program, ServerOptions* options) {
       .Add("max_recorded_bytes", "N", &options->max_recorded_bytes,
            "Most bytes in --record_dir, which tenants divide")
       .Add("max_policy_bytes", "N", &options->max_policy_bytes,
-           "Most bytes in --policies with which a head is promoted; tenants divide them")
+           "Most bytes of promoted versions, which tenants divide")
       .Add("session_store", "STORE", &options->store.address,
            "Where sessions survive: memory, file:DIR or redis://HOST");
 }

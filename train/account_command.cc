@@ -42,7 +42,7 @@ absl::Status Account(const AccountFlags& flags) {
 
 void AddAccountCommand(Program& program) {
   const Command command = program.root().AddCommand(
-      "account", "Prices every operation of a policy in integers and of its dense baseline");
+      "account", "Prices every operation of an integer policy and its dense baseline");
   const auto flags = std::make_shared<AccountFlags>();
   constexpr char kPolicy[] = "Policy";
   command.Flags(kPolicy)
