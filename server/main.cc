@@ -93,14 +93,14 @@ void AddSessionFlags(Command program, ServerOptions* options) {
       .Add("record_dir", "DIR", &options->record_dir, "Directory for recorded sessions")
       .Add("max_recorded_bytes", "N", &options->max_recorded_bytes,
            "Most bytes in --record_dir, which tenants divide")
-      .Add("max_policy_bytes", "N", &options->max_policy_bytes,
-           "Most bytes of promoted versions, which tenants divide")
       .Add("session_store", "STORE", &options->store.address,
            "Where sessions survive: memory, file:DIR or redis://HOST");
 }
 
 void AddAdvancedFlags(Command program, ServerOptions* options) {
   program.Flags("Advanced: policies and sessions")
+      .Add("max_policy_bytes", "N", &options->max_policy_bytes,
+           "Most bytes of promoted versions, which tenants divide")
       .AddSwitch("allow_unrecorded_changes", &options->allow_unrecorded_changes,
                  "Let operators change things while --audit_log cannot be written")
       .AddSwitch("withhold_policies", &options->withhold_policies,
