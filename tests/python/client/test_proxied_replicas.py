@@ -9,7 +9,7 @@ import pytest
 import spikeserve
 from deployed_proxies import PROXIES, installed, running
 from redis_servers import free_port
-from replicated import EPISODES, SESSIONS, STEPS, options_of, policy_of, running_fleet
+from replicated import SESSIONS, options_of, policy_of, running_fleet
 from security import until
 from serving import DEADLINE_SECONDS
 from test_cpp_replicas import CppCalls, CppStreams
@@ -110,17 +110,19 @@ def test_a_session_stays_at_its_replica(address, fleet, root, player):
     """The calls of a session, or of a stream, reach one replica: no session is ever claimed."""
     # A former owner keeps its copy of a session that was closed elsewhere until its time-to-live ends.
     former = [sessions_at(replica).keys() for replica in fleet.replicas]
-    found = []
+    opened, found = {}, []
 
     def look(t):
-        if t == EPISODES * STEPS - 1:
-            found.extend(sessions_at(replica) for replica in fleet.replicas)
+        seen = [sessions_at(replica) for replica in fleet.replicas]
+        if t == 0:
+            opened.update(seen[0] | seen[1])
+        found[:] = seen
 
     play(address, root, player, look)
     first, second = ({key: epochs[key] for key in epochs.keys() - old} for epochs, old in zip(found, former, strict=True))
     assert not first.keys() & second.keys()
     assert len(first) + len(second) == SESSIONS
-    assert set((first | second).values()) == {1}
+    assert all(opened[key] == epoch for key, epoch in (first | second).items())
     # Single sessions are spread; those of a stream are together.
     assert bool(first and second) == (player is Calls)
 

@@ -1,6 +1,7 @@
 """`python -m spikeserve convert`: robots' data become training data, and recordings go out."""
 
 import contextlib
+import dataclasses
 import io
 import json
 import os
@@ -449,7 +450,8 @@ def test_a_server_records_and_spiketrain_trains(tmp_path):
             over = terminated or truncated
         session.end_episode(reward, terminated, truncated)  # without the last observation
     run(recordings, tmp_path / "set", "--to=lerobot", "--fps=50")
-    assert_equal(read(recordings), read(tmp_path / "set"))
+    # LeRobot has no place for the names of a Discrete action's values.
+    assert_equal(dataclasses.replace(read(recordings), action_names=()), read(tmp_path / "set"))
     run(tmp_path / "set", tmp_path / "set-v0", "--to=minari")
     run(tmp_path / "set", tmp_path / "set.cbor", "--to=spikeserve")
     if "SPIKETRAIN_PROGRAM" not in os.environ:
