@@ -157,10 +157,15 @@ def histories_of_many_sessions(address, seconds):
             while not is_over():
                 first = v1("ActRequest", session_id=session, decision=decision, observation=OBSERVATION)
                 executed = {"discrete": agents(f"/{POLICY}/Act", first).action.discrete}
-                beats = [v1("Beat", step=step, observation=OBSERVATION, executed=executed) for step in range(STEPS)]
-                request = v1("ActRequest", session_id=session, step=STEPS, decision=decision + STEPS)
-                request.observation.extend(OBSERVATION)
-                request.history.extend(beats)
+                beats = [{"step": step, "observation": OBSERVATION, "executed": executed} for step in range(STEPS)]
+                request = v1(
+                    "ActRequest",
+                    session_id=session,
+                    step=STEPS,
+                    decision=decision + STEPS,
+                    observation=OBSERVATION,
+                    history=beats,
+                )
                 agents(f"/{POLICY}/Act", request)
                 agents(f"/{POLICY}/EndEpisode", v1("EndEpisodeRequest", session_id=session))
                 decision += STEPS + 1
