@@ -18,7 +18,7 @@ function(spikeserve_python_tests)
     list(APPEND environment SPIKETRAIN=$<TARGET_FILE:spiketrain>)  # what spikeserve.imitation starts
   endif()
   foreach(program spikeserve spikectl spikeload client_player client_pilot example_call readme_call environment_stepper integer_decisions alert_replay chip_stream
-      spiketrain spikereport dense_twin)
+      spiketrain spikereport dense_baseline)
     if(TARGET ${program})
       string(TOUPPER ${program} name)
       string(APPEND environment ";${name}_PROGRAM=$<TARGET_FILE:${program}>")

@@ -53,9 +53,9 @@ lab-parts: lab
 	$(LAB_PYTHON) lab/bench/binding_bench.py --bin=$(LAB)/bin
 	python3 lab/bench/adapt_sweep.py --bin=$(LAB)/bin $(ADAPT_FLAGS)
 
-# Measures what policies, dense twins and perceptrons cost on emulated microcontrollers: docs/evidence/microcontrollers.md.
+# Measures what policies, dense baselines and perceptrons cost on emulated microcontrollers: docs/evidence/microcontrollers.md.
 lab-chips: lab
 	$(SETUP) microcontrollers
 	cmake --build $(LAB) --target chip_stream
-	SPIKECTL_PROGRAM=$(LAB)/bin/spikectl CHIP_STREAM_PROGRAM=$(LAB)/tests/chip_stream DENSE_TWIN_PROGRAM=$(LAB)/bin/dense_twin \
+	SPIKECTL_PROGRAM=$(LAB)/bin/spikectl CHIP_STREAM_PROGRAM=$(LAB)/tests/chip_stream DENSE_BASELINE_PROGRAM=$(LAB)/bin/dense_baseline \
 	  build/venv/bin/python lab/microcontrollers/costs.py

@@ -38,7 +38,7 @@ struct WiringVerdict {
 
 // A wiring that may explain the observations better than that of the training data.
 struct WiringHypothesis {
-  uint16_t number = 0;    // of WiringOf() in wiring_check.h
+  uint16_t number = 0;    // of WiringOf() in wiring_check.cc
   float evidence = 0.0f;  // not negative
   float total = 0.0f;     // ln of the likelihood ratio since the window began
 

@@ -102,9 +102,9 @@ def spiking(name, emitted):
 
 
 def make_dense(file, emitted):
-    """Writes the tables of the dense twin of a policy beside its C, and another stream. Returns what dense.c answers to it, and
+    """Writes the tables of the dense baseline of a policy beside its C, and another stream. Returns what dense.c answers to it, and
     the energies in picojoules."""
-    answers = run(os.environ["DENSE_TWIN_PROGRAM"], file, DECISIONS, emitted.folder).split()
+    answers = run(os.environ["DENSE_BASELINE_PROGRAM"], file, DECISIONS, emitted.folder).split()
     return replace(emitted, hash=answers[0].zfill(16)), [int(number) for number in answers[1:]]
 
 

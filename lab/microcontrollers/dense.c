@@ -1,5 +1,5 @@
 /* A dense decision transformer in int8, as core/engine/dense/integer_dense_pass.cc computes it,
-   with the tables of dense_twin.cc. Prints in hexadecimal: the hash of the logits, the mean and the
+   with the tables of dense_baseline.cc. Prints in hexadecimal: the hash of the logits, the mean and the
    most instructions of a decision, the bytes of the stack, and those of the state. */
 #ifndef DENSE_PAIRS
 #define DENSE_PAIRS 0 /* dense_pairs.c has 1 */

@@ -14,7 +14,7 @@ DENSE = pathlib.Path(__file__).parents[1] / "microcontrollers/dense.c"
 @pytest.mark.parametrize("name", ["cartpole-small", "pendulum-delay", "lunar-lander"])
 def test_equal_hashes(name, tmp_path):
     file = ROOT / f"deploy/policies/{name}/1/policy.safetensors"
-    expected, *_ = run(os.environ["DENSE_TWIN_PROGRAM"], file, 60, tmp_path).split()
+    expected, *_ = run(os.environ["DENSE_BASELINE_PROGRAM"], file, 60, tmp_path).split()
     program = tmp_path / "dense"
     folders = [f"-I{tmp_path}", f"-I{SOURCES}"]
     run("gcc", *C99, *SANITIZED, *folders, DENSE, SOURCES / "port_host.c", "-o", program)

@@ -3,8 +3,6 @@
 #include <filesystem>
 #include <system_error>
 
-#include "absl/time/clock.h"
-
 namespace spikeserve {
 namespace {
 
@@ -22,8 +20,9 @@ void SharedFolder::Keep(SharedPlaces::Place& place) {
 
 void SharedFolder::Measure() {
   absl::MutexLock lock(&mutex_);
-  if (absl::Now() - measured_ < kMeasureInterval) return;
-  measured_ = absl::Now();
+  const absl::Duration now = clock_.Now();
+  if (now - measured_ < kMeasureInterval) return;
+  measured_ = now;
   bytes_ = 0;
   std::error_code error;
   for (std::filesystem::recursive_directory_iterator it(directory_, error), end;

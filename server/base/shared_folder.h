@@ -1,5 +1,6 @@
 // The bytes of a folder, which tenants divide (SharedPlaces). What is there is measured when the
-// server starts, and then each minute, because others may add files and remove them.
+// server starts, and again when a file is written or asked for, at most once a minute, because
+// others may add files and remove them.
 //
 //   const auto place = folder.Take(tenant, bytes);
 //   if (place == nullptr) return absl::ResourceExhaustedError("...");
@@ -19,6 +20,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
+#include "core/base/clock.h"
 #include "server/base/shared_places.h"
 
 namespace spikeserve {
@@ -55,9 +57,10 @@ class SharedFolder {
   const int64_t max_bytes_;
   const Report report_;
   SharedPlaces places_;
+  const SteadyClock clock_;
   absl::Mutex mutex_;
   int64_t bytes_ ABSL_GUARDED_BY(mutex_) = 0;  // by what was measured and written since
-  absl::Time measured_ ABSL_GUARDED_BY(mutex_) = absl::InfinitePast();
+  absl::Duration measured_ ABSL_GUARDED_BY(mutex_) = -absl::InfiniteDuration();
 };
 
 }  // namespace spikeserve

@@ -208,7 +208,7 @@ def test_large_frames_take_no_memory_and_stop_no_robot(server):
                 for attacker in attackers:
                     assert attacker.ws.recv().startswith("message: expected at most 4096 values")
         # Each frame once as it is received and once as a whole.
-        assert peak(address.pid) - before < 3 * 2 * 16 + 48
+        assert peak(address.pid) - before < 3 * 2 * 16 + 32
 
 
 def test_texts_of_errors_are_bounded(gateway):

@@ -33,12 +33,12 @@ constexpr int kStepsOfRobot = 1500;
 constexpr int kFaultEvery = 25;  // control steps, about
 
 struct Kind {
-  bool is_stored;
-  size_t servers;
-  bool has_engine;
-  bool shares_head;
-  bool is_old;  // servers ignore ends on streams
-  size_t kept_steps;
+  bool is_stored = true;
+  size_t servers = 1;
+  bool has_engine = false;
+  bool shares_head = false;
+  bool is_old = false;  // servers ignore ends on streams
+  size_t kept_steps = 8192;
 };
 
 class Simulator {
@@ -86,7 +86,6 @@ class Simulator {
   }
 
   uint64_t events() const { return events_; }
-  const RobotSession& robot() const { return robot_; }
 
  private:
   struct Episode {
@@ -519,43 +518,11 @@ TEST_P(SimulatorTest, NothingIsLostOrDoubled) {
   RecordProperty("events", std::to_string(events));
 }
 
-INSTANTIATE_TEST_SUITE_P(Kinds, SimulatorTest,
-                         ::testing::Values(Kind{.is_stored = false,
-                                                .servers = 1,
-                                                .has_engine = false,
-                                                .shares_head = false,
-                                                .is_old = false,
-                                                .kept_steps = 8192},
-                                           Kind{.is_stored = true,
-                                                .servers = 1,
-                                                .has_engine = true,
-                                                .shares_head = false,
-                                                .is_old = false,
-                                                .kept_steps = 8192},
-                                           Kind{.is_stored = true,
-                                                .servers = 3,
-                                                .has_engine = false,
-                                                .shares_head = false,
-                                                .is_old = false,
-                                                .kept_steps = 8192},
-                                           Kind{.is_stored = true,
-                                                .servers = 2,
-                                                .has_engine = true,
-                                                .shares_head = true,
-                                                .is_old = false,
-                                                .kept_steps = 8192},
-                                           Kind{.is_stored = true,
-                                                .servers = 1,
-                                                .has_engine = false,
-                                                .shares_head = false,
-                                                .is_old = true,
-                                                .kept_steps = 8192},
-                                           Kind{.is_stored = true,
-                                                .servers = 1,
-                                                .has_engine = true,
-                                                .shares_head = false,
-                                                .is_old = false,
-                                                .kept_steps = 5}));
+INSTANTIATE_TEST_SUITE_P(
+    Kinds, SimulatorTest,
+    ::testing::Values(Kind{.is_stored = false}, Kind{.has_engine = true}, Kind{.servers = 3},
+                      Kind{.servers = 2, .has_engine = true, .shares_head = true},
+                      Kind{.is_old = true}, Kind{.has_engine = true, .kept_steps = 5}));
 
 }  // namespace
 }  // namespace spikeserve::robot

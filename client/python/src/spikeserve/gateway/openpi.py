@@ -165,8 +165,10 @@ class OpenpiGateway:
             previous = None
             async for frame in connection:
                 began = time.monotonic()
+                answer = robot.answer(frame)
+                del frame  # it may be large, and would be kept until the next one was received
                 try:
-                    reply = await robot.answer(frame)
+                    reply = await answer
                 except SessionLostError:
                     raise
                 except (ValueError, SpikeserveError) as error:

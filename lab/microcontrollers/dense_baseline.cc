@@ -1,7 +1,7 @@
 // Writes C tables of the dense int8 transformer that has the sizes of a shipped policy, and random
 // weights, which do not change its cost.
 //
-// usage: dense_twin POLICY_FILE DECISIONS OUT_DIR
+// usage: dense_baseline POLICY_FILE DECISIONS OUT_DIR
 //
 // Writes OUT_DIR/dense_tables.h, which dense.c includes, and OUT_DIR/stream with the inputs of
 // DECISIONS decisions of one episode: the action before (not at the first), the return-to-go and
@@ -216,7 +216,7 @@ class Player {
 
 int main(int argc, char** argv) {
   if (argc != 4) {
-    std::cerr << "usage: dense_twin POLICY_FILE DECISIONS OUT_DIR\n";
+    std::cerr << "usage: dense_baseline POLICY_FILE DECISIONS OUT_DIR\n";
     return 1;
   }
   const auto twin = std::make_shared<const spikeserve::Policy>(
