@@ -31,6 +31,7 @@ struct Counts {
   uint64_t cancelled_requests = 0;
   uint64_t reconnects = 0;
   uint64_t reopened = 0;
+  uint64_t unequal_returns = 0;
   uint64_t invalid = 0;
   uint64_t invalid_observations = 0;
   uint64_t failures = 0;

@@ -40,12 +40,17 @@ struct Reply {
   uint64_t durable_decision = 0;  // decisions that the store has
   int64_t durable_episode = 0;    // ends of episodes that the store has
   bool has_ended = false;         // the episode
+  // Its return at the server; absent: a server that repeats its answer may not know it any more.
+  std::optional<double> episode_return = std::nullopt;
 };
 
-// An episode whose end the server has answered for the first time, or again.
+// An episode whose end the server has answered for the first time, or again, with the robot's own
+// figures.
 struct Settled {
   uint64_t serial;
+  uint64_t steps;
   uint64_t lost_steps;
+  double episode_return;
 };
 
 struct Received {

@@ -183,7 +183,7 @@ Received RobotSession::OnReply(const Reply& reply, Now now) {
 }
 
 std::optional<Settled> RobotSession::TakeEnd(const Reply& reply) {
-  if (reply.has_ended) return Settle();
+  if (reply.has_ended) return Settle(reply.episode_return);
   // A server of an earlier release has taken the steps, and ignored the end.
   ends_by_ = EndsBy::kCall;
   log_.AbandonEnd();
@@ -191,8 +191,18 @@ std::optional<Settled> RobotSession::TakeEnd(const Reply& reply) {
   return std::nullopt;
 }
 
-Settled RobotSession::Settle() {
-  const Settled settled = {log_.oldest().serial, log_.oldest().lost_steps};
+// The robot knows all rewards: if the server has another sum, some were lost there or doubled.
+Settled RobotSession::Settle(std::optional<double> at_server) {
+  const Episode& episode = log_.oldest();
+  const Settled settled = {.serial = episode.serial,
+                           .steps = episode.steps,
+                           .lost_steps = episode.lost_steps,
+                           .episode_return = episode.episode_return()};
+  if (at_server.value_or(settled.episode_return) != settled.episode_return) {
+    ++counters_.counts().unequal_returns;
+    Log("episode " + std::to_string(episode.index) + ": expected the return " +
+        std::to_string(settled.episode_return) + ", received " + std::to_string(*at_server));
+  }
   log_.Settle(is_stored_);
   if (settings_.shares_head) local_.Outdated();
   return settled;
@@ -292,10 +302,10 @@ bool RobotSession::OnExported(uint64_t decision, int64_t episode, int64_t step, 
   return false;
 }
 
-Settled RobotSession::OnEpisodeEnded() {
+Settled RobotSession::OnEpisodeEnded(std::optional<double> episode_return) {
   call_ = CallState::kNone;
   Succeeded();
-  return Settle();
+  return Settle(episode_return);
 }
 
 void RobotSession::OnCallFailed(const Error& error, size_t server, Time now) {

@@ -125,7 +125,7 @@ class RobotSession {
   // The engine on the robot has resumed from an export, before this decision, which is that of
   // `step` of `episode`. Returns false if it cannot go on from there.
   bool OnExported(uint64_t decision, int64_t episode, int64_t step, Time now);
-  Settled OnEpisodeEnded();
+  Settled OnEpisodeEnded(std::optional<double> episode_return);  // as in Reply
   void OnCallFailed(const Error& error, size_t server, Time now);
   // The engine on the robot has played work(). Null: it has failed, because of `text`.
   void OnPlayed(const ActionView* action, std::string_view text, Time now);
@@ -189,7 +189,7 @@ class RobotSession {
   Task Send(Time now);
   Task Begin(CallState call, Task::Kind kind);
   std::optional<Settled> TakeEnd(const Reply& reply);
-  Settled Settle();
+  Settled Settle(std::optional<double> at_server);
   void TakeDecision(const Reply& reply, const SentRequest& sent, Now now);
   void TakeError(const Error& error, const SentRequest& sent, Time now);
   void TakeOpening(const Opening& opening);

@@ -72,7 +72,8 @@ uint64_t StepLog::Add(std::span<const float> observation, double reward, Time ob
   rewards_[number % reward_slots_] = reward;
   observed_at_ = observed_at;
   traceparent_.assign(traceparent.data(), traceparent.size());
-  ++episodes_.back().steps;
+  Episode& running = episodes_.back();
+  if (running.steps++ > 0) running.rewards += reward;
   return number;
 }
 
@@ -191,6 +192,7 @@ void StepLog::BeginAgain(bool keeps_steps) {
              .first = begin,
              .steps = next_ - begin,
              .lost_steps = running.lost_steps + (begin - running.first)};
+  for (uint64_t number = begin + 1; number < next_; ++number) running.rewards += RewardOf(number);
   base_ = acknowledged_ = begin;
 }
 

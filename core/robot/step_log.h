@@ -67,6 +67,7 @@ struct Episode {
   uint64_t first = 0;   // number of its first step
   uint64_t steps = 0;
   uint64_t lost_steps = 0;  // before the first one, which only a lost session had
+  double rewards = 0.0;     // sum for the steps behind the first one, which has no action before
   Outcome outcome = {};
   // Of an ended episode, the last two steps, or one if there is no other, which outlast the ring:
   // the end needs the last one, and its place in the session needs the one before.
@@ -74,6 +75,8 @@ struct Episode {
 
   uint64_t past() const { return first + steps; }
   bool has_ended() const { return state != EpisodeState::kRunning; }
+  // Returns the return of an ended episode, added in the order of the server.
+  double episode_return() const { return rewards + outcome.reward; }
 };
 
 // What a request has, until the log changes. The steps are numbers in the log.

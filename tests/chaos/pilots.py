@@ -134,7 +134,6 @@ def play_round(arguments, store, servers, durability, count):
             options = {"local": False, "session": options_of(i, durability), "max_age": 5.0}
             options |= {"prefix": setup.robot_clock.prefix, "patience": PATIENCE} if i % 2 else {}
             flight = [Flight, CppFlight][i % 2](client, policy_of(i), arguments.beat, **options)
-            flight.servers_restart = True
             if i % 2:
                 stack.callback(flight.pilot.end)
             flights.append(stack.enter_context(flight))

@@ -128,6 +128,7 @@ Json StatsOf(const PilotStats& stats) {
                {"reopened", stats.reopened},
                {"dropped", stats.dropped},
                {"lost_episodes", stats.lost_episodes},
+               {"unequal_returns", stats.unequal_returns},
                {"invalid", stats.invalid},
                {"invalid_observations", stats.invalid_observations},
                {"last_invalid_observation", stats.last_invalid_observation},

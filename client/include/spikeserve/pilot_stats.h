@@ -33,6 +33,7 @@ struct PilotStats {
   uint64_t reopened = 0;         // sessions that were opened in the place of a lost one
   uint64_t dropped = 0;          // beats that the server got as rewards only
   uint64_t lost_episodes = 0;    // episodes whose end the server never learned
+  uint64_t unequal_returns = 0;  // episodes whose return at the server was not that at the robot
   uint64_t invalid = 0;          // observations, rewards or executed actions that were not valid
   uint64_t invalid_observations = 0;  // beats without a valid observation
   // What was expected and received in the place of the last of these; empty: all were valid.

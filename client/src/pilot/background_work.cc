@@ -263,7 +263,8 @@ void Pilot::Controller::TakeCall(CallState kind) {
   } else if (kind == CallState::kExportSession) {
     TakeExported(call->response<v1::ExportSessionResponse>());
   } else {
-    Complete(session_.OnEpisodeEnded(), call->response<v1::EndEpisodeResponse>());
+    const auto& ended = call->response<v1::EndEpisodeResponse>();
+    Complete(session_.OnEpisodeEnded(piloting::ReturnOf(ended)), ended);
   }
 }
 
@@ -309,6 +310,8 @@ void Pilot::Controller::FailSummaries(uint64_t serial, absl::string_view reason)
 }
 
 void Pilot::Controller::Complete(const robot::Settled& settled, v1::EndEpisodeResponse summary) {
+  summary.set_episode_return(settled.episode_return);
+  summary.set_steps(static_cast<int64_t>(settled.steps));
   summary.set_lost_steps(static_cast<int64_t>(settled.lost_steps));
   const auto found = summaries_.find(settled.serial);
   if (found == summaries_.end()) return;  // answered before, to a server that has lost it

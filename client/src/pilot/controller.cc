@@ -190,6 +190,7 @@ PilotStats Pilot::Controller::Stats() const {
           .reopened = counts.reopened,
           .dropped = session_.step_log().dropped(),
           .lost_episodes = session_.step_log().lost_episodes(),
+          .unequal_returns = counts.unequal_returns,
           .invalid = counts.invalid,
           .invalid_observations = counts.invalid_observations,
           .last_invalid_observation = invalid.expected > 0 ? invalid.ToString() : "",

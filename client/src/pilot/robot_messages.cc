@@ -1,6 +1,5 @@
 #include "client/src/pilot/robot_messages.h"
 
-#include <optional>
 #include <string>
 
 #include "absl/strings/str_cat.h"
@@ -88,11 +87,17 @@ robot::Reply ReplyOf(const v1::ActResponse& reply, robot::Error* error) {
                        .durable_episode = reply.durable_episode(),
                        .has_ended = reply.has_ended()};
   if (reply.has_action()) view.action = ViewOf(reply.action());
+  if (reply.has_ended()) view.episode_return = ReturnOf(reply.ended());
   if (reply.has_error()) {
     *error = ErrorOf(StatusOfItem(reply.error()));
     view.error = error;
   }
   return view;
+}
+
+std::optional<double> ReturnOf(const v1::EndEpisodeResponse& ended) {
+  if (ended.energy_joules() == 0.0) return std::nullopt;
+  return ended.episode_return();
 }
 
 void ToProto(const robot::StepLog& log, const robot::Request& request, v1::ActRequest* message) {

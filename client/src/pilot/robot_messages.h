@@ -4,6 +4,7 @@
 #ifndef CLIENT_SRC_PILOT_ROBOT_MESSAGES_H_
 #define CLIENT_SRC_PILOT_ROBOT_MESSAGES_H_
 
+#include <optional>
 #include <span>
 
 #include "absl/status/status.h"
@@ -46,6 +47,10 @@ robot::Opening OpeningOf(const v1::OpenSessionResponse& opened);
 robot::Error ErrorOf(const absl::Status& status);
 // Returns a view of `reply`. Its error is written to `error`.
 robot::Reply ReplyOf(const v1::ActResponse& reply, robot::Error* error);
+
+// Returns the return of an episode, or nothing if the server has repeated the steps alone: what a
+// server decides costs energy.
+std::optional<double> ReturnOf(const v1::EndEpisodeResponse& ended);
 
 // Fill messages with a request of `log`, or with the end of its oldest episode. The session's id
 // and `valid_until` stay absent.

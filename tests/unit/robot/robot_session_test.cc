@@ -255,6 +255,26 @@ TEST_F(RobotSessionTest, AnEndTravelsOnTheStreamAndTheNextEpisodeDoesNotWait) {
   EXPECT_EQ(robot_->step_log().running().index, 1);
 }
 
+// A server that repeats its answer may know the steps alone.
+TEST_F(RobotSessionTest, ASummaryHasTheRobotsOwnReturn) {
+  Connect(true);
+  for (const std::optional<double> at_server : {std::optional(3.0), {}, std::optional(2.0)}) {
+    for (int i = 0; i < 3; ++i) Ask();
+    for (int i = 0; i < 3; ++i) Answer(i + 1);
+    robot_->EndEpisode({.reward = 1.0}, nullptr);
+    EXPECT_TRUE(robot_->Next(now_).request.ends);
+    robot_->TakeLines();
+    const Received received =
+        robot_->OnReply({.has_ended = true, .episode_return = at_server}, Clock());
+    ASSERT_TRUE(received.settled.has_value());
+    EXPECT_EQ(received.settled->steps, 3);
+    EXPECT_EQ(received.settled->episode_return, 3.0);
+    const bool is_equal = at_server.value_or(3.0) == 3.0;
+    EXPECT_EQ(robot_->counters().counts().unequal_returns, is_equal ? 0 : 1);
+    EXPECT_EQ(robot_->TakeLines().size(), is_equal ? 0 : 1);
+  }
+}
+
 // A fleet's head that a store keeps is merged by the call; a last step without an observation is
 // taken with an end on the stream only.
 TEST_F(RobotSessionTest, AMergedHeadNeedsACallToEndAnEpisode) {
@@ -276,7 +296,7 @@ TEST_F(RobotSessionTest, AMergedHeadNeedsACallToEndAnEpisode) {
     robot_->OnCallFailed(ErrorOf(Failure::kAway), 0, now_);
     now_ += milliseconds(50);
     EXPECT_EQ(Next(), What::kEndEpisode);
-    EXPECT_EQ(robot_->OnEpisodeEnded().serial, 0);
+    EXPECT_EQ(robot_->OnEpisodeEnded(std::nullopt).serial, 0);
   }
 }
 
@@ -319,7 +339,7 @@ TEST_F(RobotSessionTest, AnEngineWithAFleetsHeadIsRenewedAfterEachEpisode) {
   EXPECT_TRUE(robot_->work().is_end);
   robot_->OnPlayed(&action, "", now_);
   EXPECT_EQ(Next(), What::kEndEpisode);
-  robot_->OnEpisodeEnded();
+  robot_->OnEpisodeEnded(2.0);
   EXPECT_EQ(robot_->local().state(), LocalState::kStale);
   EXPECT_EQ(Next(), What::kExportSession);
 }

@@ -39,6 +39,12 @@ Message MessageOf(uint64_t session, const StepLog& log, const Request& request) 
   return message;
 }
 
+double EndedEpisode::episode_return() const {
+  double sum = end_reward;
+  for (size_t i = 1; i < steps.size(); ++i) sum += steps[i].reward;
+  return sum;
+}
+
 Opening SimulatedServer::Open() {
   session_ = {.id = ++opened_};
   waiting_.clear();
@@ -125,9 +131,11 @@ Answer SimulatedServer::End(const Message& message) {
 
 Answer SimulatedServer::Finish(bool has_ended) {
   if (is_stored_) waiting_.push_back(session_);
-  return {.reply = {.durable_decision = stored_.decisions(),
-                    .durable_episode = static_cast<int64_t>(stored_.ended.size()),
-                    .has_ended = has_ended}};
+  Answer answer = {.reply = {.durable_decision = stored_.decisions(),
+                             .durable_episode = static_cast<int64_t>(stored_.ended.size()),
+                             .has_ended = has_ended}};
+  if (has_ended) answer.reply.episode_return = session_.ended.back()->episode_return();
+  return answer;
 }
 
 void SimulatedServer::Store(size_t count) {

@@ -50,6 +50,8 @@ struct EndedEpisode {
   uint64_t first;
   std::vector<KnownStep> steps;
   double end_reward;
+
+  double episode_return() const;
 };
 
 // The value of a session at the server.

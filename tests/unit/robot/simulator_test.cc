@@ -80,6 +80,7 @@ class Simulator {
                           << static_cast<int>(robot_.call());
     CheckServer();
     CheckSummaries();
+    EXPECT_EQ(robot_.counters().counts().unequal_returns, 0);
     // A session that no store has is lost with its server; an old server does not repeat an end.
     if (!is_stored() || kind_.is_old || robot_.step_log().dropped() > 0) return;
     EXPECT_LE(robot_.counters().counts().reopened, losses_) << "a session was given up in vain";
@@ -238,8 +239,20 @@ class Simulator {
   void Receive(const Answer& answer) {
     Reply reply = answer.reply;
     if (answer.error.has_value()) reply.error = &*answer.error;
+    if (Draw(4) == 0) reply.episode_return.reset();  // the server does not know it any more
     const Received received = robot_.OnReply(reply, Clock());
-    if (received.settled.has_value()) ++episodes_[received.settled->serial].settled;
+    if (received.settled.has_value()) Take(*received.settled);
+  }
+
+  void Take(const Settled& settled) {
+    Episode& episode = episodes_[settled.serial];
+    ++episode.settled;
+    ASSERT_EQ(settled.lost_steps + settled.steps, episode.steps.size());
+    double rewards = episode.end_reward;
+    for (size_t t = settled.lost_steps + 1; t < episode.steps.size(); ++t) {
+      rewards += episode.steps[t].reward;
+    }
+    ASSERT_EQ(settled.episode_return, rewards);
   }
 
   void Work() {
@@ -338,7 +351,7 @@ class Simulator {
                      .end_steps = steps,
                      .end_executed = robot_.step_log().oldest().last.back().executed.discrete});
     if (answer.error.has_value()) return robot_.OnCallFailed(*answer.error, 0, now_);
-    ++episodes_[robot_.OnEpisodeEnded().serial].settled;
+    Take(robot_.OnEpisodeEnded(answer.reply.episode_return));
   }
 
   // The engine on the robot plays every step once, in order.

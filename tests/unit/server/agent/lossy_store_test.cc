@@ -171,7 +171,7 @@ class LossyStoreTest : public PolicyHandlerFixture {
       reply.error = &error;
     }
     const auto settled = robot_->OnReply(reply, Now()).settled;
-    if (settled.has_value()) summaries_.emplace(settled->serial, response.ended());
+    if (settled.has_value()) summaries_.emplace(settled->serial, *settled);
   }
 
   // What was under way when the link was cut arrives after all, when nobody waits for its answer.
@@ -245,13 +245,14 @@ class LossyStoreTest : public PolicyHandlerFixture {
   }
 
   void CheckSummaries() {
+    EXPECT_EQ(robot_->counters().counts().unequal_returns, 0);
     EXPECT_EQ(summaries_.size(), episodes_.size() - 1);
     for (const auto& [serial, summary] : summaries_) {
       const std::vector<DoneBeat>& episode = episodes_[serial];
       double rewards = 1.0;
       for (size_t t = 1; t < episode.size(); ++t) rewards += episode[t].reward;
-      EXPECT_EQ(summary.episode_return(), rewards);
-      EXPECT_EQ(summary.steps(), static_cast<int64_t>(episode.size()));
+      EXPECT_EQ(summary.episode_return, rewards);
+      EXPECT_EQ(summary.steps, episode.size());
     }
   }
 
@@ -288,7 +289,7 @@ class LossyStoreTest : public PolicyHandlerFixture {
   uint64_t epoch_ = 1;
   size_t beats_ = 0;
   std::vector<std::vector<DoneBeat>> episodes_{1};
-  std::map<uint64_t, v1::EndEpisodeResponse> summaries_;  // by serial number of the episode
+  std::map<uint64_t, robot::Settled> summaries_;  // by serial number of the episode
   std::deque<v1::ActRequest> wire_;
   std::deque<v1::ActRequest> late_;
 };

@@ -69,14 +69,18 @@ class Ending:
     observation: NDArray[np.float32] | None
     summary: Future[EpisodeSummary] = field(default_factory=Future)
 
-    lost_steps: int = 0  # as in EpisodeSummary
+    # As in EpisodeSummary. The return is added in the order of the server.
+    lost_steps: int = 0
+    steps: int = 0
+    episode_return: float = 0.0
 
     def __post_init__(self) -> None:
         self.summary.set_running_or_notify_cancel()
 
     def complete(self, summary: EpisodeSummary) -> None:
         """Gives the summary to those who wait for it."""
-        self.summary.set_result(replace(summary, lost_steps=self.lost_steps))
+        own = {"steps": self.steps, "lost_steps": self.lost_steps}
+        self.summary.set_result(replace(summary, episode_return=self.episode_return, **own))
 
 
 class Episode:
@@ -90,6 +94,7 @@ class Episode:
         self.skipped: collections.deque[float] = collections.deque()  # of the steps before `first`
         self.acknowledged = 0  # the next step that the server expects
         self.lost_steps = 0  # before the first one, which only a lost session had
+        self.rewards = 0.0  # sum for the steps behind the first one, which has no action before
         self.ending: Ending | None = None
 
     @property
@@ -243,6 +248,8 @@ class BeatLog:
             before = self.running
             self.episodes.append(Episode(before.index + 1, before.first_decision + before.steps))
         self.running.beats.append(beat)
+        if self.running.steps > 1:
+            self.running.rewards += beat.reward
         kept = sum(len(e.beats) for e in self.settled) + sum(len(e.beats) for e in self.episodes)
         for episode in (*self.settled, *self.episodes) if kept > self._kept_beats else ():
             while kept > self._kept_beats and len(episode.beats) > LEAST_BEATS:
@@ -269,7 +276,8 @@ class BeatLog:
         settled = self.episodes.popleft()
         assert settled.ending is not None
         ending = settled.ending
-        ending.lost_steps = settled.lost_steps
+        ending.lost_steps, ending.steps = settled.lost_steps, settled.steps
+        ending.episode_return = settled.rewards + ending.reward
         if self.is_stored:
             settled.acknowledge(settled.steps)
             settled.ending = replace(ending, summary=Future())  # nobody waits for the next answer
@@ -320,6 +328,9 @@ class BeatLog:
             if keeps_beats:
                 running.beats, running.skipped = before.beats, before.skipped
                 running.first = len(before.skipped)
+                rewards = [*before.skipped, *(beat.reward for beat in before.beats)]
+                for reward in rewards[1:]:
+                    running.rewards += reward
             running.lost_steps = before.lost_steps + known
         self.is_ending = False
         self.lost_episodes += len(endings)

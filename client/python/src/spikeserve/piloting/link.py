@@ -266,7 +266,7 @@ class Link:
             with self.changed:
                 self._calls_end = False
         with self.changed:
-            ended = self._settle()
+            ended = self._settle(summary)
             self._succeeded()
         ended.complete(summary)
 
@@ -297,12 +297,13 @@ class Link:
                 self._succeeded()
                 self.log.forget_durable(reply.durable_decision, reply.durable_episode)
                 if request.ends and reply.HasField("ended"):
-                    ended = self._settle()
+                    summary = EpisodeSummary.from_wire(reply.ended)
+                    ended = self._settle(summary)
                 else:
                     self._acknowledged(reply, request, now, now_ns)
             self.changed.notify_all()
         if ended is not None:
-            ended.complete(EpisodeSummary.from_wire(reply.ended))
+            ended.complete(summary)
 
     def _acknowledged(self, reply: Message, request: _Request, now: float, now_ns: int) -> None:
         if request.ends:  # a server of an earlier release has taken the beats, not the end
@@ -311,9 +312,15 @@ class Link:
         if reply.HasField("action"):
             self._take(reply, request, now, now_ns)
 
-    def _settle(self) -> Ending:
+    def _settle(self, summary: EpisodeSummary) -> Ending:
         self.session.episode_ended()
-        return self.log.settle()
+        ending = self.log.settle()
+        # A server that repeats its answer may know the steps alone: what it decides costs energy.
+        if summary.energy_joules > 0 and summary.episode_return != ending.episode_return:
+            self.counters.count(unequal_returns=1)
+            returns = ending.episode_return, summary.episode_return
+            LOGGER.warning("an episode: expected the return %f, received %f", *returns)
+        return ending
 
     def _take(self, reply: Message, request: _Request, now: float, now_ns: int) -> None:
         took = now - request.sent

@@ -30,6 +30,7 @@ class PilotStats:
     reopened: int = 0  # sessions that were opened in the place of a lost one
     dropped: int = 0  # beats that the server got as rewards only
     lost_episodes: int = 0  # episodes whose end the server never learned
+    unequal_returns: int = 0  # episodes whose return at the server was not that at the robot
     invalid: int = 0  # observations, rewards or executed actions that were not valid
     invalid_observations: int = 0  # beats without a valid observation
     last_invalid_observation: str = ""  # what was expected and received; empty: all were valid
