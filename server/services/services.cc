@@ -71,14 +71,17 @@ void Services::AddBackground(BackgroundWorker* worker, Handler<Request, Response
 template <typename H, typename Request, typename Response>
 void Services::AddAdmin(const H* handler, HandlerMethod<H, Request, Response> answer) {
   if (MethodOf<Request>().access == Access::kOperatorOnly) return AddRecorded(handler, answer);
-  AddBackground<Request, Response>(handlers_.admin_worker, std::bind_front(answer, handler));
+  AddBackground<Request, Response>(handlers_.list_worker, std::bind_front(answer, handler));
 }
 
 template <typename H, typename Request, typename Response>
 void Services::AddRecorded(const H* handler, HandlerMethod<H, Request, Response> answer) {
+  const Method& method = MethodOf<Request>();
+  // What agents and viewers ask for does not stand in the way of operators.
+  const bool is_operators = method.access == Access::kOperatorOnly;
   AddBackground<Request, Response>(
-      handlers_.admin_worker,
-      [audit = handlers_.audit, &method = MethodOf<Request>(), handler, answer](
+      is_operators ? handlers_.admin_worker : handlers_.worker,
+      [audit = handlers_.audit, &method, handler, answer](
           CallContext& context, const Request& request, Response* response) {
         return audit->RunAndRecord(method, context, request,
                                    [&] { return (handler->*answer)(context, request, response); });

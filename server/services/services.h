@@ -32,8 +32,8 @@ struct Handlers {
   const Audit* audit;
   const InferenceHandler* inference;
   HealthService* health;
-  BackgroundWorker* worker;        // runs what takes long: Explain
-  BackgroundWorker* list_worker;   // runs the lists of agents, which are short and come in bursts
+  BackgroundWorker* worker;        // runs what takes long: Explain, ExportSession
+  BackgroundWorker* list_worker;   // runs lists, which are short and come in bursts
   BackgroundWorker* admin_worker;  // runs the calls of operators, some of which use files
   bool reflection_v1alpha;         // serve the old version of reflection, too
 };
@@ -63,8 +63,8 @@ class Services {
   // by its cost.
   template <typename H, typename Request, typename Response>
   void Add(const H* handler, HandlerMethod<H, Request, Response> answer);
-  // As Add, on the worker of operators. If only operators may call the method, which means that it
-  // changes something, the call is recorded in the audit log.
+  // As Add. What only operators may call runs on their own worker and is recorded in the audit log,
+  // because it changes something; the rest are lists.
   template <typename H, typename Request, typename Response>
   void AddAdmin(const H* handler, HandlerMethod<H, Request, Response> answer);
   template <typename H, typename Request, typename Response>

@@ -1,16 +1,21 @@
 """Agents whose calls are recorded take neither the time nor the disk of operators."""
 
 import concurrent.futures
+import fcntl
 import json
+import os
+import pathlib
+import re
 
 import grpc
-from security import ADMIN, POLICY, TOKENS, code_of, service_with
+from security import ADMIN, POLICY, TOKENS, code_of, service_with, until
 from serving import running_server
 
 MEGABYTE = 1 << 20
 LONG_ID = 60_000
 EXPORTS = 400
 THREADS = 8
+CALLS = 40  # more than the server keeps waiting
 
 
 def test_exports_do_not_stand_between_operators_and_their_calls(tmp_path):
@@ -34,6 +39,26 @@ def test_exports_do_not_stand_between_operators_and_their_calls(tmp_path):
     agents = log.with_name("audit.jsonl.agents").read_text().splitlines()
     assert min(json.loads(line)["request"]["bytes"] for line in agents) > LONG_ID
     assert max(map(len, agents)) < 20_000
+
+
+def test_a_disk_that_agents_wait_for_does_not_stop_operators(tmp_path):
+    """A lock on the file of agents stands for a disk that does not answer."""
+    log = tmp_path / "audit.jsonl"
+    with (
+        log.with_name("audit.jsonl.agents").open("w") as held,
+        running_server(flags=[f"--audit_log={log}"]) as addresses,
+        service_with(addresses, None) as agent,
+        service_with(addresses, None, ADMIN) as operator,
+        concurrent.futures.ThreadPoolExecutor(CALLS) as threads,
+    ):
+        fcntl.flock(held, fcntl.LOCK_EX)
+        exports = [threads.submit(code_of, agent.ExportSession, session_id="missing") for _ in range(CALLS)]
+        waiting = re.compile(rf"-> FLOCK .*:{os.fstat(held.fileno()).st_ino} ")
+        until(lambda: waiting.search(pathlib.Path("/proc/locks").read_text()))
+        assert code_of(operator.SetLabel, policy="cartpole", version=1, label="a") == grpc.StatusCode.OK
+        fcntl.flock(held, fcntl.LOCK_UN)
+        codes = {export.result() for export in exports}
+    assert codes <= {grpc.StatusCode.NOT_FOUND, grpc.StatusCode.RESOURCE_EXHAUSTED, grpc.StatusCode.UNAVAILABLE}
 
 
 def test_the_file_of_agents_is_rotated(tmp_path):
