@@ -21,7 +21,7 @@ namespace spikeserve {
 inline constexpr double kFalseAborts = 0.05;
 
 // Returns the conditions of a roll-out that names none: return with margin 0, errors with 1
-// percentage point, p99 with 25 %.
+// percentage point, p99 with 25 %, but 5 ms at least.
 std::vector<RolloutCondition> DefaultConditions();
 
 struct Verdict {

@@ -315,23 +315,38 @@ TEST(RolloutJudge, SessionsWithErrorsAreCountedOnce) {
   EXPECT_EQ(judge(0.25).kind, Kind::kNotWorse);
 }
 
-TEST(RolloutJudge, ASlowTailIsFoundAndItsMarginIsAllowed) {
-  Arm fresh, stable;
+// Plays 20 sessions of 500 decisions each, of which stable does one of 200 and fresh one of 20 four
+// times as slowly as the others.
+void PlayWithSlowTails(Arm& fresh, Arm& stable, double seconds) {
   for (int session = 0; session < 20; ++session) {
     const auto old = stable.evidence().NewSession(kTenant);
     const auto slow = fresh.evidence().NewSession(kTenant);
     for (int decision = 0; decision < 500; ++decision) {
-      Decide(*old, decision % 200 == 0 ? 400e-6 : 100e-6);
-      Decide(*slow, decision % 20 == 0 ? 400e-6 : 100e-6);
+      Decide(*old, decision % 200 == 0 ? 4 * seconds : seconds);
+      Decide(*slow, decision % 20 == 0 ? 4 * seconds : seconds);
     }
   }
-  EXPECT_NEAR(stable.Read()[kTenant].durations.Quantile(0.99), 100e-6, 10e-6);
+}
+
+TEST(RolloutJudge, ASlowTailIsFoundAndItsMarginIsAllowed) {
+  Arm fresh, stable;
+  PlayWithSlowTails(fresh, stable, 0.01);
+  EXPECT_NEAR(stable.Read()[kTenant].durations.Quantile(0.99), 0.01, 0.001);
   const auto judge = [&](const Arm& judged, double margin) {
     return JudgeRollout({{RolloutMeasure::kP99, margin}}, judged.Read(), stable.Read());
   };
   EXPECT_THAT(judge(fresh, 0.25).reason, HasSubstr("p99 is worse"));
   EXPECT_EQ(judge(fresh, 3.0).kind, Kind::kNotWorse);
   EXPECT_EQ(judge(stable, 0.25).kind, Kind::kNotWorse);
+}
+
+TEST(RolloutJudge, ATailThatIsLessThanFiveMillisecondsSlowerIsNoReason) {
+  Arm fresh, stable;
+  PlayWithSlowTails(fresh, stable, 0.0015);
+  for (const double margin : {0.0, 0.25}) {
+    EXPECT_EQ(JudgeRollout({{RolloutMeasure::kP99, margin}}, fresh.Read(), stable.Read()).kind,
+              Kind::kNotWorse);
+  }
 }
 
 TEST(VersionEvidence, CountsOnlyWhileItIsWatched) {
