@@ -5,6 +5,7 @@ import contextlib
 import io
 import json
 import pathlib
+import socket
 import subprocess
 import sys
 import threading
@@ -18,7 +19,7 @@ import pytest
 import spikeserve
 import websockets
 from gateways import running_gateway
-from openpi_protocol import WebsocketClientPolicy, packb
+from openpi_protocol import WebsocketClientPolicy, packb, unpackb
 from security import until
 from serving import running_server
 from spikeserve.gateway.__main__ import main
@@ -200,7 +201,7 @@ def test_large_frames_take_no_memory_and_stop_no_robot(server):
     with running_gateway(server, "--policy=cartpole") as address:
         with contextlib.ExitStack() as stack:
             robot, *attackers = (stack.enter_context(WebsocketClientPolicy(address)) for _ in range(4))
-            before = peak(address.pid)
+            before = peak(address.process.pid)
             for step in range(3):
                 for attacker in attackers:
                     attacker.ws.send(frame)
@@ -208,7 +209,32 @@ def test_large_frames_take_no_memory_and_stop_no_robot(server):
                 for attacker in attackers:
                     assert attacker.ws.recv().startswith("message: expected at most 4096 values")
         # Each frame once as it is received and once as a whole.
-        assert peak(address.pid) - before < 3 * 2 * 16 + 32
+        assert peak(address.process.pid) - before < 3 * 2 * 16 + 32
+
+
+@pytest.mark.parametrize(
+    "send", [lambda ws: [ws.ping() for _ in range(5000)], lambda ws: ws.send([b""] * 5000)], ids=["pings", "fragments"]
+)
+def test_more_frames_than_a_robot_needs_end_the_connection(gateway, send):
+    with WebsocketClientPolicy(gateway) as policy:
+        with pytest.raises(websockets.ConnectionClosedError):
+            send(policy.ws)
+            policy.ws.recv()
+        assert policy.ws.close_code == 1008, policy.ws.close_reason
+    with WebsocketClientPolicy(gateway) as policy:  # in fragments, as some clients send
+        message = packb({"observation": np.zeros(4), "image": np.zeros(3 << 20, np.uint8)})
+        policy.ws.send([message[i : i + 4096] for i in range(0, len(message), 4096)])
+        assert unpackb(policy.ws.recv())["step"] == 0
+
+
+def test_what_is_sent_before_the_answer_is_not_read(gateway):
+    host, port = gateway.removeprefix("ws://").split(":")
+    with socket.create_connection((host, int(port))) as stranger, contextlib.suppress(ConnectionError):
+        fields = {"Host": "h", "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+        fields["Sec-WebSocket-Key"] = "A" * 22 + "=="
+        head = "".join(f"{name}: {value}\r\n" for name, value in fields.items())
+        stranger.sendall(f"GET / HTTP/1.1\r\n{head}\r\n".encode() + (b"\x89\x80" + bytes(4)) * 10_000)
+        assert len(stranger.makefile("rb").read()) < 2000  # 20,000 bytes, if all were answered
 
 
 def test_texts_of_errors_are_bounded(gateway):

@@ -30,6 +30,7 @@ from spikeserve.errors import (
     SpikeserveError,
     UnauthenticatedError,
 )
+from spikeserve.gateway.connection import Connection
 from spikeserve.gateway.mapping import ObservationMapping, Step
 from spikeserve.gateway.numpy_msgpack import pack, unpack
 from spikeserve.gateway.places import Places
@@ -73,6 +74,7 @@ class OpenpiGateway:
             self._handle,
             host,
             port,
+            create_connection=Connection,
             origins=[None],  # no web page: openpi-client sends no Origin
             process_request=self._admit,
             compression=None,

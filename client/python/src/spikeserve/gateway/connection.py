@@ -1,0 +1,61 @@
+"""A WebSocket that ends clients which send more frames than a robot needs.
+
+A message is bounded in bytes, but not in its fragments, and no bytes at all are enough for a ping.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from websockets.asyncio.server import ServerConnection
+from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
+from websockets.protocol import State
+
+_PIECE = 4096  # bytes that are read before other connections have their turn again
+_BURST = 256  # frames at once, and fragments of a message; each KiB of them allows one more
+_RATE = 2000  # frames a second
+_KIB = 1024
+
+
+class Connection(ServerConnection):
+    """Belongs to one event loop."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._frames = 0.0  # of late
+        self._fragments = 0.0  # of the message that is being received
+        self._at = self.loop.time()
+
+    def data_received(self, data: bytes) -> None:
+        """Reads what arrives, but not what a client sends before its request is answered."""
+        for begin in range(0, len(data), _PIECE):
+            if self.request is not None and self.protocol.state is State.CONNECTING:
+                self.transport.abort()
+                return
+            super().data_received(data[begin : begin + _PIECE])
+
+    def process_event(self, event: Any) -> None:
+        """Handles the request, then frames."""
+        if isinstance(event, Frame):
+            if self.protocol.state is not State.OPEN:
+                return
+            if self._is_too_many(event):
+                self.protocol.fail(
+                    CloseCode.POLICY_VIOLATION, "frames: expected fewer or longer ones"
+                )
+                self.send_data()
+                return
+            # The parser keeps the frame until the next one, but not what is in it.
+            parsed, event = event, dataclasses.replace(event)
+            parsed.data = b""
+        super().process_event(event)
+
+    def _is_too_many(self, frame: Frame) -> bool:
+        now = self.loop.time()
+        cost = 1 - len(frame.data) / _KIB
+        self._frames = max(0.0, self._frames - (now - self._at) * _RATE + cost)
+        self._at = now
+        if frame.opcode in DATA_OPCODES:
+            self._fragments = cost + (self._fragments if frame.opcode is Opcode.CONT else 0)
+        return max(self._frames, self._fragments) > _BURST
