@@ -125,7 +125,9 @@ bench: configure
 # Runs each attack of tests/attacks for 10 seconds and prints a table: memory and processor time of the server, latency of
 # another client. ATTACKS_FLAGS="--seconds=60 rapid_reset" selects others.
 attacks: build setup
-	build/interop/venv/bin/python -m tests.attacks --program=$(BIN)/spikeserve $(ATTACKS_FLAGS)
+	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
+	PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
+	  build/venv/bin/python -m tests.attacks --program=$(BIN)/spikeserve $(ATTACKS_FLAGS)
 
 # Plays 512 sessions on three replicas and one Redis that are killed, stopped and cut off all the time, and compares every
 # answer with an undisturbed run. Needs root. CHAOS_FLAGS="--decisions=200" makes it shorter.

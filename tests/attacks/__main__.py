@@ -1,6 +1,6 @@
 """The long form of the attacks: prints a Markdown table of what each one did to the server and to a neighbour.
 
-usage: build/interop/venv/bin/python -m tests.attacks --program=build/release/bin/spikeserve [--seconds=10] [--rounds=3]
+usage: PYTHONPATH=CLIENT build/venv/bin/python -m tests.attacks --program=build/release/bin/spikeserve [--seconds=10] [--rounds=3]
   [NAME...]
 
 In each round there is a calm, then the attack hits another server of the machine, and then that of the neighbour. So the
@@ -18,8 +18,8 @@ import sys
 import tempfile
 
 ROOT = pathlib.Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "python"), str(ROOT / "tests" / "interop")]
-os.environ["PYTHONPATH"] = ":".join(sys.path[:3])
+sys.path[:0] = [str(ROOT), *(str(ROOT / "tests" / folder) for folder in ("python", "python/client", "interop"))]
+os.environ["PYTHONPATH"] = ":".join([*sys.path[:4], os.environ.get("PYTHONPATH", "")])
 
 from security import TOKENS, make_authority, make_certificate  # noqa: E402
 
@@ -108,6 +108,7 @@ def main():
     parser.add_argument("names", nargs="*", metavar="NAME", help="attacks; all without one")
     arguments = parser.parse_args()
     os.environ["SPIKESERVE_PROGRAM"] = arguments.program
+    os.environ["SPIKECTL_PROGRAM"] = str(pathlib.Path(arguments.program).with_name("spikectl"))
     os.environ["SPIKESERVE_SERVER_FLAGS"] = arguments.flags
     outside = []
     print(f"| {' | '.join(COLUMNS)} |")

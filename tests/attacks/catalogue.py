@@ -4,7 +4,9 @@ import dataclasses
 import typing
 
 from tests.attacks import (
+    client_attacks,
     control,
+    gateway_attacks,
     http2_attacks,
     http_attacks,
     mutations,
@@ -30,6 +32,7 @@ class Attack:
     http: bool = False  # the address is that of the HTTP port
     flags: tuple = ()  # of the server; {folder} is an empty folder
     versions: int = 0  # of one small policy, beside the shipped ones
+    gateway: bool = False  # the address is that of a gateway in front of the server, as is the neighbour's
 
     @property
     def name(self):
@@ -89,6 +92,12 @@ ATTACKS = {
         Attack(http_attacks.guesses_of_a_token, budget=TENANT, http=True),
         Attack(http_attacks.viewers_of_many_versions, budget=TENANT, http=True, versions=1000),
         Attack(store_attacks.replies_of_a_lying_store, budget=TENANT),
+        Attack(client_attacks.answers_of_a_lying_server, budget=TENANT),
+        Attack(client_attacks.names_that_a_terminal_obeys, budget=TENANT),
+        Attack(gateway_attacks.strangers_at_the_gateway, budget=TENANT, gateway=True),
+        Attack(gateway_attacks.messages_of_many_values, budget=TENANT, gateway=True),
+        Attack(gateway_attacks.errors_of_long_texts, budget=TENANT, gateway=True),
+        Attack(gateway_attacks.frames_of_nothing, budget=TENANT, gateway=True),
         Attack(tls_attacks.half_handshakes, tls=True),
         Attack(tls_attacks.handshakes, tls=True),
         Attack(tls_attacks.slow_handshakes, tls=True),

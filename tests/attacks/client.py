@@ -1,4 +1,4 @@
-"""A new client: connects, asks for the server's health and waits for the answer."""
+"""A new client: connects, asks for the server's health, or as a robot for an action, and waits for the answer."""
 
 import contextlib
 import socket
@@ -6,6 +6,7 @@ import ssl
 import time
 
 from tests.attacks import frames
+from tests.attacks.websocket import Robot
 
 CALL_SECONDS = 1
 PAUSE_SECONDS = 0.02
@@ -13,8 +14,11 @@ PAUSE_SECONDS = 0.02
 
 def is_served(address, tls):
     """Returns true if a new connection is served within CALL_SECONDS."""
-    host, _, port = address.rpartition(":")
+    host, _, port = address.removeprefix("ws://").rpartition(":")
     with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
+        if address.startswith("ws://"):
+            robot = stack.enter_context(Robot((host, int(port)), "Authorization: Api-Key rival", seconds=CALL_SECONDS))
+            return b"actions" in robot.call()
         connection = stack.enter_context(
             socket.create_connection((host, int(port)), timeout=CALL_SECONDS)
         )

@@ -4,12 +4,13 @@ A probe of the health page runs beside it. Each line that it reads from stdin is
 come again. In the end it prints one line of JSON: for each name the quantiles of the latencies in seconds and how many
 calls failed, and "health" with those of the page.
 
-usage: python3 -m tests.attacks.neighbour HOST:PORT HTTP_HOST:PORT [CA_FILE]
+usage: python3 -m tests.attacks.neighbour HOST:PORT|ws://HOST:PORT HTTP_HOST:PORT [CA_FILE]
 """
 
 import collections
 import http.client
 import json
+import pathlib
 import ssl
 import statistics
 import sys
@@ -19,6 +20,8 @@ import time
 import grpc
 from contract import call, v1
 from security import OBSERVATION, POLICY
+
+from tests.attacks.websocket import Robot
 
 TOKEN = (("authorization", "Bearer rival"),)
 CALL_SECONDS = 5
@@ -77,28 +80,40 @@ class Probe:
 
 
 class Player:
-    """Calls Act until it is told to stop."""
+    """An agent, or with ws:// as its address the robot of a gateway, which may play on after each of its calls."""
 
-    def __init__(self, channel):
+    def __init__(self, address, ca_file):
+        self.latencies = Latencies()
+        if address.startswith("ws://"):
+            host, _, port = address.removeprefix("ws://").rpartition(":")
+            robot = Robot((host, int(port)), "Authorization: Api-Key rival", seconds=CALL_SECONDS)
+            self._call = robot.call
+            return
+        if ca_file is None:
+            channel = grpc.insecure_channel(address)
+        else:
+            channel = grpc.secure_channel(address, grpc.ssl_channel_credentials(pathlib.Path(ca_file).read_bytes()))
         opened = call(channel, f"/{POLICY}/OpenSession")(
             v1("OpenSessionRequest", policy="cartpole"), metadata=TOKEN, timeout=CALL_SECONDS
         )
         self._session = opened.session_id
         self._act = call(channel, f"/{POLICY}/Act")
         self._step = 0
-        self.latencies = Latencies()
+        self._call = self._decide
 
-    def play(self):
-        """Makes one call."""
+    def _decide(self):
         request = v1(
             "ActRequest", session_id=self._session, step=self._step, observation=OBSERVATION
         )
-        start = time.perf_counter()
+        self._act(request, metadata=TOKEN, timeout=CALL_SECONDS)
+        self._step += 1
+
+    def play(self):
+        """Makes one call."""
+        start, failed = time.perf_counter(), 0
         try:
-            self._act(request, metadata=TOKEN, timeout=CALL_SECONDS)
-            self._step += 1
-            failed = 0
-        except grpc.RpcError:
+            self._call()
+        except (grpc.RpcError, OSError):
             failed = 1
         self.latencies.add(time.perf_counter() - start, failed)
 
@@ -106,12 +121,7 @@ class Player:
 def main():
     """Plays until stdin ends."""
     address, http_address, *ca_file = sys.argv[1:]
-    if ca_file:
-        with open(ca_file[0], "rb") as ca:
-            channel = grpc.secure_channel(address, grpc.ssl_channel_credentials(ca.read()))
-    else:
-        channel = grpc.insecure_channel(address)
-    player = Player(channel)
+    player = Player(address, ca_file[0] if ca_file else None)
     probe = Probe(http_address, bool(ca_file))
     stopped = threading.Event()
 

@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 
+from gateways import running_gateway
 from security import tls_flags
 from serving import SHIPPED_POLICIES, running_server
 
@@ -71,9 +72,18 @@ class Neighbour:
         return figures
 
 
+class Gateway:
+    """A gateway: it has one port, which answers robots and health checks."""
+
+    def __init__(self, address):
+        self.grpc = address
+        self.http = address.removeprefix("ws://")
+        self.process = address.process
+
+
 @contextlib.contextmanager
 def attacked_server(attack, tokens, certificates):
-    """Starts the server that an attack needs, and yields its Addresses.
+    """Starts the server that an attack needs, and yields its Addresses; with a gateway those of this one.
 
     Asserts that SIGTERM ends the server with status 0, unless it has ended before.
     """
@@ -84,7 +94,11 @@ def attacked_server(attack, tokens, certificates):
         flags += [flag.format(folder=folder) for flag in attack.flags]
         policies = SHIPPED_POLICIES if attack.versions == 0 else many_versions(folder, attack.versions)
         try:
-            with running_server(policies, flags=flags, prefix=prefix) as addresses:
+            with contextlib.ExitStack() as stack:
+                addresses = stack.enter_context(running_server(policies, flags=flags, prefix=prefix))
+                if attack.gateway:
+                    gateway = running_gateway(addresses.grpc, "--policy=cartpole", token="operator")
+                    addresses = Gateway(stack.enter_context(gateway))
                 yield addresses
                 outlived = addresses.process.poll() is None
         except AssertionError:
@@ -150,7 +164,7 @@ def observe(attack, tokens, certificates, rounds, return_limit, count=None):
         served_after = None
 
         def run(server):
-            target = server.http if attack.http else server.grpc
+            target = server.http if attack.http or attack.gateway else server.grpc
             return run_attack(attack.name, target, rounds.seconds, count)
 
         idle = None

@@ -9,11 +9,11 @@ from serving import DEADLINE_SECONDS
 
 
 class Address(str):
-    """ws://HOST:PORT of a gateway, with the id of its process."""
+    """ws://HOST:PORT of a gateway, with its process."""
 
-    def __new__(cls, text, pid):
+    def __new__(cls, text, process):
         address = super().__new__(cls, text)
-        address.pid = pid
+        address.process = process
         return address
 
 
@@ -27,7 +27,7 @@ def running_gateway(server, *flags, token=""):
     try:
         line = gateway.stdout.readline()
         assert line.startswith(announcement), f"stdout: expected {announcement!r}, received {line!r}"
-        yield Address(line.removeprefix(announcement).strip(), gateway.pid)
+        yield Address(line.removeprefix(announcement).strip(), gateway)
         gateway.terminate()
         assert gateway.wait(timeout=DEADLINE_SECONDS) == 0
     finally:

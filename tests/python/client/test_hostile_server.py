@@ -1,90 +1,19 @@
 """`spikectl` of an operator in front of a server, or an agent, that means harm."""
 
-import contextlib
 import json
-import math
-import os
-import random
-import subprocess
 import urllib.error
 import urllib.request
-from concurrent import futures
 
 import grpc
 import pytest
 import spikeserve
-from serving import DEADLINE_SECONDS, running_server
-from spikeserve.wire import ADMIN_METHODS, ADMIN_SERVICE, METHODS, SERVICE, message_class
-
-ESCAPES = "\x1b]52;c;aGk=\x07\x1b[2J\r\x9b2J\u202e"
-
-
-def spikectl(address, *arguments):
-    command = [os.environ["SPIKECTL_PROGRAM"], *arguments, f"--server={address}"]
-    return subprocess.run(command, capture_output=True, timeout=DEADLINE_SECONDS)
+from hostile_answers import COMMANDS, ESCAPES, RandomAnswers, check_shown, serving, spikectl
+from serving import running_server
+from spikeserve.wire import ADMIN_SERVICE, SERVICE, message_class
 
 
-INTEGERS = (-5, 0, 1, (1 << 31) - 1, -(1 << 31), (1 << 63) - 1)
-NUMBERS = (math.nan, math.inf, -1e30, 0.0, 1.0)
-
-
-def scalar(field, random):
-    """Returns a value that a client may not expect."""
-    if field.enum_type is not None:
-        return random.choice([0, 1, 77])
-    if field.cpp_type in (field.CPPTYPE_DOUBLE, field.CPPTYPE_FLOAT):
-        return random.choice(NUMBERS)
-    if field.cpp_type == field.CPPTYPE_BOOL:
-        return random.random() < 0.5
-    if field.cpp_type == field.CPPTYPE_STRING:
-        return ESCAPES.encode() if field.type == field.TYPE_BYTES else ESCAPES
-    least = 0 if field.cpp_type in (field.CPPTYPE_UINT32, field.CPPTYPE_UINT64) else -(1 << 31)
-    greatest = (1 << 31) - 1 if field.cpp_type in (field.CPPTYPE_INT32, field.CPPTYPE_UINT32) else (1 << 63) - 1
-    return random.choice([value for value in INTEGERS if least <= value <= greatest])
-
-
-def fill(message, random, depth=0):
-    """Fills most fields of a message with values that a client may not expect. Returns the message."""
-    for field in message.DESCRIPTOR.fields:
-        value = getattr(message, field.name)
-        nested = field.message_type
-        if random.random() < 0.15 or field.name == "next_page_token" or (nested is not None and depth > 4):
-            continue
-        if nested is not None and nested.GetOptions().map_entry:
-            of_map = nested.fields_by_name["value"]
-            if of_map.message_type is None:
-                value[ESCAPES] = scalar(of_map, random)
-            else:
-                fill(value[ESCAPES], random, depth + 1)
-        elif hasattr(value, "add"):
-            for _ in range(random.choice((1, 2, 5))):
-                fill(value.add(), random, depth + 1)
-        elif nested is not None:
-            fill(value, random, depth + 1)
-        elif hasattr(value, "extend"):
-            value.extend([scalar(field, random) for _ in range(random.choice((1, 4, 9)))])
-        else:
-            setattr(message, field.name, scalar(field, random))
-    return message
-
-
-def plausible(message):
-    """Lets a message describe a policy that plays CartPole, so that clients read on."""
-    for part in message.policies if hasattr(message, "policies") else [message]:
-        known = part.DESCRIPTOR.fields_by_name
-        for name, value in {"environment": "CartPole-v1", "observation_size": 4, "context_length": 4, "step": 0}.items():
-            if name in known:
-                setattr(part, name, value)
-        if "action_space" in known:
-            part.action_space.discrete.n = 2
-        if part is not message:
-            part.name, part.version = "x", 1
-    return message
-
-
-@contextlib.contextmanager
 def hostile_server(service, method, answer):
-    """A server with one method, whose answers are `answer(request)`: a message, or a text for the error."""
+    """Serves one method, whose answers are `answer(request)`: a message, or a text for the error."""
 
     def handle(request, context):
         answered = answer(request)
@@ -98,14 +27,7 @@ def hostile_server(service, method, answer):
         request_deserializer=request_class.FromString,
         response_serializer=lambda response: response.SerializeToString(),
     )
-    server = grpc.server(futures.ThreadPoolExecutor(2))
-    server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(service, {method: handler}),))
-    port = server.add_insecure_port("127.0.0.1:0")
-    server.start()
-    try:
-        yield f"127.0.0.1:{port}"
-    finally:
-        server.stop(0).wait()
+    return serving(grpc.method_handlers_generic_handler(service, {method: handler}))
 
 
 def explanation(**changes):
@@ -163,12 +85,6 @@ def test_an_explanation_without_faults_is_printed():
     assert "layer 0 head 1 attends most to: G_1 1.000" in done.stdout.decode()
 
 
-def check_shown(output):
-    text = output.decode()
-    assert not [c for c in text if c not in "\n\t" and (ord(c) < 32 or 127 <= ord(c) < 160 or ord(c) == 0x202E)], text
-    return text
-
-
 def check_harmless(output):
     """Asserts that a terminal shows these bytes, of ESCAPES, and obeys none."""
     text = check_shown(output)
@@ -191,52 +107,19 @@ def test_errors_of_a_server_are_escaped():
     check_harmless(done.stderr)
 
 
-POLICY = ("--policy=x", "--version=1")
-COMMANDS = [
-    *(["policies", *flags] for flags in ([], ["--all"], ["--features"])),
-    *([command, "--env=CartPole-v1", "--episodes=1"] for command in ("run", "adapt")),
-    ["explain", "--env=CartPole-v1", "--steps=2"],
-    *([command, "--session=x"] for command in ("explain", "doctor")),
-    *(["admin", action, *POLICY] for action in ("load", "unload", "default")),
-    ["admin", "label", *POLICY, "--label=a"],
-    ["admin", "unlabel", POLICY[0], "--label=a"],
-    *(["admin", action, POLICY[0]] for action in ("rollout", "head", "promote_head", "reset_head", "pause_learning")),
-    *(["admin", action] for action in ("rollouts", "history", "reload", "sessions", "drain")),
-]
-
-
 @pytest.fixture(scope="module")
 def random_server():
-    """A server whose every answer has values that nobody expects. Yields its address, and the source of the values."""
-    source = {}
-
-    class Everything(grpc.GenericRpcHandler):
-        def service(self, details):
-            method = (METHODS | ADMIN_METHODS).get(details.method.rpartition("/")[2])
-            if method is None:  # a health check: SERVING
-                return grpc.unary_unary_rpc_method_handler(lambda *_: b"\x08\x01")
-
-            def answer():
-                message = fill(method.response(), source["random"])
-                return plausible(message) if source["plausible"] else message
-
-            make = grpc.stream_stream_rpc_method_handler if method.streams else grpc.unary_unary_rpc_method_handler
-            handle = (lambda requests, _: (answer() for _ in requests)) if method.streams else (lambda *_: answer())
-            return make(handle, method.request.FromString, lambda response: response.SerializeToString())
-
-    server = grpc.server(futures.ThreadPoolExecutor(4))
-    server.add_generic_rpc_handlers((Everything(),))
-    port = server.add_insecure_port("127.0.0.1:0")
-    server.start()
-    yield f"127.0.0.1:{port}", source
-    server.stop(0).wait()
+    """Yields the address of a server with RandomAnswers, and these."""
+    answers = RandomAnswers()
+    with serving(answers) as address:
+        yield address, answers
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
 def test_no_answer_crashes_a_command_or_reaches_the_terminal_raw(command, random_server):
-    address, source = random_server
+    address, answers = random_server
     for seed in range(4):
-        source |= {"random": random.Random(seed), "plausible": seed > 0}
+        answers.begin(seed)
         done = spikectl(address, *command, *(["--json"] if seed % 2 else []))
         assert done.returncode in (0, 1), done
         check_shown(done.stdout + done.stderr)
