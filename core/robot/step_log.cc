@@ -6,7 +6,7 @@
 namespace spikeserve::robot {
 namespace {
 
-constexpr size_t kMostEpisodes = 64;         // whose ends the server may miss
+constexpr size_t kMostEpisodes = 4096;       // whose ends the server may miss
 constexpr size_t kMostSkipped = 65536;       // rewards of one request
 constexpr uint64_t kMostBytes = 1ULL << 20;  // of the history in one request
 

@@ -379,7 +379,7 @@ TEST(StepLogTest, ManyEpisodesWithoutTheServerAreTooLong) {
     robot.log.End({.reward = 1.0});
   }
   robot.log.BeginAgain();
-  EXPECT_EQ(robot.log.lost_episodes(), 64);
+  EXPECT_EQ(robot.log.lost_episodes(), 4096);
   EXPECT_FALSE(robot.log.is_too_long());
 }
 

@@ -415,12 +415,12 @@ TEST_F(RobotSessionTest, AClosedSessionStopsAtItsTime) {
 
 TEST_F(RobotSessionTest, TooManyMissedEpisodesLoseTheSession) {
   Open(false);
-  for (int i = 0; i < 65; ++i) {
+  for (int i = 0; i < 4097; ++i) {
     Step();
     robot_->EndEpisode({.reward = 1.0}, nullptr);
   }
   EXPECT_EQ(Next(), What::kForget);
-  EXPECT_EQ(robot_->step_log().lost_episodes(), 65);
+  EXPECT_EQ(robot_->step_log().lost_episodes(), 4097);
 }
 
 // The background thread may be late: the step is of the history of the end then.

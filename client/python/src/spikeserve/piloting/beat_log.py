@@ -29,7 +29,7 @@ from spikeserve.trace_context import active_traceparent
 from spikeserve.values import Action, EpisodeSummary, action_to_wire
 from spikeserve.wire import METHODS, Message, message_class
 
-MOST_EPISODES = 64  # whose ends the server may miss
+MOST_EPISODES = 4096  # whose ends the server may miss
 MOST_SKIPPED = 65536  # rewards of one request
 MOST_BYTES = 1 << 20  # of the history in one request
 LEAST_BEATS = 3  # of an episode that are kept: one that the server has, and two that it may miss
