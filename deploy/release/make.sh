@@ -80,8 +80,9 @@ python_packages() {
   done
   ((${#pythons[@]})) || return 0
   say "wheels of the engine for ${pythons[*]}"
-  CXX=g++ CMAKE_CXX_COMPILER_LAUNCHER=ccache SKBUILD_BUILD_DIR="$work/wheel" CCACHE_BASEDIR="$work/clone" \
-    "$work/clone/client/python/engine/build_wheels.sh" "$out" "$python" "${pythons[@]}" >"$work/wheels.log" 2>&1 ||
+  # At the depth of build/release, so that the compiler cache knows the core that was compiled there.
+  CXX=g++ CMAKE_CXX_COMPILER_LAUNCHER=ccache SKBUILD_BUILD_DIR="$work/clone/build/wheel" CCACHE_BASEDIR="$work/clone" \
+    CCACHE_NOHASHDIR=1 "$work/clone/client/python/engine/build_wheels.sh" "$out" "$python" "${pythons[@]}" >"$work/wheels.log" 2>&1 ||
     { cat "$work/wheels.log" >&2; return 1; }
 }
 

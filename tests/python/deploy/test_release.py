@@ -95,7 +95,9 @@ def test_the_source_archive_is_the_commit(dist):
 def test_the_python_packages_install_in_an_empty_environment(dist, kind, tmp_path):
     run(sys.executable, "-m", "venv", tmp_path / "venv")
     python = tmp_path / "venv/bin/python"
-    environment = os.environ | OFFLINE | {"CXX": "g++", "CMAKE_CXX_COMPILER_LAUNCHER": "ccache"}
+    # The sources of the sdist are those of the wheel, so the compiler cache has what the wheel was made of.
+    cache = {"CMAKE_CXX_COMPILER_LAUNCHER": "ccache", "CCACHE_BASEDIR": str(tmp_path), "CCACHE_NOHASHDIR": "1"}
+    environment = os.environ | OFFLINE | cache | {"CXX": "g++", "TMPDIR": str(tmp_path)}
     run(python, "-m", "pip", "--quiet", "install", *dist.glob(kind), env=environment)
     policy = SHIPPED_POLICIES / "cartpole-small/1/policy.safetensors"
     script = (
