@@ -8,7 +8,9 @@ releases=$(realpath "$(dirname "$0")/../../releases")
 dir=$(mktemp -d)
 trap 'rm -rf "$dir"' EXIT
 cd "$dir"
-tiny=(--hidden_size=16 --heads=2 --ticks=4 --context=5 --batch=4 --episodes=2)
+# Baselines, and the look at the data for whether changes of the observation help, take nine tenths of such a training.
+judged=(--hidden_size=16 --heads=2 --ticks=4 --context=5 --batch=4 --episodes=2)
+tiny=("${judged[@]}" --no_baselines --observation_changes=false)
 
 fail() { echo "FAILED: $1" >&2; exit 1; }
 # refuses MESSAGE COMMAND...: expects that the command fails and prints exactly this message to standard error.
@@ -65,8 +67,9 @@ grep -q 'spikes per decision' told.txt || fail "the spikes"
   grep -qx 'target return: 321, from --target_return' || fail "--target_return"
 "$spiketrain" eval --policy=asked/policy.safetensors --episodes=1 >/dev/null
 # An environment that spiketrain cannot play: the data of CartPole under another name of the same length.
-LC_ALL=C sed 's/CartPole-v1/MyRobot1-v1/g' data.cbor >other.cbor
-"$spiketrain" train --data=other.cbor --out=other "${tiny[@]}" --iterations=1 >other.txt 2>/dev/null
+LC_ALL=C sed 's/CartPole-v1/MyRobot1-v1/g' disturbed.cbor >other.cbor
+"$spiketrain" train --data=other.cbor --out=other "${judged[@]}" --iterations=1 >other.txt 2>/dev/null
+grep -q '"kind":"mlp"' other/baselines.json || fail "the weights of the baselines"
 grep -q '^target return: .*, the best return in the data; ' other.txt || fail "the target of the data: $(cat other.txt)"
 grep -q '^spikes per decision: [1-9].* on the observations of the data' other.txt || fail "the spikes on the data"
 grep -q '^closed-loop play: skipped, because spiketrain does not have MyRobot1-v1. Serve the policy' other.txt ||
@@ -74,7 +77,7 @@ grep -q '^closed-loop play: skipped, because spiketrain does not have MyRobot1-v
 "$spiketrain" train --data=other.cbor --out=other "${tiny[@]}" --iterations=1 --overwrite --json 2>/dev/null |
   grep -q '"closed_loop_play": "skipped"' || fail "the JSON of a play that was skipped"
 # A delay: the labels of later steps are imitated, and the evaluation plays with it.
-"$spiketrain" train --data=data.cbor --out=late "${tiny[@]}" --iterations=2 --delay=0..2 --json 2>/dev/null >late.json
+"$spiketrain" train --data=data.cbor --out=late "${judged[@]}" --observation_changes=false --iterations=2 --delay=0..2 --json 2>/dev/null >late.json
 tr -d ' \n' <late.json | grep -q '"delay":\[0,2\]' || fail "the delay of the evaluation: $(cat late.json)"
 ! grep -q baselines late.json || fail "baselines beside a delay"
 for delay in 2..0 x 1.. ..3 -1 1.5 0..1001 ""; do
@@ -105,13 +108,12 @@ for name in 'the policy' 'line on 1 frame' 'line on 4 frames' 'mlp on 2 frames';
 done
 grep -qE '^verdict: (bad|weak|good): it explains -?[0-9]+ % of the actions of held-out steps, the best baseline' other.txt ||
   fail "the verdict: $(cat other.txt)"
-if "$spiketrain" train --data=other.cbor --out=required "${tiny[@]}" --iterations=1 --require=good >required.txt 2>message; then
+if "$spiketrain" train --data=other.cbor --out=required "${judged[@]}" --iterations=1 --require=good >required.txt 2>message; then
   fail "a bad policy passed --require=good: $(cat required.txt)"
 fi
 grep -qE '^spiketrain: --require: expected a verdict of good or better, received (bad|weak): ' message || fail "$(cat message)"
 [[ -s required/policy.safetensors ]] || fail "no policy beside a verdict that was refused"
-grep -q '"kind":"mlp"' other/baselines.json || fail "the weights of the baselines"
-"$spiketrain" train --data=data.cbor --out=plain "${tiny[@]}" --iterations=1 --no_baselines >plain.txt 2>/dev/null
+"$spiketrain" train --data=data.cbor --out=plain "${tiny[@]}" --iterations=1 >plain.txt 2>/dev/null
 ! grep -q '^error on' plain.txt || fail "baselines with --no_baselines"
 [[ ! -e plain/baselines.json ]] || fail "baselines.json with --no_baselines"
 "$spiketrain" train --data=data.cbor --out=changes "${tiny[@]}" --iterations=1 --observation_changes=true 2>/dev/null |
@@ -126,7 +128,7 @@ refuses "--observation_changes: expected what --init has, true, or no such flag,
 refuses '--observation_changes: expected true or false, received "2x"' train --out=x --observation_changes=2x
 
 # Biases by distance start at 0 in a policy that has none.
-"$spiketrain" train --data=data.cbor --init=plain/policy.safetensors --out=biased "${tiny[@]}" --iterations=1 --no_baselines \
+"$spiketrain" train --data=data.cbor --init=plain/policy.safetensors --out=biased "${tiny[@]}" --iterations=1 \
   --relative_bias=true 2>/dev/null | grep -q '^shape: .*, biases by distance$' || fail "--relative_bias"
 says biased/policy.safetensors '\"relative_bias\":true'
 "$spiketrain" train --data=data.cbor --init=biased/policy.safetensors --out=biased_integer --iterations=1 --batch=4 --episodes=1 \
@@ -142,7 +144,7 @@ refuses "--relative_bias: expected false in mode dense, received true" \
 
 refuses '--target_return: expected a finite number, received inf' train --data=data.cbor --out=x --target_return=inf
 
-"$spiketrain" train --data=data.cbor --init=whole/policy.safetensors --out=tuned --batch=4 --episodes=2 \
+"$spiketrain" train --data=data.cbor --init=whole/policy.safetensors --out=tuned --batch=4 --episodes=2 --no_baselines \
   --iterations=2 --target_rate=1 2>/dev/null >/dev/null
 grep -aq 'lineage.*--out=whole' tuned/policy.safetensors || fail "lineage"
 "$spiketrain" eval --policy=tuned/policy.safetensors --episodes=1 --seed=2000000 --json | grep -q '"first_seed": 2000000'
@@ -210,9 +212,9 @@ refuses "$int8: config.arithmetic: expected float32 or integer, received int8, w
   eval --policy="$int8" --episodes=1
 "$spiketrain" quantize --policy="$int8" --out=float32/policy.safetensors --to=float32
 says float32/policy.safetensors "\\\"parent_sha256\\\":\\\"$(sha "$int8")\\\""
-"$spiketrain" quantize --policy="$int8" --out=converted/policy.safetensors --episodes=20 --json >converted.json ||
+"$spiketrain" quantize --policy="$int8" --out=converted/policy.safetensors --episodes=5 --json >converted.json ||
   fail "the released policy in integers: $(cat converted.json)"
-"$spiketrain" eval --policy=float32/policy.safetensors --episodes=20 --json | grep -q '"mean_return": 500.0' || fail "the returns of the converted policy"
+"$spiketrain" eval --policy=float32/policy.safetensors --episodes=5 --json | grep -q '"mean_return": 500.0' || fail "the returns of the converted policy"
 refuses '--to=float32: expected a policy in int8, received one in float32' \
   quantize --policy=whole/policy.safetensors --out=x --to=float32
 refuses '--out: expected the file to write, received none' quantize --policy=whole/policy.safetensors
@@ -229,14 +231,14 @@ says new/3/policy.safetensors "\\\"data_sha256\\\":{\\\"data.cbor\\\":\\\"$(sha 
 refuses '--mode, --data, --prune: expected with --to=integer, received --to=float32' \
   quantize --to=float32 --policy=whole/policy.safetensors --out=x --prune
 # A dense policy has no silent neurons.
-"$spiketrain" train --data=data.cbor --out=dense --mode=dense --hidden_size=16 --batch=4 --iterations=1 --episodes=1 >/dev/null 2>&1
+"$spiketrain" train --data=data.cbor --out=dense "${tiny[@]}" --mode=dense --iterations=1 >/dev/null 2>&1
 refuses 'dense/policy.safetensors: --prune: expected a mode with spikes, received dense' \
   quantize --to=integer --policy=dense/policy.safetensors --out=x --prune
 refuses '--init: expected a policy in float32, received one in integer' \
   train --data=data.cbor --init=new/2/policy.safetensors --out=x
 
 # Trains in integers, from nothing and from a float32 policy. The policy is an integer policy, and its record says so.
-integers() { "$spiketrain" train --data=data.cbor --arithmetic=integer --batch=4 --episodes=2 "$@"; }
+integers() { "$spiketrain" train --data=data.cbor --arithmetic=integer --batch=4 --episodes=2 --no_baselines "$@"; }
 integers --out=integers "${tiny[@]}" --iterations=4 >integers.txt 2>/dev/null
 grep -q '^shape: .*, arithmetic integer$' integers.txt || fail "the shape: $(cat integers.txt)"
 says integers/policy.safetensors '\"arithmetic\":\"integer\"'
