@@ -50,7 +50,7 @@ absl::StatusOr<DelayRange> ParseDelay(const std::string& text) {
   if (parsed && 0 <= range.least && range.least <= range.most && range.most <= kMost) return range;
   return absl::InvalidArgumentError(
       absl::StrCat("--delay: expected 0 to ", kMost,
-                   " beats, as a number like 3 or a range like 0..5, received ", text));
+                   " steps, as a number like 3 or a range like 0..5, received ", text));
 }
 
 }  // namespace
@@ -89,8 +89,8 @@ void AddTrainerFlags(Command command, TrainerFlags* flags) {
       .Add("warmup", "N", &options.warmup, "Iterations of linear warm-up")
       .Add("clip_norm", "X", &options.clip_norm, "Largest norm of the gradient")
       .Add("action_noise", "P", &options.action_noise, "Probability of a random action token")
-      .Add("delay", "BEATS", &flags->delay,
-           "Beats until a decision is executed: 3, or 0..5 drawn by clip")
+      .Add("delay", "STEPS", &flags->delay,
+           "Steps until a decision is executed: 3, or 0..5 drawn by clip")
       .Add("validation", "SHARE", &options.validation, "Share of episodes held out")
       .Add("threads", "N", &options.threads, "Threads; their number decides the last bits")
       .Add("device", "cpu|cuda|cuda:N", &flags->device, "Where to compute; CUDA is not tested")

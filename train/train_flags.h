@@ -35,7 +35,7 @@ struct TrainerFlags {
   std::string device = "cpu";
   double target_rate = 100.0;  // percent of the ticks
   double readout_rate = 100.0;
-  std::string delay = "0";  // beats, "3" or "0..5"
+  std::string delay = "0";  // steps, "3" or "0..5"
 };
 
 // Adds --mode.

@@ -373,7 +373,7 @@ absl::Status CheckDelay(DelayRange delay, const EpisodeSource& source) {
   for (const EpisodeEntry& entry : source.entries()) longest = std::max(longest, entry.steps);
   if (delay.most < longest) return absl::OkStatus();
   return absl::InvalidArgumentError(
-      absl::StrCat("--delay: expected fewer beats than the longest episode has steps, ", longest,
+      absl::StrCat("--delay: expected fewer steps than the longest episode has, ", longest,
                    ", received ", delay.most));
 }
 

@@ -85,7 +85,7 @@ absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSessio
   EpisodeRecord record;
   const ActionSpace& space = environment.action_space();
   Arrivals arrivals(options.distance, space, seed);
-  std::optional<v1::Action> executed;  // of the last beat; absent: as decided
+  std::optional<v1::Action> executed;  // of the last step; absent: as decided
   const auto period = std::chrono::duration_cast<std::chrono::steady_clock::duration>(
       std::chrono::duration<double>(options.rate > 0.0 ? 1.0 / options.rate : 0.0));
   auto next = std::chrono::steady_clock::now();

@@ -23,11 +23,11 @@ Action NeutralAction(const ActionSpace& space) {
 absl::Status Distance::Validate() const {
   if (delay < 0) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--delay: expected at least 0 beats, received ", delay));
+        absl::StrCat("--delay: expected at least 0 steps, received ", delay));
   }
   if (jitter < 0) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--jitter: expected at least 0 beats, received ", jitter));
+        absl::StrCat("--jitter: expected at least 0 steps, received ", jitter));
   }
   if (!(loss >= 0.0 && loss < 1.0)) {
     return absl::InvalidArgumentError(
@@ -38,9 +38,9 @@ absl::Status Distance::Validate() const {
 
 void AddDistanceFlags(FlagGroup& group, Distance* distance) {
   group
-      .Add("delay", "BEATS", &distance->delay,
-           "Execute each decision so many beats after its observation")
-      .Add("jitter", "BEATS", &distance->jitter, "Execute it up to so many beats later")
+      .Add("delay", "STEPS", &distance->delay,
+           "Execute each decision so many steps after its observation")
+      .Add("jitter", "STEPS", &distance->jitter, "Execute it up to so many steps later")
       .Add("loss", "SHARE", &distance->loss, "Share of the decisions that never arrive");
 }
 
@@ -48,19 +48,19 @@ Arrivals::Arrivals(const Distance& distance, const ActionSpace& space, uint64_t 
     : distance_(distance), seed_(seed), action_(NeutralAction(space)) {}
 
 const Action& Arrivals::Executed(Action decided) {
-  const auto beat = static_cast<uint64_t>(beat_);
+  const auto step = static_cast<uint64_t>(step_);
   const auto choices = static_cast<uint64_t>(distance_.jitter) + 1;
-  const auto late = static_cast<int64_t>(RandomBits({seed_, beat, 0}) % choices);
-  if (UniformDouble(RandomBits({seed_, beat, 1})) >= distance_.loss) {
-    under_way_.push_back({beat_ + distance_.delay + late, beat_, std::move(decided)});
+  const auto late = static_cast<int64_t>(RandomBits({seed_, step, 0}) % choices);
+  if (UniformDouble(RandomBits({seed_, step, 1})) >= distance_.loss) {
+    under_way_.push_back({step_ + distance_.delay + late, step_, std::move(decided)});
   }
   for (const Decision& decision : under_way_) {
-    if (decision.arrives > beat_ || decision.of <= newest_) continue;
+    if (decision.arrives > step_ || decision.of <= newest_) continue;
     newest_ = decision.of;
     action_ = decision.action;
   }
-  std::erase_if(under_way_, [&](const Decision& decision) { return decision.arrives <= beat_; });
-  ++beat_;
+  std::erase_if(under_way_, [&](const Decision& decision) { return decision.arrives <= step_; });
+  ++step_;
   return action_;
 }
 

@@ -1,4 +1,4 @@
-// Plays a task as if the server were far away, in beats and without a clock. As Distance of the
+// Plays a task as if the server were far away, in steps and without a clock. As Distance of the
 // Python client, with the same meaning; the draws are others.
 #ifndef CLIENT_SPIKECTL_DISTANCE_H_
 #define CLIENT_SPIKECTL_DISTANCE_H_
@@ -12,8 +12,8 @@
 
 namespace spikeserve {
 
-// How many beats pass between an observation and the effect of its decision. Each decision is
-// executed `delay` beats after its observation, and up to `jitter` beats later. Of the decisions,
+// How many steps pass between an observation and the effect of its decision. Each decision is
+// executed `delay` steps after its observation, and up to `jitter` steps later. Of the decisions,
 // the share `loss` never arrives. In the meantime the last action is executed.
 struct Distance {
   int delay = 0;
@@ -36,22 +36,22 @@ class Arrivals {
  public:
   Arrivals(const Distance& distance, const ActionSpace& space, uint64_t seed);
 
-  // Returns the action that is executed at the next beat, for whose observation `decided` is. An
+  // Returns the action that is executed at the next step, for whose observation `decided` is. An
   // older decision never follows a newer one.
   const Action& Executed(Action decided);
 
  private:
   struct Decision {
-    int64_t arrives = 0;  // at this beat
-    int64_t of = 0;       // beat of the observation
+    int64_t arrives = 0;  // at this step
+    int64_t of = 0;       // step of the observation
     Action action;
   };
 
   const Distance distance_;
   const uint64_t seed_;
-  int64_t beat_ = 0;
+  int64_t step_ = 0;
   std::vector<Decision> under_way_;
-  int64_t newest_ = -1;  // beat of the observation whose decision is executed
+  int64_t newest_ = -1;  // step of the observation whose decision is executed
   Action action_;
 };
 

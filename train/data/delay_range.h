@@ -4,8 +4,8 @@
 
 namespace spikeserve {
 
-// The beats between an observation and the effect of its decision, at least and at most. With a
-// delay of k beats, what is decided at step t is executed at step t + k, so the action to imitate
+// The steps between an observation and the effect of its decision, at least and at most. With a
+// delay of k steps, what is decided at step t is executed at step t + k, so the action to imitate
 // at step t is the label of step t + k. The last k decisions of an episode are never executed: they
 // have weight 0.
 struct DelayRange {

@@ -90,7 +90,7 @@ absl::Status TrainOptions::Validate() const {
   check(warmup >= 0, "warmup", "0 or more", warmup);
   check(clip_norm > 0.0, "clip_norm", "a number above 0", clip_norm);
   check(action_noise >= 0.0 && action_noise <= 1.0, "action_noise", "0 to 1", action_noise);
-  check(delay.least >= 0 && delay.least <= delay.most, "delay", "beats from the least to the most",
+  check(delay.least >= 0 && delay.least <= delay.most, "delay", "steps from the least to the most",
         delay.least);
   check(validation >= 0.0 && validation < 1.0, "validation", "0 or more, below 1", validation);
   check(rate_targets.hidden >= 0.0 && rate_targets.hidden <= 1.0, "target_rate", "0 to 100 percent",

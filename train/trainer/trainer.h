@@ -60,7 +60,7 @@ struct TrainOptions {
   Schedule schedule = Schedule::kCosine;
   double clip_norm = 1.0;      // largest norm of the whole gradient
   double action_noise = 0.0;   // probability that an action token is replaced by a random one
-  DelayRange delay;            // beats until a decision is executed
+  DelayRange delay;            // steps until a decision is executed
   double validation = 0.1;     // share of each actor's episodes that is held out
   RateTargets rate_targets;    // the penalty grows linearly over the first third of the iterations
   double spike_penalty = 1.0;  // weight of the penalty on firing rates

@@ -41,8 +41,8 @@ def test_jitter_and_loss_change_the_returns_and_the_seed_repeats_them(address):
 @pytest.mark.parametrize(
     ("flag", "message"),
     [
-        ("--delay=-1", "--delay: expected at least 0 beats, received -1"),
-        ("--jitter=-1", "--jitter: expected at least 0 beats, received -1"),
+        ("--delay=-1", "--delay: expected at least 0 steps, received -1"),
+        ("--jitter=-1", "--jitter: expected at least 0 steps, received -1"),
         ("--loss=1", "--loss: expected 0 to less than 1, received 1"),
     ],
 )

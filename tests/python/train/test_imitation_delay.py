@@ -1,4 +1,4 @@
-"""`imitate --delay`: what is imitated, remembered and executed when a decision takes effect some beats later."""
+"""`imitate --delay`: what is imitated, remembered and executed when a decision takes effect some steps later."""
 
 import json
 import os
@@ -32,13 +32,13 @@ def test_another_delay_is_refused_with_what_was_expected(value):
     with pytest.raises(ValueError) as refused:
         ImitationOptions(delay=value)
     assert str(refused.value) == (
-        f"delay: expected 0 to 1000 beats, as a number like 3 or a range like 0..5, received {value}"
+        f"delay: expected 0 to 1000 steps, as a number like 3 or a range like 0..5, received {value}"
     )
 
 
 def five_beats(**fields):
     """Returns an episode whose expert acts as 10, 11, 12, 13, 14 while 0, 1, 2, 3, 4 is executed."""
-    observations = [np.float32([beat]) for beat in range(6)]
+    observations = [np.float32([step]) for step in range(6)]
     return Episode(7, observations, [0, 1, 2, 3, 4], [10, 11, 12, 13, 14], [], [1.0] * 5, **fields)
 
 
@@ -66,7 +66,7 @@ def test_each_episode_draws_a_delay_and_too_short_ones_are_left_out():
     assert all(80 < drawn.count(delay) < 120 for delay in (1, 2, 3))
     assert [delays.in_turn(seed) for seed in range(4)] == [1, 2, 3, 1]
     assert label_all_after([five_beats()], Delays(), 0)[0].labels == [10, 11, 12, 13, 14]
-    with pytest.raises(ValueError, match=r"^delay: expected fewer beats than the longest episode has steps, 5, received 5"):
+    with pytest.raises(ValueError, match=r"^delay: expected fewer steps than the longest episode has, 5, received 5"):
         label_all_after([five_beats()], Delays(5, 5), 0)
 
 
@@ -102,7 +102,7 @@ def play_pendulum(delay, bursts=None):
 
 def test_a_decision_is_executed_after_the_delay_and_the_policy_remembers_what_was():
     policy, episode = play_pendulum(delay=3)
-    decided = [np.float32([beat / 100]) for beat in range(1, 9)]
+    decided = [np.float32([step / 100]) for step in range(1, 9)]
     np.testing.assert_array_equal(episode.actions, [np.float32([0])] * 3 + decided[:5])
     assert policy.told[0] is None
     np.testing.assert_array_equal(policy.told[1:], episode.actions)
@@ -143,7 +143,7 @@ def test_a_run_imitates_and_evaluates_with_the_delay(tmp_path):
         train_flags=("--heads=2",),
     )
     result = imitate("CartPole-v1", "home_made:balance", tmp_path, options=options)
-    assert "The policies play with 1 to 2 beats of delay" in result.report.read_text()
+    assert "The policies play with 1 to 2 steps of delay" in result.report.read_text()
     recorded = json.loads((tmp_path / "settings.json").read_text())
     assert recorded["delay"] == "1..2"
     delays = set()
@@ -165,6 +165,6 @@ def test_the_command_refuses_a_range_before_it_records(tmp_path):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     finished = run(*command, f"--out={tmp_path / 'run'}", "--delay=5..0", status=1, env=environment)
     assert finished.stderr == (
-        "spikeserve imitate: delay: expected 0 to 1000 beats, as a number like 3 or a range like 0..5, received 5..0\n"
+        "spikeserve imitate: delay: expected 0 to 1000 steps, as a number like 3 or a range like 0..5, received 5..0\n"
     )
     assert not (tmp_path / "run").exists()

@@ -38,7 +38,7 @@ def test_minigrid_memory(address):
 
 
 def test_a_policy_that_knows_its_delay(address):
-    """The usual policy for Pendulum falls below -600 with a delay of four beats."""
-    for beats in (0, 4):
-        played = evaluate(address, "pendulum-delay", "Pendulum-v1", 5, delay=beats)
+    """The usual policy for Pendulum falls below -600 with a delay of four steps."""
+    for steps in (0, 4):
+        played = evaluate(address, "pendulum-delay", "Pendulum-v1", 5, delay=steps)
         assert np.median(played.returns) > -450

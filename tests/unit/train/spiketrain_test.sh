@@ -81,12 +81,12 @@ grep -q '^closed-loop play: skipped, because spiketrain does not have MyRobot1-v
 tr -d ' \n' <late.json | grep -q '"delay":\[0,2\]' || fail "the delay of the evaluation: $(cat late.json)"
 ! grep -q baselines late.json || fail "baselines beside a delay"
 for delay in 2..0 x 1.. ..3 -1 1.5 0..1001 ""; do
-  refuses "--delay: expected 0 to 1000 beats, as a number like 3 or a range like 0..5, received $delay" \
+  refuses "--delay: expected 0 to 1000 steps, as a number like 3 or a range like 0..5, received $delay" \
     train --data=data.cbor --out=x "--delay=$delay"
 done
 "$spiketrain" dataset --steps=20 --expert_fraction=0 --out=short.cbor >/dev/null
 if "$spiketrain" train --data=short.cbor --out=x "${tiny[@]}" --delay=900 2>message; then fail "a delay beyond all data"; fi
-grep -qE '^spiketrain: --delay: expected fewer beats than the longest episode has steps, [0-9]+, received 900$' message ||
+grep -qE '^spiketrain: --delay: expected fewer steps than the longest episode has, [0-9]+, received 900$' message ||
   fail "a delay beyond all data: $(cat message)"
 
 # A finished policy and its checkpoint are not replaced unasked.

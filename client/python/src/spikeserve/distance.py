@@ -1,4 +1,4 @@
-"""`Distance`: plays a task as if the server were far away, in beats and without a clock."""
+"""`Distance`: plays a task as if the server were far away, in steps and without a clock."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from spikeserve.values import Action
 
 @dataclass(frozen=True)
 class Distance:
-    """How many beats pass between an observation and the effect of its decision.
+    """How many steps pass between an observation and the effect of its decision.
 
-    Each decision is executed `delay` beats after its observation, and up to `jitter` beats later.
+    Each decision is executed `delay` steps after its observation, and up to `jitter` steps later.
     Of the decisions, the share `loss` never arrives. In the meantime the last action is executed.
     ValueError if a field is out of its range.
     """
@@ -25,8 +25,8 @@ class Distance:
     loss: float = 0.0
 
     def __post_init__(self) -> None:
-        check(self.delay >= 0, "delay", "at least 0 beats", self.delay)
-        check(self.jitter >= 0, "jitter", "at least 0 beats", self.jitter)
+        check(self.delay >= 0, "delay", "at least 0 steps", self.delay)
+        check(self.jitter >= 0, "jitter", "at least 0 steps", self.jitter)
         check(0 <= self.loss < 1, "loss", "0 to less than 1", self.loss)
 
     @property
@@ -41,20 +41,20 @@ class Arrivals:
     def __init__(self, distance: Distance, space: ActionSpace, seed: int) -> None:
         self._distance = distance
         self._random = np.random.default_rng(seed)
-        self._under_way: list[tuple[int, int, Action]] = []  # beat of arrival, of observation
-        self._newest = -1  # beat of the observation whose decision is executed
+        self._under_way: list[tuple[int, int, Action]] = []  # step of arrival, of observation
+        self._newest = -1  # step of the observation whose decision is executed
         self._action = neutral_action(space)
 
-    def executed(self, beat: int, decided: Action) -> Action:
-        """Returns the action that is executed at a beat, for whose observation `decided` is."""
+    def executed(self, step: int, decided: Action) -> Action:
+        """Returns the action that is executed at a step, for whose observation `decided` is."""
         distance = self._distance
         late = int(self._random.integers(0, distance.jitter + 1))
         if self._random.random() >= distance.loss:
-            self._under_way.append((beat + distance.delay + late, beat, decided))
+            self._under_way.append((step + distance.delay + late, step, decided))
         for arrival, of, action in self._under_way:
-            if arrival <= beat and of > self._newest:
+            if arrival <= step and of > self._newest:
                 self._newest, self._action = of, action
-        self._under_way = [waiting for waiting in self._under_way if waiting[0] > beat]
+        self._under_way = [waiting for waiting in self._under_way if waiting[0] > step]
         return self._action
 
 

@@ -108,8 +108,8 @@ def evaluate(
     `policy`, plays the served policy that was made for this environment. `options` are those of
     the session; `version` replaces its version.
 
-    With `delay`, each decision is executed that many beats after its observation, and up to
-    `jitter` beats later; the share `loss` of the decisions never arrives. Meanwhile the last action
+    With `delay`, each decision is executed that many steps after its observation, and up to
+    `jitter` steps later; the share `loss` of the decisions never arrives. Meanwhile the last action
     is executed, which the policy is told.
 
     An episode whose session was lost is played again in a new session, unless the session learns.
@@ -217,12 +217,12 @@ def _play_far_away(
 ) -> EpisodeSummary:
     arrivals = Arrivals(distance, as_action_space(environment.action_space), seed)
     observation, _ = environment.reset(seed=seed)
-    reward, terminated, truncated, beat, executed = 0.0, False, False, 0, None
+    reward, terminated, truncated, step, executed = 0.0, False, False, 0, None
     while not (terminated or truncated):
         decided = session.act(observation, reward, executed_action=executed).action
-        executed = arrivals.executed(beat, decided)
+        executed = arrivals.executed(step, decided)
         observation, reward, terminated, truncated, _ = environment.step(executed)
-        beat += 1
+        step += 1
     return session.end_episode(
         float(reward), terminated, truncated, observation=observation, executed_action=executed
     )

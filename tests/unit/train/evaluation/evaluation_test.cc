@@ -40,7 +40,7 @@ TEST(EvaluationTest, SameSeedsGiveTheSameReturns) {
             Evaluate(CartPolePolicy(), options)->returns);
 }
 
-// The policy always decides 1. With a delay of k beats the first k actions are 0.
+// The policy always decides 1. With a delay of k steps the first k actions are 0.
 TEST(EvaluationTest, DecisionsAreExecutedAfterTheDelayAndDelaysTakeTurns) {
   const std::shared_ptr<Policy> policy = CartPolePolicy();
   Linear& head = policy->weights.head;

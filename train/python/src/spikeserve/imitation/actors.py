@@ -160,9 +160,9 @@ class StudentActor:
 
 
 class DelayedStudentActor(StudentActor):
-    """Plays a policy whose decisions are executed some beats after their observations.
+    """Plays a policy whose decisions are executed some steps after their observations.
 
-    `delay_of` returns the beats of an episode by its seed. Until the first decision arrives, the
+    `delay_of` returns the steps of an episode by its seed. Until the first decision arrives, the
     neutral action is executed. The policy is told what was executed, bursts included.
     """
 

@@ -1,7 +1,7 @@
-"""Delays between an observation and the effect of its decision, in beats, for `imitate`.
+"""Delays between an observation and the effect of its decision, in steps, for `imitate`.
 
-With a delay of k beats, what is decided at beat t is executed at beat t + k. So the action to
-imitate at beat t is the expert's action in the state of beat t + k, and the actions that the
+With a delay of k steps, what is decided at step t is executed at step t + k. So the action to
+imitate at step t is the expert's action in the state of step t + k, and the actions that the
 policy remembers are those that were executed.
 """
 
@@ -19,12 +19,12 @@ from spikeserve.distance import Arrivals, Distance
 from spikeserve.imitation.episodes import Choice, Episode, FlatAction, Row
 from spikeserve.spaces import as_action_space
 
-_EXPECTED = "beats, as a number like 3 or a range like 0..5"
-MOST = 1000  # beats
+_EXPECTED = "steps, as a number like 3 or a range like 0..5"
+MOST = 1000  # steps
 
 
 def parse_delay(value: Any) -> tuple[int, int]:
-    """Returns the least and the most beats of `3`, `0..5` or (0, 5). ValueError if it is none."""
+    """Returns the least and the most steps of `3`, `0..5` or (0, 5). ValueError if it is none."""
     ends: tuple[int, int] | None = None
     if isinstance(value, str):
         match = re.fullmatch(r"(\d+)(?:\.\.(\d+))?", value.strip())
@@ -43,7 +43,7 @@ def parse_delay(value: Any) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Delays:
-    """The delays of episodes, from `least` to `most` beats."""
+    """The delays of episodes, from `least` to `most` steps."""
 
     least: int = 0
     most: int = 0
@@ -65,9 +65,9 @@ AT_ONCE = Delays()
 
 
 def label_after(episode: Episode, delay: int) -> Episode | None:
-    """Returns the episode with the label of beat t + delay at beat t; None if it is too short.
+    """Returns the episode with the label of step t + delay at step t; None if it is too short.
 
-    What is decided in the last `delay` beats is never executed, so these beats have weight 0.
+    What is decided in the last `delay` steps is never executed, so these steps have weight 0.
     """
     labels = episode.labels or episode.actions
     weights = episode.weights or [1.0] * episode.steps
@@ -95,7 +95,7 @@ def label_all_after(episodes: Iterable[Episode], delays: Delays, seed: int) -> l
     played = list(episodes)
     moved = (label_after(episode, delays.drawn(seed, episode.seed)) for episode in played)
     kept = [episode for episode in moved if episode is not None]
-    expected = "fewer beats than the longest episode has steps, "
+    expected = "fewer steps than the longest episode has, "
     longest = max((episode.steps for episode in played), default=0)
     check(bool(kept), "delay", f"{expected}{longest}", delays.most)
     return kept
@@ -108,7 +108,7 @@ class Delayed:
         self._running: dict[int, Arrivals] = {}
 
     def executed(self, row: Row, choice: Choice, delay: int) -> FlatAction:
-        """Returns the action that arrives at this beat: 0 until the first one does."""
+        """Returns the action that arrives at this step: 0 until the first one does."""
         if row.index not in self._running:
             space = as_action_space(row.environment.action_space)
             self._running[row.index] = Arrivals(Distance(delay), space, 0)

@@ -59,7 +59,7 @@ class ImitationOptions:
     max_episode_steps: int | None = _setting(None, "longest episode; default: the environment's")
     delay: str | int | tuple[int, int] = _setting(
         0,
-        "beats between an observation and the effect of its decision: a number like 3, or a range "
+        "steps between an observation and the effect of its decision: a number like 3, or a range "
         "like 0..5, from which each episode draws one",
     )
 

@@ -212,11 +212,11 @@ class _Run:
         return DelayedStudentActor(engine, self._delay_of, self._expert, bursts)
 
     def _delay_of(self, episode_seed: int) -> int:
-        """Returns the beats of delay of an episode of the data."""
+        """Returns the steps of delay of an episode of the data."""
         return self._delays.drawn(self._options.seed, episode_seed)
 
     def _label_after(self, episodes: Iterable[Episode]) -> list[Episode]:
-        """Gives every beat the expert's action of the beat in which its decision is executed."""
+        """Gives every step the expert's action of the step in which its decision is executed."""
         return label_all_after(episodes, self._delays, self._options.seed)
 
     def _play_steps(self, actor: Actor, steps: int, first_seed: int, title: str) -> list[Episode]:

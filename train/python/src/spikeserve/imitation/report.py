@@ -149,7 +149,7 @@ def _delays(delays: Delays) -> list[str]:
     if not delays:
         return []
     return [
-        f"The policies play with {delays.least} to {delays.most} beats of delay, which the starts "
+        f"The policies play with {delays.least} to {delays.most} steps of delay, which the starts "
         "take in turn; the expert plays without.",
         "",
     ]
