@@ -171,21 +171,39 @@ TEST_F(PolicySettingsTest, APauseOutlivesTheServer) {
 }
 
 TEST_F(PolicySettingsTest, AMistakeInTheFileKeepsTheServerFromStarting) {
-  const std::pair<const char*, const char*> mistakes[] = {
-      {R"({"policies": {"a": {"learning_paused": 1}}})",
-       "policies.a.learning_paused: expected true or false"},
-      {R"({"policies": {"a": {"default_version": 0}}})",
-       "policies.a.default_version: expected an integer of at least 1"},
-      {R"({"policies": {"a": {"labels": {"a b": 1}}}})", "policies.a.labels: expected letters"},
-      {R"({"policies": {"a": {"shares": [{"version": 1, "percent": 90}]}}})",
-       "policies.a.shares: expected percents that add up to 100, received 90"},
-      {R"({"policy": {}})", "policy"},
-  };
+  std::vector<std::pair<std::string, std::string>> mistakes = {
+      {"{", "settings: "},
+      {R"({"policy": {}})", "expected no other keys, received \"policy\""},
+      {R"({"unloaded": {"p": 1}})", "unloaded.p: expected an array"},
+      {R"({"unloaded": {"p": [0]}})", "unloaded.p: expected an integer of at least 1"}};
+  const std::pair<const char*, const char*> of_a_policy[] = {
+      {"[]", "policies.p: expected an object, received an array of 0"},
+      {R"({"defualt_version": 1})", "policies.p: expected no other keys, received \"defualt_"},
+      {R"({"default_version": 0})", "policies.p.default_version: expected an integer of at least"},
+      {R"({"default_version": "1"})", "policies.p.default_version: expected an integer of at"},
+      {R"({"default_version": 1, "default_follows_highest": true})",
+       "policies.p.default_version: expected none beside default_follows_highest, received 1"},
+      {R"({"shadow_version": 1.5})", "policies.p.shadow_version: expected an integer of at least"},
+      {R"({"learning_paused": 1})", "policies.p.learning_paused: expected true or false"},
+      {R"({"labels": {"a b": 1}})", "policies.p.labels: expected letters, digits"},
+      {R"({"labels": {"a": -1}})", "policies.p.labels.a: expected an integer of at least 1"},
+      {R"({"shares": {}})", "policies.p.shares: expected an array, received an object"},
+      {R"({"shares": [{"version": 1, "percent": 101}]})",
+       "policies.p.shares[0].percent: expected an integer from 0 to 100, received 101"},
+      {R"({"shares": [{"version": 1, "percent": 60}]})",
+       "policies.p.shares: expected percents that add up to 100, received 60"},
+      {R"({"shares": [{"version": 1, "percent": 50}, {"version": 1, "percent": 50}]})",
+       "policies.p.shares: expected each version once, received 1 twice"}};
+  for (const auto& [policy, message] : of_a_policy) {
+    mistakes.emplace_back(absl::StrCat("{\"policies\": {\"p\": ", policy, "}}"), message);
+  }
   for (const auto& [text, message] : mistakes) {
     std::ofstream(file_) << text;
     const auto server =
         ServerProcess::Start(policies_.path().string(), {"--policy_settings=" + file_.string()});
     ASSERT_FALSE(server.ok()) << text;
+    EXPECT_THAT(std::string(server.status().message()),
+                HasSubstr("--policy_settings: " + file_.string() + ": "));
     EXPECT_THAT(std::string(server.status().message()), HasSubstr(message));
   }
 }

@@ -1,5 +1,4 @@
 // Tests of the program spikeserve: its output and its failures.
-#include <fstream>
 
 #include "tests/integration/server_fixture.h"
 #include "tests/integration/subprocess.h"
@@ -41,27 +40,6 @@ TEST_F(ProgramTest, BadFlags) {
   ExpectFailure({policies(), "--drain_timeout=-1s"}, "--drain_timeout: expected");
   ExpectFailure({policies(), "extra"}, "expected flags alone, received \"extra\"");
   ExpectFailure({policies(), "--unknown=1"}, "--unknown: expected a flag of spikeserve");
-}
-
-TEST_F(ProgramTest, BadSettings) {
-  const TemporaryDirectory folder;
-  const std::string path = (folder.path() / "settings.json").string();
-  const std::pair<std::string, std::string> cases[] = {
-      {"{", "settings: "},
-      {R"({"labels": {}})", "expected no other keys, received \"labels\""},
-      {R"({"policies": {"box": {"default_version": "1"}}})", "policies.box.default_version"},
-      {R"({"policies": {"box": {"labels": {"stable": 0}}}})", "policies.box.labels.stable"},
-      {R"({"policies": {"box": {"shares": [{"version": 1, "percent": 101}]}}})",
-       "policies.box.shares[0].percent: expected an integer from 0 to 100, received 101"},
-      {R"({"policies": {"box": {"shadow": 1}}})", "policies.box: expected no other keys"},
-      {R"({"unloaded": {"box": 1}})", "unloaded.box: expected an array"},
-  };
-  for (const auto& [text, message] : cases) {
-    std::ofstream(path) << text;
-    ExpectFailure({policies(), "--policy_settings=" + path},
-                  "spikeserve: --policy_settings: " + path + ": ");
-    ExpectFailure({policies(), "--policy_settings=" + path}, message);
-  }
 }
 
 TEST_F(ProgramTest, ADirectoryThatCannotBeRecordedIntoStopsTheStart) {

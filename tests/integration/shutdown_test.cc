@@ -18,63 +18,9 @@ class ShutdownTest : public ServerTest {
   }
 };
 
-TEST_F(ShutdownTest, HealthIsServedForTheWholeAndForTheService) {
-  const auto health = NewHealthStub();
-  grpc::health::v1::HealthCheckRequest request;
-  HealthCheckResponse response;
-  for (const std::string service : {"", "spikeserve.v1.PolicyService", "spikeserve.v1.PolicyAdmin",
-                                    "inference.GRPCInferenceService"}) {
-    request.set_service(service);
-    ASSERT_TRUE(health->Check(NewContext().get(), request, &response).ok()) << service;
-    EXPECT_EQ(response.status(), HealthCheckResponse::SERVING) << service;
-  }
-  request.set_service("spikeserve.v1.Nothing");
-  EXPECT_EQ(health->Check(NewContext().get(), request, &response).error_code(),
-            grpc::StatusCode::NOT_FOUND);
-}
-
-TEST_F(ShutdownTest, AWatchOfAnUnknownServiceStaysOpen) {
-  grpc::health::v1::HealthCheckRequest request;
-  request.set_service("spikeserve.v1.Nothing");
-  auto context = NewContext();
-  const auto health = NewHealthStub();
-  const auto watch = health->Watch(context.get(), request);
-  HealthCheckResponse response;
-  ASSERT_TRUE(watch->Read(&response));
-  EXPECT_EQ(response.status(), HealthCheckResponse::SERVICE_UNKNOWN);
-  context->TryCancel();  // the watch is still open and ends only here
-  EXPECT_EQ(watch->Finish().error_code(), grpc::StatusCode::CANCELLED);
-}
-
-TEST_F(ShutdownTest, WatchersSeeTheServerStop) {
-  const auto health = NewHealthStub();
-  auto context = NewContext();
-  const auto watch = health->Watch(context.get(), {});
-  HealthCheckResponse response;
-  ASSERT_TRUE(watch->Read(&response));
-  EXPECT_EQ(response.status(), HealthCheckResponse::SERVING);
-  server_->RequestStop();
-  ASSERT_TRUE(watch->Read(&response));
-  EXPECT_EQ(response.status(), HealthCheckResponse::NOT_SERVING);
-  context->TryCancel();
-  EXPECT_EQ(server_->Wait(), 0);
-}
-
 TEST_F(ShutdownTest, AnIdleServerStops) {
   EXPECT_EQ(server_->Stop(), 0);
   EXPECT_EQ(server_->Log(), "");
-}
-
-TEST_F(ShutdownTest, OpenStreamsAreToldAndTheServerEnds) {
-  const std::string session = client_->Open();
-  auto context = NewContext();
-  const auto stream = client_->stub().ActStream(context.get());
-  v1::ActResponse response;
-  ASSERT_TRUE(stream->Write(MakeActRequest(session, 0)) && stream->Read(&response));
-  server_->RequestStop();
-  EXPECT_FALSE(stream->Read(&response));
-  ExpectError(stream->Finish(), grpc::StatusCode::UNAVAILABLE, "draining");
-  EXPECT_EQ(server_->Wait(), 0);
 }
 
 // Requests arrive while the server stops. Each gets a complete answer or is refused with

@@ -14,10 +14,9 @@ once() { ! cmp -s <(cat "${@:2}") "$build_dir/$1.installed"; }
 installed() { cat "${@:2}" >"$build_dir/$1.installed"; }
 
 if once go "$source_dir"/go/go.{mod,sum}; then
-  echo "setup: building grpcurl, ghz and h2spec"
+  echo "setup: building grpcurl and h2spec"
   (cd "$source_dir/go" && /usr/lib/go/bin/go build -mod=readonly -o "$build_dir/bin/" \
-    github.com/fullstorydev/grpcurl/cmd/grpcurl github.com/bojand/ghz/cmd/ghz \
-    github.com/summerwind/h2spec/cmd/h2spec)
+    github.com/fullstorydev/grpcurl/cmd/grpcurl github.com/summerwind/h2spec/cmd/h2spec)
   installed go "$source_dir"/go/go.{mod,sum}
 fi
 

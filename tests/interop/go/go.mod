@@ -3,7 +3,6 @@ module spikeserve/tests/interop
 go 1.19
 
 require (
-	github.com/bojand/ghz v0.117.0
 	github.com/fullstorydev/grpcurl v1.8.9
 	github.com/summerwind/h2spec v2.2.1+incompatible
 )

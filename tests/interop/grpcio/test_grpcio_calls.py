@@ -13,6 +13,7 @@ OPEN = f"/{POLICY}/OpenSession"
 ACT = f"/{POLICY}/Act"
 BATCH = f"/{POLICY}/ActBatch"
 STREAM = f"/{POLICY}/ActStream"
+REFLECT = "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo"
 MESSAGE_LIMIT = 4194304
 
 
@@ -171,13 +172,18 @@ def test_a_thousand_streams_at_a_time_on_one_channel(server):
 def test_shutdown_in_the_middle_of_a_stream_ends_it_with_unavailable():
     with running_server() as started, grpc.insecure_channel(started.grpc) as channel:
         session = open_session(channel)
-        requests = Requests()
+        requests, questions = Requests(), Requests()
         answers = call(channel, STREAM)(iter(requests), timeout=DEADLINE_SECONDS)
         requests.send(act_request(session, 0))
         assert next(answers).step == 0
+        described = call(channel, REFLECT)(iter(questions), timeout=DEADLINE_SECONDS)
+        questions.send(message_class("grpc.reflection.v1.ServerReflectionRequest")(list_services=""))
+        assert next(described).list_services_response.service
         started.process.terminate()
-        assert code_of(next, answers) == grpc.StatusCode.UNAVAILABLE
+        for stream in (answers, described):
+            assert code_of(next, stream) == grpc.StatusCode.UNAVAILABLE
         requests.end()
+        questions.end()
 
 
 def test_health_check_and_watch(server):
@@ -205,13 +211,33 @@ def test_health_check_and_watch(server):
 
 def test_reflection_describes_each_service(channel):
     request = message_class("grpc.reflection.v1.ServerReflectionRequest")
-    reflect = call(channel, "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo")
+    reflect = call(channel, REFLECT)
     (listed,) = reflect(iter([request(list_services="")]), timeout=DEADLINE_SECONDS)
     names = [service.name for service in listed.list_services_response.service]
     assert POLICY in names
     symbols = [request(file_containing_symbol=name) for name in names if "v1alpha" not in name]
     for answer in reflect(iter(symbols), timeout=DEADLINE_SECONDS):
         assert answer.file_descriptor_response.file_descriptor_proto, answer
+    unknown = [
+        request(file_containing_symbol="no.such.Symbol"),
+        request(file_by_filename="nothing.proto"),
+        request(all_extension_numbers_of_type="nothing"),
+        request(),
+    ]
+    codes = [answer.error_response.error_code for answer in reflect(iter(unknown), timeout=DEADLINE_SECONDS)]
+    assert codes == [5, 5, 5, 3]  # NOT_FOUND, and INVALID_ARGUMENT for no question at all
+    imports = request(file_by_filename="spikeserve/v1/policy_admin.proto")
+    (described,) = reflect(iter([imports]), timeout=DEADLINE_SECONDS)
+    assert len(described.file_descriptor_response.file_descriptor_proto) == 3
+
+
+def test_reflection_of_older_clients_lists_the_same_services(channel):
+    request = message_class("grpc.reflection.v1.ServerReflectionRequest")(list_services="").SerializeToString()
+    answers = []
+    for path in (REFLECT, REFLECT.replace(".v1.", ".v1alpha.")):  # with the same messages under another name
+        answers += channel.stream_stream(path)(iter([request]), timeout=DEADLINE_SECONDS)
+    assert len(answers) == 2
+    assert answers[0] == answers[1]
 
 
 def test_connections_that_come_and_go(server):

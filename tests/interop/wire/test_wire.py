@@ -23,9 +23,9 @@ OPEN = f"/{POLICY}/OpenSession"
 STREAM = f"/{POLICY}/ActStream"
 HEALTH = "/grpc.health.v1.Health/Check"
 EMPTY = v1("ListPoliciesRequest")
-OK, INTERNAL, UNIMPLEMENTED, DEADLINE_EXCEEDED = (
+OK, INVALID_ARGUMENT, INTERNAL, UNIMPLEMENTED, DEADLINE_EXCEEDED = (
     getattr(grpc.StatusCode, name).value[0]
-    for name in ("OK", "INTERNAL", "UNIMPLEMENTED", "DEADLINE_EXCEEDED")
+    for name in ("OK", "INVALID_ARGUMENT", "INTERNAL", "UNIMPLEMENTED", "DEADLINE_EXCEEDED")
 )
 RESOURCE_EXHAUSTED = grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
 
@@ -77,7 +77,7 @@ def test_content_types_of_grpc_are_served(client, content_type):
 
 
 @pytest.mark.parametrize(
-    "content_type", ["application/json", "text/html", "application/grpcx", "", None]
+    "content_type", ["application/json", "application/grpc-web", "application/grpc+json", "application/grpcx", "", None]
 )
 def test_another_content_type_is_415(client, content_type):
     answer = client.call(LIST, EMPTY, content_type=content_type)
@@ -126,7 +126,9 @@ def test_every_unit_of_a_timeout_is_understood(client, unit):
 
 @pytest.mark.parametrize("timeout", ["1", "S", "1x", "-1S", "999999999S", "1.5S"])
 def test_a_timeout_that_cannot_be_read_leaves_the_connection_usable(client, timeout):
-    client.call(LIST, EMPTY, grpc_timeout=timeout)
+    answer = client.call(LIST, EMPTY, grpc_timeout=timeout)
+    assert answer.grpc_status == INVALID_ARGUMENT
+    assert f'expected 1 to 8 digits and one of H, M, S, m, u, n, received "{timeout}"' in answer.grpc_message
     assert serves(client)
 
 
@@ -205,7 +207,7 @@ def test_an_end_in_the_middle_of_a_message_is_an_error(client):
     stream = client.begin(headers(OPEN))
     client.send(stream, framed(v1("OpenSessionRequest", policy="cartpole"))[:-3], end=True)
     answer = client.wait(stream)
-    assert answer.grpc_status != OK
+    assert answer.grpc_status == INTERNAL
     assert serves(client)
 
 

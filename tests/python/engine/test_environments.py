@@ -106,6 +106,32 @@ def test_every_step_of_an_episode_is_the_same(environment, stepper, choose_actio
         done = terminated or truncated
 
 
+# States beside a bound, and an action that meets it: walls, goals, limits of speed and of angles.
+EDGES = {
+    "CartPole-v1": [
+        *(([sign * x for x in state], action) for sign in (1, -1) for state in ([2.39, 1, 0, 0], [0, 0, 0.209, 1]) for action in (0, 1)),
+        ([2.39, 0.0, 0.209, 0.0], 1),
+    ],
+    "MountainCar-v0": [([-1.19, -0.07], 0), ([0.1, -0.07], 0), ([0.1, 0.07], 2), ([0.49, 0.05], 2), ([0.59, -0.02], 0)],
+    "Acrobot-v1": [([3.1, -3.1, 12.5, -28.2], 2), ([-3.1, 3.1, -12.5, 28.2], 0), ([3.0, 0.0, 0.0, 0.0], 1)],
+    "Pendulum-v1": [([7.0, 7.99], [2.0]), ([-7.0, -7.99], [-2.0]), ([0.5, -2.0], [-2.0]), ([-math.pi, 0.0], [0.0])],
+}
+
+
+def test_steps_beside_a_bound_are_the_same(environment, stepper):
+    for state, action in EDGES[environment.spec.id]:
+        environment.reset(seed=0)
+        environment.unwrapped.state = np.array(state, np.float64)
+        stepper.reset_to(state)
+        chosen = np.array(action, np.float32) if isinstance(action, list) else action
+        observation, reward, terminated, *_ = environment.step(chosen)
+        ours = stepper.step(chosen)
+        assert_same_state(ours["state"], environment.unwrapped.state)
+        np.testing.assert_array_equal(ours["observation"], observation)
+        assert ours["reward"] == pytest.approx(reward, rel=0, abs=TOLERANCE)
+        assert ours["terminated"] == terminated
+
+
 def test_a_seed_draws_the_same_initial_state(environment, stepper):
     # Only the first observation of Acrobot is a float32 cosine of a float32 angle.
     ulp = 1 if environment.spec.id == "Acrobot-v1" else 0

@@ -198,3 +198,15 @@ def test_rewards_that_are_left_out_are_counted(server, door):
     assert missing() == 5
     rewards = 0.1 * 4 + 0.1 * 6  # of the steps that had one
     assert send(request).ended.episode_return == pytest.approx(rewards)
+
+
+def test_a_repeated_step_gets_the_identical_answer_on_any_connection(server):
+    addresses, _, service = server
+    session = service.OpenSession(policy="cartpole").session_id
+    with grpc.insecure_channel(addresses.grpc) as channel:
+        another = Service(channel, "spikeserve.v1.PolicyService")
+        for step in range(30):
+            observation = [0.01 * step, -0.02 * step, 0.003 * step, 0.1]
+            request = {"session_id": session, "step": step, "observation": observation, "reward": 1.0}
+            assert service.Act(**request).SerializeToString() == another.Act(**request).SerializeToString()
+    assert service.GetSession(session_id=session).decisions == 30

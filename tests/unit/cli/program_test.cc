@@ -198,71 +198,6 @@ TEST_F(ProgramTest, AnErrorOfTheActionIsPrinted) {
   EXPECT_EQ(outcome.errors, "demo: no tower\n");
 }
 
-TEST_F(ProgramTest, TheCommandLineWinsOverTheEnvironmentAndThatOverTheFile) {
-  const std::string config = WriteConfig("server = \"file:1\"\n[fly]\nheight = 1\nfast = true\n");
-  EXPECT_EQ(Run({"fly", "--config", config}).errors, "");
-  EXPECT_EQ(flags_.server, "file:1");
-  EXPECT_EQ(flags_.height, 1);
-  EXPECT_TRUE(flags_.fast);
-
-  SetVariable("DEMO_SERVER", "variable:1");
-  SetVariable("DEMO_HEIGHT", "2");
-  SetVariable("DEMO_CONFIG", config);
-  EXPECT_EQ(Run({"fly"}).errors, "");
-  EXPECT_EQ(flags_.server, "variable:1");
-  EXPECT_EQ(flags_.height, 2);
-  EXPECT_TRUE(flags_.fast);
-
-  Run({"fly", "--server=line:1", "--height=3", "--fast=false"});
-  EXPECT_EQ(flags_.server, "line:1");
-  EXPECT_EQ(flags_.height, 3);
-  EXPECT_FALSE(flags_.fast);
-}
-
-TEST_F(ProgramTest, VariablesOfNoFlagAreRefused) {
-  SetVariable("DEMO_PROGRAM", "/bin/demo");
-  SetVariable("DEMOLITION", "1");
-  EXPECT_EQ(Run({"fly"}).errors, "");
-  SetVariable("DEMO_HEIGTH", "1");
-  EXPECT_EQ(Run({"fly"}).errors,
-            "demo: environment: expected variables of flags, such as DEMO_HEIGHT, received "
-            "DEMO_HEIGTH\n");
-}
-
-TEST_F(ProgramTest, AnEmptyVariableSetsTheEmptyValue) {
-  const std::string config = WriteConfig("server = \"file:1\"\n[fly]\nplaces = [\"a\"]\n");
-  SetVariable("DEMO_SERVER", "");
-  SetVariable("DEMO_PLACES", "");
-  SetVariable("DEMO_CONFIG", "");
-  const Outcome outcome = Run({"fly", "--config=" + config});
-  EXPECT_EQ(outcome.errors, "");
-  EXPECT_EQ(outcome.command_line, "demo --server= fly --places=");
-  EXPECT_EQ(flags_.server, "");
-  EXPECT_THAT(flags_.places, IsEmpty());
-  EXPECT_EQ(Run({"fly", "--server=line:1", "--places=b"}).errors, "");
-  EXPECT_EQ(flags_.server, "line:1");
-  EXPECT_THAT(flags_.places, ElementsAre("b"));
-}
-
-TEST_F(ProgramTest, AnEmptyVariableOfAFlagThatNeedsAValueIsRefused) {
-  SetVariable("DEMO_WAIT", "");
-  ExpectError({"fly"},
-              "DEMO_WAIT: --wait: expected a duration such as 250ms, 10s or 1.5m, received \"\"");
-  EXPECT_EQ(Run({"fly", "--wait=1s"}).errors, "");
-  SetVariable("DEMO_FAST", "");
-  ExpectError({"fly", "--wait=1s"}, "DEMO_FAST: --fast: expected true or false, received \"\"");
-}
-
-TEST_F(ProgramTest, AWrongValueNamesItsVariableOrFile) {
-  SetVariable("DEMO_HEIGHT", "high");
-  ExpectError({"fly"}, "DEMO_HEIGHT: --height: expected an integer, received \"high\"");
-  ExpectError({"tower", "open"}, "DEMO_HEIGHT: --height: expected an integer, received \"high\"");
-  EXPECT_EQ(Run({"fly", "--height=1"}).errors, "");
-  const std::string config = WriteConfig("[fly]\nseed = low\n");
-  ExpectError({"fly", "--height=1", "--config=" + config},
-              config + ": --seed: expected an integer of at least 0, received \"low\"");
-}
-
 TEST_F(ProgramTest, AFileIsReadStrictly) {
   const std::pair<std::string, std::string> cases[] = {
       {"height = 3\n", "expected flags of demo, received \"height\""},
@@ -326,14 +261,6 @@ TEST_F(ProgramTest, Version) {
   EXPECT_EQ(Run({"tower", "close", "--version=3"}).output, "");
   EXPECT_EQ(flags_.version, 3);
   EXPECT_THAT(Run({"tower", "close", "--help"}).output, Not(HasSubstr("Print the version")));
-}
-
-TEST_F(ProgramTest, GeneratesTexts) {
-  EXPECT_THAT(Run({"--generate=bash"}).output, HasSubstr("complete -F _demo demo"));
-  EXPECT_THAT(Run({"--generate=zsh"}).output, StartsWith("#compdef demo\n"));
-  EXPECT_THAT(Run({"--generate=fish"}).output, HasSubstr("complete -c demo -f\n"));
-  EXPECT_THAT(Run({"--generate=man"}).output, StartsWith(".TH DEMO 1 "));
-  ExpectError({"--generate=pdf"}, "--generate: expected bash, zsh, fish or man, received \"pdf\"");
 }
 
 }  // namespace

@@ -377,6 +377,9 @@ TEST_F(PolicyFileRefusalTest, Config) {
   set("hidden_size", 9, "hidden_size: expected a multiple of heads = 2, received 9");
   set("ticks", 0, "ticks: expected 1 to 256, received 0");
   set("context", 100000, "context: expected 1 to 4096, received 100000");
+  set("heads", 128, "heads: expected 1 to 64, received 128");
+  set("routing_hidden_size", 0, "routing_hidden_size: expected 1 to 4096, received 0");
+  set("ffn_size", 16385, "ffn_size: expected 1 to 16384, received 16385");
   set("membrane_decay", "0.95",
       "config.membrane_decay: expected a number that fits float32, received \"0.95\"");
   set("membrane_decay", 1e39,

@@ -8,7 +8,6 @@
 #include "client/spikectl/run_report.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
-#include "spikeserve/status.h"
 #include "tests/support/fake_policy_service.h"
 
 namespace spikeserve {
@@ -17,55 +16,11 @@ namespace {
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
-v1::PolicyInfo Served(const std::string& name, int version, bool is_default,
-                      const std::string& environment) {
-  v1::PolicyInfo policy;
-  policy.set_name(name);
-  policy.set_version(version);
-  policy.set_is_default(is_default);
-  policy.set_environment(environment);
-  return policy;
-}
-
-v1::ListPoliciesResponse ServedPolicies() {
-  v1::ListPoliciesResponse served;
-  *served.add_policies() = Served("acrobot", 1, true, "Acrobot-v1");
-  *served.add_policies() = Served("cartpole", 1, false, "CartPole-v1");
-  *served.add_policies() = Served("cartpole", 2, true, "CartPole-v1");
-  *served.add_policies() = Served("cartpole-pos", 1, true, "CartPole-v1");
-  return served;
-}
-
-TEST(ChoosePolicyTest, TakesTheDefaultVersionForTheEnvironment) {
-  const auto policy = ChoosePolicy(ServedPolicies(), "CartPole-v1", "", 0);
-  ASSERT_TRUE(policy.ok()) << policy.status();
-  EXPECT_EQ(policy->name(), "cartpole");
-  EXPECT_EQ(policy->version(), 2);
-}
-
-TEST(ChoosePolicyTest, TakesWhatIsNamed) {
-  EXPECT_EQ(ChoosePolicy(ServedPolicies(), "CartPole-v1", "cartpole-pos", 0)->name(),
-            "cartpole-pos");
-  EXPECT_EQ(ChoosePolicy(ServedPolicies(), "CartPole-v1", "cartpole", 1)->version(), 1);
-  // A caller may name a policy of another environment.
-  EXPECT_EQ(ChoosePolicy(ServedPolicies(), "CartPole-v1", "acrobot", 0)->name(), "acrobot");
-}
-
-TEST(ChoosePolicyTest, SaysWhatIsServedInstead) {
-  const auto none = ChoosePolicy(ServedPolicies(), "Pendulum-v1", "", 0);
-  EXPECT_TRUE(absl::IsNotFound(none.status()));
-  EXPECT_THAT(none.status().message(), HasSubstr("no policy for Pendulum-v1 is served"));
-  EXPECT_THAT(none.status().message(), HasSubstr("cartpole/2 for CartPole-v1"));
-  const auto version = ChoosePolicy(ServedPolicies(), "CartPole-v1", "cartpole", 3);
-  EXPECT_THAT(version.status().message(), HasSubstr("no policy \"cartpole\" in version 3"));
-  const auto empty = ChoosePolicy({}, "CartPole-v1", "", 0);
-  EXPECT_THAT(empty.status().message(), HasSubstr("the server has no policy"));
-}
-
 TEST(CheckFitsTest, ComparesObservationsAndActions) {
   const auto cart_pole = *MakeEnvironment("CartPole-v1");
   const auto pendulum = *MakeEnvironment("Pendulum-v1");
-  v1::PolicyInfo policy = Served("cartpole", 1, true, "CartPole-v1");
+  v1::PolicyInfo policy;
+  policy.set_name("cartpole");
   policy.set_observation_size(4);
   policy.mutable_action_space()->mutable_discrete()->set_n(2);
   EXPECT_TRUE(CheckSpacesMatch(policy, *cart_pole).ok());
@@ -87,22 +42,6 @@ class AgentTest : public ::testing::Test {
   std::unique_ptr<Client> client_ = *Client::Create(fake_.channel());
   RemoteSession session_{client_.get(), client_->OpenSession({})->session_id(), 0};
 };
-
-TEST_F(AgentTest, PlaysAnEpisodeToItsEnd) {
-  const auto environment = *MakeEnvironment("CartPole-v1");
-  const auto first = PlayEpisode(*environment, session_, 5);
-  ASSERT_TRUE(first.ok()) << first.status();
-  EXPECT_GT(first->steps, 0);
-  EXPECT_EQ(first->episode_return, static_cast<double>(first->steps));
-  EXPECT_EQ(first->steps, fake_.decisions());
-  EXPECT_EQ(first->latency.count(), first->steps);
-  EXPECT_EQ(first->spikes, FakePolicyService::kSpikes * static_cast<uint64_t>(first->steps));
-  EXPECT_TRUE(fake_.last_end_episode().terminated());
-  EXPECT_FALSE(fake_.last_end_episode().truncated());
-  EXPECT_EQ(fake_.last_end_episode().reward(), 1.0);
-  // The session can play another episode.
-  EXPECT_TRUE(PlayEpisode(*environment, session_, 6).ok());
-}
 
 TEST_F(AgentTest, TellsTheServerWhatWasExecutedFarAway) {
   const auto environment = *MakeEnvironment("CartPole-v1");
@@ -145,15 +84,6 @@ TEST_F(AgentTest, RefusesAnActionOfAnotherSpace) {
   EXPECT_THAT(episode.status().message(), HasSubstr("action"));
 }
 
-TEST_F(AgentTest, PassesOnTheServersError) {
-  const auto environment = *MakeEnvironment("CartPole-v1");
-  fake_.RefuseNext(1, {grpc::StatusCode::NOT_FOUND, "session_id: reaped"});
-  const absl::Status status = PlayEpisode(*environment, session_, 5).status();
-  EXPECT_EQ(status.code(), absl::StatusCode::kNotFound);
-  EXPECT_EQ(status.message(), "session_id: reaped");
-  EXPECT_TRUE(IsSessionLost(status));
-}
-
 EpisodeRecord Record(double episode_return, int64_t steps, uint64_t spikes) {
   EpisodeRecord record;
   record.episode_return = episode_return;
@@ -162,19 +92,6 @@ EpisodeRecord Record(double episode_return, int64_t steps, uint64_t spikes) {
   record.joules[static_cast<size_t>(kDefaultEnergyModel)] = 5e-12 * static_cast<double>(spikes);
   record.latency.Add(0.002);
   return record;
-}
-
-TEST(RunReportTest, MeansAreOverEpisodesAndDecisions) {
-  const nlohmann::json json = RunToJson({Record(10.0, 10, 1000), Record(30.0, 30, 6000)});
-  EXPECT_EQ(json["episodes"][0]["return"], 10.0);
-  EXPECT_EQ(json["episodes"][0]["steps"], 10);
-  EXPECT_EQ(json["episodes"][0]["spikes_per_decision"], 100.0);
-  EXPECT_EQ(json["episodes"][1]["spikes_per_decision"], 200.0);
-  EXPECT_EQ(json["mean_return"], 20.0);
-  EXPECT_EQ(json["spikes_per_decision"], 175.0);
-  EXPECT_DOUBLE_EQ(json["energy_joules_per_decision"], 5e-12 * 175.0);
-  EXPECT_EQ(json["p50_seconds"], 0.002);
-  EXPECT_EQ(json["p99_seconds"], 0.002);
 }
 
 TEST(RunReportTest, TheTextNamesOneEnergyModelWithMemoryWhereItCounts) {

@@ -7,7 +7,6 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
-#include "server/access/permission.h"
 #include "server/base/retry_delay.h"
 #include "tests/support/temporary_directory.h"
 
@@ -38,9 +37,6 @@ class AuthenticatorTest : public ::testing::Test {
     EXPECT_TRUE(authenticator.ok()) << authenticator.status();
     return *std::move(authenticator);
   }
-  static absl::StatusCode CodeOf(const Authenticator& authenticator, absl::string_view token) {
-    return authenticator.Authenticate(token).status().code();
-  }
 
   TemporaryDirectory directory_;
   const std::string path_ = (directory_.path() / "tokens.json").string();
@@ -48,14 +44,6 @@ class AuthenticatorTest : public ::testing::Test {
 
 TEST(Sha256Test, IsThatOfTheStandard) {
   EXPECT_EQ(HashOf("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
-}
-
-TEST_F(AuthenticatorTest, WithoutAFileEverybodyIsAnOperator) {
-  const auto open = *Authenticator::Create("");
-  const auto caller = open->Authenticate("");
-  ASSERT_TRUE(caller.ok());
-  EXPECT_EQ((*caller)->role(), Role::kOperator);
-  EXPECT_EQ((*caller)->tenant()->name(), "");
 }
 
 TEST_F(AuthenticatorTest, RefusalsArePacedByTenant) {
@@ -69,15 +57,6 @@ TEST_F(AuthenticatorTest, RefusalsArePacedByTenant) {
   EXPECT_NE(refusals("a"), refusals("wrong"));
 }
 
-TEST_F(AuthenticatorTest, KnowsItsTokens) {
-  Write(File(Entry("a", "agent") + "," + Entry("o", "operator")));
-  const auto authenticator = Create();
-  EXPECT_EQ((*authenticator->Authenticate("a"))->role(), Role::kAgent);
-  EXPECT_EQ((*authenticator->Authenticate("o"))->tenant()->name(), "fleet");
-  EXPECT_EQ(CodeOf(*authenticator, "b"), absl::StatusCode::kUnauthenticated);
-  EXPECT_EQ(CodeOf(*authenticator, ""), absl::StatusCode::kUnauthenticated);
-}
-
 TEST_F(AuthenticatorTest, SeesItsTenantUnlessTheTokenSeesAll) {
   Write(File(Entry("own", "operator") + "," + Entry("all", "viewer", R"(, "sees": "all")")));
   const auto authenticator = Create();
@@ -85,37 +64,6 @@ TEST_F(AuthenticatorTest, SeesItsTenantUnlessTheTokenSeesAll) {
   EXPECT_TRUE(own->CanRead("fleet"));
   EXPECT_FALSE(own->CanRead("rival"));
   EXPECT_TRUE((*authenticator->Authenticate("all"))->CanRead("rival"));
-}
-
-TEST_F(AuthenticatorTest, TokensExpire) {
-  Write(File(Entry("old", "agent", R"(, "expires": "2001-01-01T00:00:00Z")") + "," +
-             Entry("new", "agent", R"(, "expires": "2999-01-01T00:00:00Z")")));
-  const auto authenticator = Create();
-  EXPECT_THAT(std::string(authenticator->Authenticate("old").status().message()),
-              HasSubstr("expired"));
-  EXPECT_TRUE(authenticator->Authenticate("new").ok());
-}
-
-TEST_F(AuthenticatorTest, AChangedFileRevokesAndKeepsWhatStays) {
-  Write(File(Entry("a", "agent") + "," + Entry("b", "agent")));
-  const auto authenticator = Create();
-  const auto a = *authenticator->Authenticate("a");
-  const auto b = *authenticator->Authenticate("b");
-  Write(File(Entry("b", "agent") + "," + Entry("c", "viewer")));
-  ASSERT_TRUE(authenticator->Reload().ok());
-  EXPECT_EQ(a->CheckValid().code(), absl::StatusCode::kUnauthenticated);
-  EXPECT_TRUE(b->CheckValid().ok());
-  EXPECT_EQ(*authenticator->Authenticate("b"), b);
-  EXPECT_EQ((*authenticator->Authenticate("c"))->tenant(), b->tenant());
-  EXPECT_EQ(CodeOf(*authenticator, "a"), absl::StatusCode::kUnauthenticated);
-}
-
-TEST_F(AuthenticatorTest, ABrokenFileChangesNothing) {
-  Write(File(Entry("a", "agent")));
-  const auto authenticator = Create();
-  Write("{");
-  EXPECT_THAT(std::string(authenticator->Reload().message()), HasSubstr(path_));
-  EXPECT_TRUE(authenticator->Authenticate("a").ok());
 }
 
 TEST_F(AuthenticatorTest, MistakesInTheFileAreNamed) {
@@ -152,34 +100,6 @@ TEST(TenantTest, DecisionsAreLimitedWithAHint) {
   EXPECT_FALSE(tenant.AcquireDecision(start + absl::Milliseconds(99)).ok());
   EXPECT_TRUE(tenant.AcquireDecision(start + absl::Milliseconds(100)).ok());
   EXPECT_FALSE(tenant.AcquireDecision(start + absl::Milliseconds(100)).ok());
-}
-
-TEST(TenantTest, SessionsAndMessagesAreLimited) {
-  Tenant tenant("fleet");
-  tenant.SetLimits({.max_sessions = 1,
-                    .decisions_per_second = 0.0,
-                    .calls_per_second = {},
-                    .max_message_bytes = 100});
-  EXPECT_TRUE(tenant.Acquire().ok());
-  EXPECT_EQ(tenant.Acquire().code(), absl::StatusCode::kResourceExhausted);
-  tenant.Release();
-  EXPECT_TRUE(tenant.Acquire().ok());
-  EXPECT_TRUE(tenant.CheckMessage(100).ok());
-  EXPECT_EQ(tenant.CheckMessage(101).code(), absl::StatusCode::kResourceExhausted);
-}
-
-TEST(RoleTest, WhatIsNotListedIsTheOperators) {
-  EXPECT_TRUE(CheckMayCall(Role::kAgent, MethodNamed("Act")).ok());
-  EXPECT_FALSE(CheckMayCall(Role::kViewer, MethodNamed("Act")).ok());
-  EXPECT_TRUE(CheckMayCall(Role::kViewer, MethodNamed("Explain")).ok());
-  EXPECT_TRUE(CheckMayCall(Role::kViewer, MethodNamed("ListSessions")).ok());
-  EXPECT_FALSE(CheckMayCall(Role::kAgent, MethodNamed("ListSessions")).ok());
-  for (const Role role : {Role::kAgent, Role::kViewer}) {
-    EXPECT_EQ(CheckMayCall(role, MethodNamed("Drain")).code(), absl::StatusCode::kPermissionDenied);
-    EXPECT_TRUE(CheckMayCall(role, MethodNamed("ListPolicies")).ok());
-  }
-  EXPECT_TRUE(CheckMayCall(Role::kOperator, MethodNamed("Drain")).ok());
-  EXPECT_FALSE(CheckMayReadStatus(Role::kAgent).ok());
 }
 
 TEST(TokenOfTest, ReadsBearerAndBasic) {

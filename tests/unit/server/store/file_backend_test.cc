@@ -94,24 +94,6 @@ class FileBackendTest : public ::testing::Test {
   std::unique_ptr<JournalBackend> backend_;
 };
 
-TEST_F(FileBackendTest, RecordsSurviveAndComeBackInOrder) {
-  EXPECT_THAT(Write({Record(Kind::kOpen, "open", 0), Record(Kind::kEntry, "1", 1),
-                     Record(Kind::kOpen, "other", 0, 1, kOtherId), Record(Kind::kEntry, "2", 2)}),
-              ElementsAre(kOk, kOk, kOk, kOk));
-  Open();
-  EXPECT_THAT(Claimed(), ElementsAre("open", "1", "2"));
-  EXPECT_THAT(Claimed(kOtherId), ElementsAre("other"));
-}
-
-TEST_F(FileBackendTest, ASnapshotReplacesEverythingBefore) {
-  Write({Record(Kind::kOpen, "open", 0), Record(Kind::kEntry, "1", 1),
-         Record(Kind::kOpen, "other", 0, 1, kOtherId)});
-  // The end of an episode is written with the number of its last decision.
-  Write({Record(Kind::kSnapshot, "snapshot", 1), Record(Kind::kEntry, "300", 300)});
-  EXPECT_THAT(Claimed(), ElementsAre("snapshot", "300"));
-  EXPECT_THAT(Claimed(kOtherId), ElementsAre("other"));
-}
-
 TEST_F(FileBackendTest, AFormerOwnerIsRefused) {
   Write({Record(Kind::kOpen, "open", 0)});
   const auto claimed = Claim(kId);
@@ -121,22 +103,6 @@ TEST_F(FileBackendTest, AFormerOwnerIsRefused) {
                      Record(Kind::kSnapshot, "old", 2, 1), Record(Kind::kClose, "", 2, 1)}),
               ElementsAre(kAborted, kOk, kAborted, kAborted));
   EXPECT_THAT(Claimed(), ElementsAre("open", "new"));
-}
-
-TEST_F(FileBackendTest, AnIdIsOpenedOnceAndGoneAfterItsClose) {
-  EXPECT_THAT(Write({Record(Kind::kOpen, "a", 0), Record(Kind::kOpen, "b", 0)}),
-              ElementsAre(kOk, absl::StatusCode::kAlreadyExists));
-  EXPECT_THAT(Write({Record(Kind::kClose, "", 0), Record(Kind::kEntry, "late", 1)}),
-              ElementsAre(kOk, kAborted));
-  EXPECT_EQ(Claim(kId).status().code(), absl::StatusCode::kNotFound);
-  EXPECT_THAT(Write({Record(Kind::kOpen, "c", 0)}), ElementsAre(kOk));
-  EXPECT_THAT(Claimed(), ElementsAre("c"));
-}
-
-TEST_F(FileBackendTest, OtherTenantsDoNotSeeTheSession) {
-  Write({Record(Kind::kOpen, "open", 0)});
-  EXPECT_EQ(Claim(kId, "other").status().code(), absl::StatusCode::kNotFound);
-  EXPECT_EQ(Claim(kId)->epoch, 2u);
 }
 
 TEST_F(FileBackendTest, SessionsThatNothingWasWrittenToAreRemovedAtTheNextStart) {
@@ -149,20 +115,6 @@ TEST_F(FileBackendTest, SessionsThatNothingWasWrittenToAreRemovedAtTheNextStart)
   Open();
   EXPECT_EQ(Claim(kId).status().code(), absl::StatusCode::kNotFound);
   EXPECT_THAT(Claimed(kOtherId), ElementsAre("used", "1", "2"));
-}
-
-TEST_F(FileBackendTest, ATimeOfDayThatJumpsRemovesNothing) {
-  Write({Record(Kind::kOpen, "idle", 0), Record(Kind::kOpen, "used", 0, 1, kOtherId)});
-  for (const absl::Duration jump : {absl::Hours(25), -absl::Hours(500'000), absl::Hours(500'000)}) {
-    now_ += jump;
-    Open();
-    now_ += jump;
-    Pass(absl::Minutes(2));
-    Write({Record(Kind::kEntry, "1", 1, 1, kOtherId)});
-    Open();
-  }
-  EXPECT_THAT(Claimed(), ElementsAre("idle"));
-  EXPECT_THAT(Claimed(kOtherId), ElementsAre("used", "1"));
 }
 
 TEST_F(FileBackendTest, OpensWhereTheProcessMayMapLittle) {
