@@ -3,22 +3,10 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/action/neutral_action.h"
 #include "core/math/counter_random.h"
 
 namespace spikeserve {
-namespace {
-
-// Returns 0, or the middle of a Box in each element whose bounds exclude 0.
-Action NeutralAction(const ActionSpace& space) {
-  Action action;
-  for (size_t i = 0; i < space.low.size(); ++i) {
-    const bool has_zero = space.low[i] <= 0.0f && space.high[i] >= 0.0f;
-    action.continuous.push_back(has_zero ? 0.0f : (space.low[i] + space.high[i]) / 2.0f);
-  }
-  return action;
-}
-
-}  // namespace
 
 absl::Status Distance::Validate() const {
   if (delay < 0) {

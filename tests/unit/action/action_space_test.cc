@@ -11,7 +11,6 @@ namespace {
 
 using testing::ElementsAre;
 
-constexpr float kInfinity = std::numeric_limits<float>::infinity();
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kLargest = std::numeric_limits<float>::max();
 
@@ -68,33 +67,6 @@ TEST(ActionSpace, ContainsNamesWhatIsWrong) {
             "action[0]: expected -2 to 2, received 2.5");
   EXPECT_EQ(box.Contains(Continuous({kNan})).message(),
             "action[0]: expected -2 to 2, received nan");
-}
-
-TEST(ActionSpace, ValidateNamesWhatIsWrong) {
-  EXPECT_TRUE(ActionSpace::Discrete(1).Validate().ok());
-  EXPECT_TRUE(ActionSpace::Box({-1.0f}, {1.0f}).Validate().ok());
-  const struct {
-    ActionSpace space;
-    std::string message;
-  } cases[] = {
-      {ActionSpace::Discrete(0), "action_space.n: expected at least 1, received 0"},
-      {ActionSpace::Discrete(-3), "action_space.n: expected at least 1, received -3"},
-      {{.n = 2, .low = {0.0f}, .high = {1.0f}},
-       "action_space: expected n or bounds, received n = 2 with bounds"},
-      {ActionSpace::Box({0.0f}, {1.0f, 2.0f}),
-       "action_space: expected low and high of one length, received 1 and 2"},
-      {ActionSpace::Box({0.0f, 1.0f}, {1.0f, 1.0f}),
-       "action_space: expected finite bounds with low[1] < high[1], received 1 and 1"},
-      {ActionSpace::Box({0.0f}, {kInfinity}),
-       "action_space: expected finite bounds with low[0] < high[0], received 0 and inf"},
-      {ActionSpace::Box({kNan}, {1.0f}),
-       "action_space: expected finite bounds with low[0] < high[0], received nan and 1"},
-  };
-  for (const auto& c : cases) {
-    const absl::Status status = c.space.Validate();
-    EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << c.message;
-    EXPECT_EQ(status.message(), c.message);
-  }
 }
 
 }  // namespace

@@ -2,9 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include <string>
-
-#include "absl/strings/str_cat.h"
 #include "core/engine/account.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/engine/token_costs.h"
@@ -59,40 +56,6 @@ TEST(EnergyTest, EveryModelPricesWhatItSays) {
   const double bytes = 800 + 8 * 3000 + 2 * 3 * 100 + 900;
   EXPECT_NEAR(joules(EnergyModel::kIntSram45nm), (operations + 1.25 * bytes) * kPico, 1e-9 * kPico);
   EXPECT_EQ(DefaultEnergy(counts, config), joules(EnergyModel::kHorowitz45nm));
-}
-
-TEST(EnergyTest, AnAttentionProductOfADensePolicyIsAMultiplyAccumulate) {
-  Counts counts;
-  counts.multiply_accumulates = 10;
-  counts.attention_products = 100;
-  EXPECT_DOUBLE_EQ(DefaultEnergy(counts, SmallConfig(Mode::kDense)), 4.6 * 110 * kPico);
-}
-
-TEST(EnergyTest, APolicyHasNoFigureUnderAModelThatDoesNotApply) {
-  const auto applying = [](const ModelConfig& config) {
-    std::string names;
-    for (const auto& [model, name] : EnumNames(EnergyModel())) {
-      const auto joules = EstimateEnergy(model, SomeCounts(), config);
-      EXPECT_EQ(joules.has_value(), Applies(model, config)) << name;
-      if (joules.has_value()) absl::StrAppend(&names, " ", name);
-    }
-    return names;
-  };
-  EXPECT_EQ(applying(Configured(Arithmetic::kInteger)),
-            " horowitz_45nm int_45nm int_sram_45nm spike_5pj");
-  EXPECT_EQ(applying(Configured(Arithmetic::kFloat32)), " horowitz_45nm spike_5pj");
-  EXPECT_EQ(applying(SmallConfig(Mode::kDense)), " horowitz_45nm");
-}
-
-TEST(EnergyTest, WithoutNormsTheResidualStreamIsLimited) {
-  Counts counts;
-  counts.coder_gains = 16;
-  const auto joules = [&](NormKind norm) {
-    ModelConfig config = Configured(Arithmetic::kInteger);
-    config.norm = norm;
-    return *EstimateEnergy(EnergyModel::kInt45nm, counts, config);
-  };
-  EXPECT_NEAR(joules(NormKind::kNone) - joules(NormKind::kLayer), 0.1 * 16 * kPico, 1e-9 * kPico);
 }
 
 // Every element that a norm would get is coded once, so the account counts limits by the coders.
@@ -156,31 +119,6 @@ TEST(EnergyTest, TheDenseBaselineAtThePapersSize) {
   EXPECT_EQ(twin.attention_products, 60'416u);
   EXPECT_EQ(twin.softmax_terms, 944u);
   EXPECT_EQ(twin.weight_bytes, 394'112u + 2 * 128 * 4);
-}
-
-TEST(EnergyTest, EveryModelSaysWhatItCountsAndLeavesOut) {
-  for (const auto& [model, name] : EnumNames(EnergyModel())) {
-    const EnergyModelInfo& info = InfoOf(model);
-    for (const auto& text : {info.counts, info.leaves_out, info.applies_to, info.source}) {
-      EXPECT_FALSE(text.empty()) << name;
-    }
-  }
-}
-
-// The engines agree with each other (tests/parity); this shows that each of them counts at all.
-TEST(EnergyTest, EnginesCountThePartsOfTheirMode) {
-  for (const Mode mode : {Mode::kBaseline, Mode::kFull, Mode::kDense}) {
-    const auto policy = std::make_shared<const Policy>(SmallPolicy(SmallConfig(mode)));
-    const auto engine = MakeEngine(policy);
-    const auto context = engine->NewContext();
-    Engine::Output output;
-    engine->Decide(*context, 1.0f, {1.0f, 2.0f, 3.0f, 4.0f}, &output);
-    EXPECT_EQ(output.counts.membrane_updates > 0, mode != Mode::kDense);
-    EXPECT_EQ(output.counts.gate_products > 0, mode == Mode::kFull);
-    EXPECT_GT(output.counts.layer_norm_elements, 0u);
-    EXPECT_GT(output.counts.softmax_terms, 0u);
-    EXPECT_EQ(output.counts.integer_multiply_accumulates, 0u);
-  }
 }
 
 }  // namespace

@@ -260,7 +260,7 @@ refuses '--policy: arithmetic: expected integer, received float32' account --pol
 says tuned-integers/policy.safetensors "\\\"parent_sha256\\\":\\\"$(sha whole/policy.safetensors)\\\""
 grep -aq 'lineage.*--out=whole' tuned-integers/policy.safetensors || fail "lineage of integers"
 refuses '--arithmetic=integer: expected a mode with spikes, received dense; `spiketrain quantize --to=integer` converts a trained '\
-'dense policy' train --data=data.cbor --out=x --mode=dense --arithmetic=integer
+'dense policy' train --data=data.cbor --out=x "${tiny[@]}" --mode=dense --arithmetic=integer
 refuses '--arithmetic: expected float32 or integer, received "int4"' train --data=data.cbor --out=x --arithmetic=int4
 
 # Records episodes of a student, labelled by the expert.
@@ -300,7 +300,8 @@ fade --init=whole/policy.safetensors --norm=fade --out=faded-late --iterations=3
 grep -q '^residual_limit ' account.txt || fail "no limits: $(cat account.txt)"
 refuses '--norm: expected layer for a policy without norms, received fade' \
   train --data=data.cbor --init=faded/policy.safetensors --out=x --norm=fade
-refuses '--norm: expected layer in mode dense, received fade' train --data=data.cbor --out=x --mode=dense --norm=fade
+refuses '--norm: expected layer in mode dense, received fade' \
+  train --data=data.cbor --out=x "${tiny[@]}" --mode=dense --norm=fade
 refuses '--norm: expected layer with arithmetic integer, received fade' \
   train --data=data.cbor --out=x --arithmetic=integer --norm=fade
 refuses '--arithmetic=integer: expected a policy with norms, received one without; `spiketrain quantize --to=integer` '\
