@@ -79,6 +79,11 @@ Task RobotSession::Next(Time now) {
   return wait;
 }
 
+std::optional<Task> RobotSession::NextSend(Time now) {
+  if (log_.is_too_long() || !MaySend(now)) return std::nullopt;
+  return Send(now);
+}
+
 // Tries a fresh connection, or another server, if requests wait for too long.
 Task RobotSession::NextOnline(Time now, Task wait) {
   if (now < paused_until_) wait.time = std::min(wait.time, paused_until_);

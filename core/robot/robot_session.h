@@ -111,6 +111,9 @@ class RobotSession {
 
   // Returns what is to be done next. Of calls, one is under way at a time.
   Task Next(Time now);
+  // As Next, for a thread of the robot that sends by itself: returns what is to be sent, if
+  // anything.
+  std::optional<Task> NextSend(Time now);
 
   // The stream that Next has wanted is open, at a server by its number.
   void OnStreamOpened(size_t server);

@@ -5,7 +5,7 @@
 # usage: deploy/release/make.sh OUT_DIR BUILD_DIR...
 #   BUILD_DIR: a build with all programs; one for each architecture
 #
-# Wheels of the engine are made for each CPython from 3.10 to 3.13 with headers that is in PATH or installed by pyenv.
+# Wheels of the client and the engine are made for each CPython from 3.10 to 3.13 with headers that is in PATH or installed by pyenv.
 # PYTHONS="3.11" selects others.
 set -euo pipefail
 usage="usage: $0 OUT_DIR BUILD_DIR..."
@@ -70,19 +70,19 @@ python_packages() {
   done
   engine_sdist
   "$python" -m pip wheel --quiet --disable-pip-version-check --no-build-isolation --no-deps --wheel-dir="$out" \
-    "$work/clone/client/python" "$work/clone/train/python"
+    "$work/clone/train/python"
   for name in ${PYTHONS-3.10 3.11 3.12 3.13}; do
     if found=$(interpreter "$name"); then
       pythons+=("$found")
     else
-      say "no wheel of the engine for CPython $name: expected one with headers in PATH or pyenv, found none"
+      say "no wheels for CPython $name: expected one with headers in PATH or pyenv, found none"
     fi
   done
   ((${#pythons[@]})) || return 0
-  say "wheels of the engine for ${pythons[*]}"
+  say "wheels of the client and the engine for ${pythons[*]}"
   # At the depth of build/release, so that the compiler cache knows the core that was compiled there.
   CXX=g++ CMAKE_CXX_COMPILER_LAUNCHER=ccache SKBUILD_BUILD_DIR="$work/clone/build/wheel" CCACHE_BASEDIR="$work/clone" \
-    CCACHE_NOHASHDIR=1 "$work/clone/client/python/engine/build_wheels.sh" "$out" "$python" "${pythons[@]}" >"$work/wheels.log" 2>&1 ||
+    CCACHE_NOHASHDIR=1 "$work/clone/client/python/build_wheels.sh" "$out" "$python" "${pythons[@]}" >"$work/wheels.log" 2>&1 ||
     { cat "$work/wheels.log" >&2; return 1; }
 }
 

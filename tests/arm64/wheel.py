@@ -35,7 +35,7 @@ assert platform.machine() == "aarch64" and returns == [500.0, 500.0], returns
 def main(stub):
     with tempfile.TemporaryDirectory() as folder:
         wheels, site = pathlib.Path(folder, "wheels"), pathlib.Path(folder, "site")
-        build = ROOT / "client/python/engine/build_wheels.sh"
+        build = ROOT / "client/python/build_wheels.sh"
         subprocess.run([build, "--arm64", stub, wheels, sys.executable, "/usr/bin/python3"], check=True)
         wheel = next(wheels.glob("spikeserve_engine-*_aarch64.whl"))
         print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB", flush=True)

@@ -8,6 +8,7 @@ import pytest
 import spikeserve
 from links import Link
 from serving import run
+from spikeserve.distance import Arrivals, Distance, neutral_action
 
 SEED = 5000
 
@@ -74,3 +75,20 @@ def test_it_plays_on_when_a_nat_has_forgotten_the_connection(address):
         assert link.accepted >= 2
     assert len(episodes_of(lines)) == 6
     assert episodes_of(lines) == episodes_of(undisturbed.stdout.splitlines())
+
+
+def test_decisions_of_a_far_server_arrive_later():
+    arrivals = Arrivals(Distance(delay=2), spikeserve.Discrete(9), seed=0)
+    assert [arrivals.executed(beat, beat + 1) for beat in range(6)] == [0, 0, 1, 2, 3, 4]
+    late = Arrivals(Distance(delay=1, jitter=3, loss=0.3), spikeserve.Discrete(99), seed=0)
+    executed = [late.executed(beat, beat + 1) for beat in range(60)]
+    assert executed == sorted(executed)  # an older decision never follows a newer one
+    assert all(action <= beat for beat, action in enumerate(executed))
+    assert executed[-1] > 50
+    assert neutral_action(spikeserve.Box((-1.0, 2.0), (1.0, 4.0))).tolist() == [0.0, 3.0]
+
+
+@pytest.mark.parametrize("options", [{"delay": -1}, {"jitter": -1}, {"loss": 1.0}])
+def test_a_distance_is_checked(options):
+    with pytest.raises(ValueError, match=f"{next(iter(options))}: expected "):
+        Distance(**options)

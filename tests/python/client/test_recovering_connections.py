@@ -10,6 +10,7 @@ import time
 import pytest
 import spikeserve
 from security import until
+from spikeserve.lines import MISSES, SILENCE_SECONDS, Doubt
 from spikeserve.wire import message_class
 from restartable_server import restartable_server
 
@@ -188,3 +189,17 @@ def test_a_session_that_was_lost_closes_in_silence():
 def test_the_settings_are_checked(field):
     with pytest.raises(ValueError, match=f"{field}: expected more than 0, received 0"):
         spikeserve.ClientOptions(**{field: 0})
+
+
+def test_a_race_begins_after_a_silence_and_some_misses():
+    doubt = Doubt()
+    now = time.monotonic()
+    long_ago = now - 2 * SILENCE_SECONDS
+    assert not doubt.waits(now)
+    assert not any(doubt.missed(long_ago) for _ in range(MISSES - 1))
+    assert doubt.missed(long_ago)
+    assert not doubt.missed(long_ago)  # while the race is on
+    doubt.raced(fresh_won=False)
+    assert not doubt.waits(long_ago)  # in the pause after it
+    doubt.answered()
+    assert not any(doubt.missed(long_ago) for _ in range(MISSES))  # they began before the answer

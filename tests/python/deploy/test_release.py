@@ -28,7 +28,7 @@ OFFLINE = {
 
 @pytest.fixture(scope="module")
 def dist(tmp_path_factory):
-    """Returns the folder that deploy/release/make.sh fills, with a wheel of the engine for this interpreter alone."""
+    """Returns the folder that deploy/release/make.sh fills, with wheels for this interpreter alone."""
     folder = tmp_path_factory.mktemp("dist") / "dist"
     binaries = str(pathlib.Path(sys.executable).parent)
     environment = os.environ | OFFLINE | {"PYTHONS": OWN_VERSION, "PATH": f"{binaries}:{os.environ['PATH']}"}
@@ -45,8 +45,9 @@ def test_a_release_has_everything(dist):
     assert {"spikeserve", "spikeserve-tools", "libspikeserve-dev"} <= set(packages)
     tag = f"cp{OWN_VERSION.replace('.', '')}"
     [client, engine, train] = names(dist, "*.whl")
-    assert (client, train) == (f"spikeserve-{VERSION}-py3-none-any.whl", f"spikeserve_train-{VERSION}-py3-none-any.whl")
-    assert re.match(rf"spikeserve_engine-{VERSION}-{tag}-{tag}-manylinux", engine)
+    for name, wheel in (("spikeserve", client), ("spikeserve_engine", engine)):
+        assert re.match(rf"{name}-{VERSION}-{tag}-{tag}-manylinux", wheel)
+    assert train == f"spikeserve_train-{VERSION}-py3-none-any.whl"
     assert names(dist, "*.tar.gz") == [
         f"spikeserve-{VERSION}.src.tar.gz",
         f"spikeserve-{VERSION}.tar.gz",
@@ -103,6 +104,7 @@ def test_the_python_packages_install_in_an_empty_environment(dist, kind, tmp_pat
     script = (
         "import spikeserve, spikeserve.engine, spikeserve_engine\n"
         "assert spikeserve.imitate\n"
+        "spikeserve.piloting.robot_messages.require_robot()\n"
         f"session = spikeserve.engine.Engine({str(policy)!r}).session()\n"
         "print(session.act([0.01, 0.0, 0.02, 0.0]).action, spikeserve_engine.__file__)"
     )

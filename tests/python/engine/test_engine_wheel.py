@@ -86,12 +86,12 @@ def test_wheels_are_enough_to_play(tmp_path, version, address, expected):
     python = tmp_path / "venv/bin/python"
     # With one name of the compiler, the sources that do not include Python are compiled once for all versions.
     build = {"SKBUILD_BUILD_DIR": f"{tmp_path}/build", "CMAKE_CXX_COMPILER_LAUNCHER": "ccache", "CXX": "g++"}
-    run(CLIENT / "engine/build_wheels.sh", tmp_path / "wheels", sys.executable, python, env=env | build)
-    (engine_wheel,) = (tmp_path / "wheels").glob("*.whl")
+    run(CLIENT / "build_wheels.sh", tmp_path / "wheels", sys.executable, python, env=env | build)
+    client_wheel, engine_wheel = sorted((tmp_path / "wheels").glob("*.whl"))
     check_engine_wheel(engine_wheel, version)
-    pip = [python, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    run(*pip, "wheel", "--no-deps", f"--wheel-dir={tmp_path}/wheels", CLIENT, env=env)
-    run(*pip, "install", *(tmp_path / "wheels").glob("*.whl"), env=env)
+    run(python, "-m", "pip", "--quiet", "--disable-pip-version-check", "install", client_wheel, engine_wheel, env=env)
+    pilot = "from spikeserve.piloting.robot_messages import require_robot; require_robot()"
+    run(python, "-c", pilot, env=env)
     played = json.loads(run(python, PLAYER, SHIPPED_POLICIES, address, env=env))
     assert played["version"] == version
     assert all(pathlib.Path(module).is_relative_to(tmp_path / "venv") for module in played["modules"])

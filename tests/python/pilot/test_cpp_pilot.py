@@ -33,6 +33,7 @@ from test_pilot_faults import (  # noqa: F401
     test_a_robot_that_slept_executes_nothing_from_before,
     test_a_server_hears_of_a_robot_that_stays_blind,
     test_a_server_that_denies_the_session_has_not_the_last_word,
+    test_an_episode_of_a_fleet_ends_behind_a_step_that_saw_nothing,
     test_episodes_begin_and_end_without_an_observation,
     test_what_a_kill_loses_the_robot_sends_again,
 )

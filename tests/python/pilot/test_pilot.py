@@ -101,7 +101,7 @@ class Flight:
 
     def local_value(self):
         """Returns the value of the session on the robot's engine."""
-        return self.pilot._session.local.value()
+        return self.pilot._link.engine.value()
 
     def check_summaries(self):
         """Checks that the server has counted every reward of every episode once, as the robot has."""
@@ -349,26 +349,30 @@ def test_a_slow_link_is_used_with_requests_in_flight(client, link, fly):
 
 def test_the_newest_answer_that_could_arrive_is_executed(client, link, monkeypatch):
     """At 50 Hz, with a round trip of 50 ms, and 1 % of the segments lost."""
-    arrived = []  # steps of answers, in their order
-    take = spikeserve.piloting.link.Link._take
+    arrived = [-1]  # steps of answers, in their order
+    take = spikeserve.piloting.link.Link._on_reply
 
-    def take_and_note(self, reply, *arguments):
-        take(self, reply, *arguments)
+    def take_and_note(self, stream, reply):
+        if reply.HasField("action"):
+            reply.action.continuous.values[0] = reply.step / 1000  # shows which one is executed
+        take(self, stream, reply)
         arrived.append(reply.step)
 
-    monkeypatch.setattr(spikeserve.piloting.link.Link, "_take", take_and_note)
+    monkeypatch.setattr(spikeserve.piloting.link.Link, "_on_reply", take_and_note)
     link.delay, link.loss = 0.025, 0.01
     with Flight(client, period=0.02, local=False) as flight:
-        newest = []
+        executed, newest = -1, []
         for _ in range(300):
-            known = max(arrived, default=-1)
-            flight.beat()
-            newest.append(flight.pilot._executed_step >= known)
+            known = max(arrived)
+            action = flight.beat()
+            if action.source == "fresh":
+                executed = round(1000 * float(action.action[0]))
+            newest.append(executed >= known)
         assert sum(newest) >= 0.95 * len(newest)
         # With one request at a time, one beat of three would have an answer.
         assert len(arrived) >= 0.5 * len(newest)
         flight.end()
-        flight.check_session(client)
+        flight.check_summaries()
 
 
 def test_a_server_that_loses_its_sessions_gets_a_new_one(tmp_path, fly):

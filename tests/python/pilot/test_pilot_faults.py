@@ -76,6 +76,23 @@ def test_what_a_kill_loses_the_robot_sends_again(redis, fly):
             assert stats.reopened == stats.lost_episodes == 0
 
 
+@WITHOUT_REDIS
+def test_an_episode_of_a_fleet_ends_behind_a_step_that_saw_nothing(redis, fly):
+    """A call ends the episodes of a head that a store keeps, but no server takes such a step without the end."""
+    fleet = replace(LEARNING.learning, scope="FLEET")
+    options = replace(LEARNING, durability="ASYNC", learning=fleet)
+    with restartable_server(f"--session_store=redis://127.0.0.1:{redis.port}") as server:
+        with spikeserve.Client(server.address) as client, fly(client, "cartpole", local=False, session=options) as flight:
+            for blind in (0, 1, 2):
+                flight.until("fresh")
+                flight.fly(3)
+                flight.blind(blind)
+                flight.end()
+            flight.until("fresh")
+            flight.check_summaries()
+            assert flight.pilot.stats().lost_episodes == 0
+
+
 def test_a_blind_robot_is_not_reported_fresh(fly):
     with running_server() as server, spikeserve.Client(server.grpc) as client:
         with fly(client, local=False) as flight:

@@ -110,6 +110,22 @@ TEST_F(RobotSessionTest, AStepWaitsForAnAnswerThatShouldArriveInTime) {
   EXPECT_EQ(robot_->Choose(Clock(), now_ + milliseconds(10)), Choice::kOwnAction);
 }
 
+TEST_F(RobotSessionTest, ARobotMaySendByItself) {
+  Connect(false);
+  EXPECT_FALSE(robot_->NextSend(now_).has_value());
+  Step();
+  const std::optional<Task> task = robot_->NextSend(now_);
+  ASSERT_TRUE(task.has_value());
+  EXPECT_EQ(task->kind, What::kSend);
+  EXPECT_TRUE(task->request.asks);
+  EXPECT_FALSE(robot_->NextSend(now_).has_value());
+  EXPECT_EQ(Next(), What::kWait);
+  robot_->OnStreamEnded(ErrorOf(Failure::kAway));
+  Step();
+  EXPECT_FALSE(robot_->NextSend(now_).has_value());  // what else is to be done is not for it
+  EXPECT_EQ(Next(), What::kCloseStream);
+}
+
 TEST_F(RobotSessionTest, BeforeAValidObservationThereIsNoStep) {
   Connect(false);
   EXPECT_FALSE(robot_->BeginStep({.observation = {}}, Clock()));

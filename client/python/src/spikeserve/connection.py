@@ -14,8 +14,11 @@ import grpc
 from spikeserve.calls import Call
 from spikeserve.channels import Channels, ClientOptions
 from spikeserve.errors import (
+    DeadlineExceededError,
     FailedPreconditionError,
     SpikeserveError,
+    error_of_call,
+    is_retryable,
     is_retryable_code,
     is_said_again,
 )
@@ -127,31 +130,53 @@ class Connection(Channels):
     def _response(self, call: Call[Any], request: Message, attempts: Attempts) -> Message:
         while True:
             replica, timeout = attempts.replica, attempts.timeout()
-            line, began = replica.line, time.monotonic()
-            watched = self._watch.begin(replica, began)
             try:
-                response = self._send(line, call, request, timeout)
-            except grpc.RpcError as failed:
-                error = self._note_failure(failed, replica, line, began)
+                response = self._attempt(call, request, replica, timeout)
+            except grpc.RpcError as error:
                 try:
                     pause = attempts.pause_after(error, timeout)
                 except SpikeserveError as last:
                     # A call of a connection that was made once must fail without delay.
                     raise last if self._reached else self._explain(last, replica) from error
-            except ValueError:  # the channel was closed before the call began
-                if line is replica.line:
-                    raise
-                continue
             else:
-                self._reached = True
-                replica.doubt.answered()
                 attempts.answered()
                 return response
-            finally:
-                self._watch.end(watched)
             if pause is None:
                 return self._table[call.method].response()
             time.sleep(pause)
+
+    def _attempt(
+        self, call: Call[Any], request: Message, replica: Replica, timeout: float
+    ) -> Message:
+        while True:
+            line, began = replica.line, time.monotonic()
+            watched = self._watch.begin(replica, began)
+            try:
+                response: Message = self._send(line, call, request, timeout)
+            except grpc.RpcError as failed:
+                raise self._note_failure(failed, replica, line, began) from None
+            except ValueError:  # the channel was closed before the call began
+                if line is replica.line:
+                    raise
+            else:
+                self._reached = True
+                replica.doubt.answered()
+                return response
+            finally:
+                self._watch.end(watched)
+
+    def run_once(self, call: Call[T], replica: Replica, timeout: float) -> T:
+        """Returns the value of `call`, or raises the error of its only attempt, at `replica`."""
+        try:
+            response = self._attempt(call, call.request, replica, timeout)
+        except grpc.RpcError as failed:
+            error = error_of_call(call.method, failed)
+            if is_retryable(error):
+                is_silent = isinstance(error, DeadlineExceededError)
+                self.replicas.failed(replica, timeout if is_silent else None)
+            raise error from failed
+        self.replicas.answered(call.route, replica)
+        return call.decode(response)
 
     def call(self, name: str, request: Message, timeout: float | None = None) -> Message:
         """Returns the response of the unary method `name`, for example of Explain."""

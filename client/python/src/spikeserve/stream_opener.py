@@ -20,11 +20,10 @@ class StreamOpener:
         self.route = Route(draw_id())
         self._replica = channels.replicas.choose(self.route)
         self._line = self._replica.line
-        self._without: set[Replica] = set()  # servers that have denied the session in a row
 
-    def open(self, *requests: Iterable[Message]) -> Any:
-        """Opens a call at the preferred server."""
-        self._replica = self._channels.replicas.choose(self.route, self._without)
+    def open(self, *requests: Iterable[Message], at: Replica | None = None) -> Any:
+        """Opens a call at the preferred server, or `at` another one."""
+        self._replica = at or self._channels.replicas.choose(self.route)
         metadata = self._channels.metadata(self.route)
         self._line = self._replica.line
         call = self._line.methods[ACT_STREAM.name](*requests, metadata=metadata)
@@ -52,17 +51,6 @@ class StreamOpener:
     def failed(self) -> None:
         """Notes that the server ended the call, or did not answer for the timeout of a call."""
         self._channels.replicas.failed(self._replica)
-        self._without.clear()
-
-    def denied(self) -> None:
-        """Notes that the server does not know the session: the next call asks another one."""
-        self._without.add(self._replica)
-        if len(self._without) == len(self._channels.replicas):
-            self._without.clear()
-
-    def knows_session(self) -> None:
-        """Notes that the server knows the session."""
-        self._without.clear()
 
     def suspect(self, since: float) -> None:
         """Notes that a request has waited for its answer since `since` (time.monotonic())."""

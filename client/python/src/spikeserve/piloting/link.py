@@ -1,114 +1,71 @@
-"""`Link`: brings the beats of a robot to the server, and the answers back.
+"""`Link`: the thread and the calls around the robot's state machine, which decides everything.
 
-One background thread does everything that may take time. It looks at the state (is there a session,
-a stream, an episode that has ended?) and does the first thing that is missing, again and again, so
-that no event can be lost:
-
-    closing     the pilot was closed, and nothing is left to be told, or its time is over: stop
-    no session  open one (OpenSession), and bring it to the robot's engine (ExportSession)
-    no stream   open one, after a pause that grows to 0.2 s
-    ended       the oldest episode has ended: send the beats of it that the server may miss and its
-                end, and the next episode may be asked for; if they are too many for one request,
-                send a part of them when no request is under way. A server of an earlier release
-                has no ends on streams: when it has all beats, call EndEpisode until it is answered
-    silent      requests wait for answers: try a fresh connection, or another server
-    idle        wait until a fact changes
-
-Beats and ends of episodes send their requests by themselves, while there is a stream. What fails
-changes the state: the end of a stream is "no stream", a lost session "no session", a server that
-has lost beats, or the ends of episodes, misses them again.
+The background thread does what the machine wants, again and again, without waiting for a server:
+calls have threads of their own, and replies arrive on that of the stream. Control steps send their
+requests by themselves, while there is a stream.
 """
 
 from __future__ import annotations
 
-import collections
 import logging
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
-
-import grpc
-import numpy as np
+from collections.abc import Iterable, Mapping
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import Any
 
 from spikeserve.calls import Call
 from spikeserve.connection import Connection
-from spikeserve.errors import (
-    InvalidArgumentError,
-    NotFoundError,
-    SpikeserveError,
-    error_of_item,
-    expected_decision,
-    expected_episode,
-    make_error,
-)
-from spikeserve.lines import SILENCE_SECONDS
+from spikeserve.errors import SpikeserveError
 from spikeserve.piloting import robot_clock
-from spikeserve.piloting.beat_log import BeatLog, Ending, Episode
 from spikeserve.piloting.pilot_options import PilotOptions
-from spikeserve.piloting.pilot_stats import Counters
-from spikeserve.piloting.server_session import ServerSession, is_lost
+from spikeserve.piloting.robot_messages import (
+    error_to_robot,
+    lost_episode,
+    return_of,
+    robot,
+    take_reply,
+    to_robot,
+)
+from spikeserve.piloting.server_session import ServerSession, nanoseconds
 from spikeserve.piloting.stream_call import StreamCall
-from spikeserve.values import Action, EpisodeSummary
-from spikeserve.wire import Message
+from spikeserve.replicas import Replica
+from spikeserve.stream_opener import StreamOpener
+from spikeserve.values import EpisodeSummary
+from spikeserve.wire import METHODS, Message
 
 LOGGER = logging.getLogger("spikeserve.pilot")
-# A server that takes a session over, or whose store has lost it, may deny it while another one has
-# it. A session that a store has is lost when those that answer have denied it for this time.
-DENIED_SECONDS = 2.0
-FIRST_PAUSE, LONGEST_PAUSE = 0.05, 0.2  # seconds before the next stream or call
-GIVE_UP_SECONDS = 1.0  # without an answer, before another server is asked
-
-
-@dataclass(frozen=True)
-class Answer:
-    """The server's decision for a beat."""
-
-    episode: Episode
-    step: int
-    action: Action
-    observed_at: int  # of robot_clock.now_ns()
-    is_miswired: bool  # the action is the neutral one, because the observations look miswired
-
-
-@dataclass(frozen=True)
-class _Request:
-    """A request under way."""
-
-    episode: Episode
-    step: int
-    sent: float  # time.monotonic()
-    ends: bool  # it ends the episode
-    asks: bool  # for a decision
+CALL_SECONDS = 2.0  # for a call; the machine makes it again
+# Control steps wake the background thread only for the engine on the robot. So it looks at the
+# machine at least this often: for requests that wait for too long, and for what is to be logged.
+LOOK_SECONDS = 0.1
+_CLOSED = "the pilot was closed before the server had the end of the episode"
 
 
 class Link:
-    """Thread-safe. `changed` guards everything, and is notified when anything changes."""
+    """Thread-safe. `changed` guards the machine, and is notified when a step may go on."""
 
-    def __init__(self, client: Connection, options: PilotOptions, session: ServerSession) -> None:
+    def __init__(
+        self,
+        client: Connection,
+        options: PilotOptions,
+        opener: StreamOpener,
+        session: ServerSession,
+    ) -> None:
         self.changed = threading.Condition()
-        self.options = options
-        self.session = session
-        self.log = BeatLog(options.kept_beats, session.opening.observation_size)
-        self.counters = Counters(time.monotonic())
-        self.answer: Answer | None = None  # the newest one
-        self.round_trip: float | None = None  # seconds, smoothed
-        self._opener = session.opener
+        self.machine = session.machine(time.monotonic_ns(), robot_clock.now_ns())
+        self.engine = session.engine
         self._client = client
-        self._call: StreamCall | None = None
-        self._under_way: collections.deque[_Request] = collections.deque()
-        self._window = options.most_in_flight
-        self._replied_at = 0.0  # time.monotonic() of the last reply
-        self._doubted_at = 0.0
-        self._denied_since: float | None = None  # time.monotonic(); None: a server has the session
-        self._paused_until = 0.0  # no requests before, as the server asked
-        self._next_try = 0.0  # of a call or a stream
-        self._pause = FIRST_PAUSE
-        self._closes_at: float | None = None  # None: the pilot is open
-        self._begun = False  # whether a stream was opened before
-        self._ends_on_stream = False  # episodes end there, not by EndEpisode
-        self._calls_end = False  # EndEpisode is under way
-        self._take_opening()
+        self._oldest = nanoseconds(options.oldest)
+        self._opener = opener
+        self._session = session
+        self._servers: list[Replica] = list(client.replicas)
+        self._stream: StreamCall | None = None
+        self._call: Call[Any] | None = None  # one at a time
+        self._ended: list[tuple[Call[Any], Replica, Any]] = []  # calls, and what became of them
+        self._summaries: dict[int, Future[EpisodeSummary]] = {}  # by serial number
+        self._woken = threading.Event()
         self._thread = threading.Thread(target=self._run, name="spikeserve-pilot", daemon=True)
 
     def start(self) -> None:
@@ -118,377 +75,231 @@ class Link:
     def close(self, timeout: float) -> None:
         """Ends the background thread, after the ends of episodes have reached the server."""
         with self.changed:
-            self._closes_at = time.monotonic() + timeout
-            self.changed.notify_all()
+            self.machine.close(time.monotonic_ns() + nanoseconds(timeout))
+        self._woken.set()
         if self._thread.ident is not None:
             self._thread.join()
 
-    # Called by beats, with `changed` held.
+    # For the robot's thread, with `changed` held.
 
-    def send_newest(self) -> None:
-        """Sends the request of the newest beat if it may be sent now.
+    def send(self) -> None:
+        """Sends what may be sent now, and lets the engine on the robot play."""
+        while (fields := self.machine.next_send(time.monotonic_ns())) is not None:
+            self._send(fields)
+        if self.engine is not None:
+            self._woken.set()
 
-        A beat without an observation asks for nothing: it only reports, and brings what was before.
-        """
-        now = time.monotonic()
-        self._send_end(now)
-        running = self.log.running
-        is_news = running.beats[-1].observation is not None or (
-            len(running.beats) > 1 and self.counters.is_report_due(now)
-        )
-        has_room = len(self._under_way) < self._window
-        if is_news and self.log.is_current and self._may_send(now) and has_room:
-            self._send(running, now)
+    def await_end(self, serial: int, summary: Future[EpisodeSummary]) -> None:
+        """Lets an ended episode complete `summary`."""
+        self._summaries[serial] = summary
+        self.send()
+        self._woken.set()
 
-    @property
-    def is_asking(self) -> bool:
-        """Returns whether a request waits for its answer."""
-        return len(self._under_way) > 0
-
-    def expected_answer(self, deadline: float) -> int | None:
-        """Returns the newest step whose answer should arrive before `deadline`; None: none should.
-
-        `deadline` is of time.monotonic().
-        """
-        for request in reversed(self._under_way):
-            if request.episode is not self.log.running:
-                return None
-            if not request.asks:
-                continue
-            if self.round_trip is None or request.sent + self.round_trip <= deadline:
-                return request.step
-        return None
-
-    def end_episode(self, ending: Ending) -> None:
-        """Ends the running episode of the robot."""
-        self.log.end(ending)
-        self.answer = None
-        self._send_end(time.monotonic())
-        self.changed.notify_all()
+    def _send(self, fields: Mapping[str, Any]) -> None:
+        assert self._stream is not None
+        request = METHODS["Act"].request(session_id=self._session.session_id, **fields)
+        if request.HasField("observed_at"):
+            request.valid_until = request.observed_at + self._oldest
+        self._stream.send(request)
 
     # The background thread.
 
     def _run(self) -> None:
-        while True:
-            with self.changed:
-                work, wait = self._plan(time.monotonic())
-                if work is None:
-                    self.changed.wait(wait)
-                    continue
-            if work == self._stop:
-                break
-            try:
-                work()
-            except SpikeserveError as error:
-                self._failed(error)
-            except Exception:
-                LOGGER.exception("the link to the server failed")
-                self._pause_tries()
+        while self._work():
+            pass
         self._stop()
 
-    def _plan(self, now: float) -> tuple[Callable[[], None] | None, float]:
-        """Returns what to do now, or None and how many seconds to wait."""
-        oldest = self.log.oldest
-        if self._closes_at is not None and (now >= self._closes_at or oldest.ending is None):
-            return self._stop, 0.0
-        if self.log.is_too_long and self.session.is_open:
-            self._lose("the server has missed too many beats")
-        if self.session.local_is_behind:
-            return self.session.catch_up, 0.0
-        until = self._next_try - now
-        if not self.session.is_open or self.session.wants_export:
-            return (self._open_session, 0.0) if until <= 0 else (None, until)
-        if self._call is None:
-            return (self._open_stream, 0.0) if until <= 0 else (None, until)
-        if oldest.is_complete and not self._ends_on_stream:
-            return (self._end_oldest, 0.0) if until <= 0 else (None, until)
-        self._send_end(now)
-        if oldest.ending is not None and now < self._paused_until:
-            return None, self._paused_until - now
-        return None, self._doubt(now)
-
-    def _doubt(self, now: float) -> float:
-        """Tries a fresh connection if requests wait for too long. Returns the seconds to wait."""
-        limit = 1.0 if self._closes_at is None else max(0.01, self._closes_at - now)
-        if not self._under_way:
-            return limit
-        since = max(self._under_way[0].sent, self._replied_at)
-        if now - since >= GIVE_UP_SECONDS and self._opener.has_others and self._call is not None:
-            self._opener.failed()
-            self._end_call()
-            return 0.0
-        due = max(since, self._doubted_at) + SILENCE_SECONDS
-        if now >= due:
-            self._doubted_at = now
-            self._opener.suspect(since)
-            due = now + SILENCE_SECONDS
-        return min(limit, due - now)
-
-    def _open_session(self) -> None:
-        was_open = self.session.is_open
-        self.session.open()
+    def _work(self) -> bool:
+        """Does the next thing, or waits. Returns False if the robot has closed the session."""
+        self._woken.clear()
         with self.changed:
-            if not was_open:
-                self._take_opening()
-                self.counters.count(reopened=1)
-            self._succeeded()
+            ended, self._ended = self._ended, []
+            task = self.machine.next(time.monotonic_ns()) if not ended else None
+            if task is not None and task.kind is robot.Kind.SEND:
+                self._send(task.request)
+            lines = self.machine.take_lines()
+        _write_log(lines)
+        try:
+            for each in ended:
+                self._take_call(*each)
+            if task is not None:
+                self._do(task)
+        except Exception:
+            LOGGER.exception("the link to the server failed")
+            self._woken.wait(LOOK_SECONDS)
+        return task is None or task.kind is not robot.Kind.STOP
+
+    def _do(self, task: Any) -> None:
+        kinds = robot.Kind
+        if task.kind is kinds.WAIT:
+            left = (task.time - time.monotonic_ns()) / 1e9
+            self._woken.wait(max(0.0, min(left, LOOK_SECONDS)))
+        elif task.kind is kinds.FORGET:
+            self._forget(task.serial, task.reason)
+        elif task.kind is kinds.PLAY:
+            self._play()
+        elif task.kind is kinds.OPEN_STREAM:
+            self._open_stream()
+        elif task.kind is kinds.CLOSE_STREAM:
+            self._close_stream()
+        elif task.kind is kinds.DOUBT_LINE:
+            self._opener.suspect(task.time / 1e9)
+        elif task.kind is kinds.OPEN_SESSION:
+            self._begin(self._session.opening_call())
+        elif task.kind is kinds.EXPORT_SESSION:
+            self._begin(self._session.export_call())
+        elif task.kind is kinds.END_EPISODE:
+            with self.changed:
+                fields = self.machine.end_fields()
+            self._begin(self._session.call("EndEpisode", **fields))
+
+    def _forget(self, serial: int, reason: str) -> None:
+        self._cancel_stream()
+        with self.changed:
+            if not self.machine.is_calling():
+                self._call = None
+        self._fail_summaries(serial, reason)
 
     def _open_stream(self) -> None:
-        call = StreamCall(self._opener.open, self._on_reply, self._on_end)
         with self.changed:
-            self._call = call
-            self._ends_on_stream = not self.session.waits_for_merge
-            self.counters.count(reconnects=int(self._begun))
-            self._begun = True
-            self._under_way.clear()
-        try:
-            call.start()
-        except BaseException:  # its channel was closed meanwhile
-            with self.changed:
-                self._call = None
-            raise
+            denied = [s for i, s in enumerate(self._servers) if self.machine.has_denied(i)]
+        server = self._client.replicas.choose(self._opener.route, denied)
 
-    def _end_oldest(self) -> None:
+        def open_call(requests: Iterable[Message]) -> Any:
+            return self._opener.open(requests, at=server)
+
+        stream = StreamCall(open_call, self._on_reply, self._on_end)
         with self.changed:
-            request = self.log.oldest.end_request(self.session.session_id)
-            self._calls_end = True
-        ending = Call(
-            "EndEpisode",
-            request,
-            EpisodeSummary.from_wire,
-            timeout=2.0,
-            session_id=self.session.session_id,
-            route=self._opener.route,
-        )
+            self._stream = stream
+            self.machine.on_stream_opened(self._servers.index(server))
         try:
-            summary = self._client.run(ending)
-        finally:
+            stream.start()
+        except ValueError as error:  # its channel was closed meanwhile
             with self.changed:
-                self._calls_end = False
+                self.machine.on_stream_ended(error_to_robot(error))
+
+    def _close_stream(self) -> None:
+        is_renewed = self._opener.is_renewed
+        self._cancel_stream()
         with self.changed:
-            ended = self._settle(summary)
-            self._succeeded()
-        ended.complete(summary)
+            has_failed = self.machine.on_stream_closed(is_renewed, time.monotonic_ns())
+        if has_failed:
+            self._opener.failed()
+
+    def _cancel_stream(self) -> None:
+        with self.changed:
+            stream, self._stream = self._stream, None
+        if stream is not None:
+            stream.cancel()
+
+    def _play(self) -> None:
+        assert self.engine is not None
+        with self.changed:
+            work = self.machine.work()
+        action, text = None, ""
+        try:
+            action = to_robot(self.engine.play(work), self._session.opening.action_space)
+        except Exception as error:
+            text = str(error)
+        with self.changed:
+            self.machine.on_played(action, text, time.monotonic_ns())
+            self.changed.notify_all()
+
+    def _begin(self, call: Call[Any]) -> None:
+        self._call = call
+        server = self._client.replicas.choose(call.route)
+
+        def run() -> None:
+            result: Any
+            try:
+                result = self._client.run_once(call, server, CALL_SECONDS)
+            except Exception as error:
+                result = error
+            with self.changed:
+                self._ended.append((call, server, result))
+            self._woken.set()
+
+        threading.Thread(target=run, name="spikeserve-pilot-call", daemon=True).start()
+
+    def _take_call(self, call: Call[Any], server: Replica, result: Any) -> None:
+        """Passes on what became of a call."""
+        if call is not self._call:
+            return  # of a session that is lost
+        self._call = None
+        if call.method == "ExportSession" and not isinstance(result, Exception):
+            assert self.engine is not None
+            try:
+                self.engine.resume(result)  # takes a moment to read the policy
+            except Exception as error:
+                result = error
+        with self.changed:
+            now = time.monotonic_ns()
+            if isinstance(result, Exception):
+                place = self._servers.index(server), now
+                self.machine.on_call_failed(error_to_robot(result), *place)
+                return
+            if call.method == "OpenSession":
+                self._session.take(*result)
+                self.machine.on_opened(self._session.history_limit, self._session.is_stored)
+                return
+            if call.method == "ExportSession":
+                self.machine.on_exported(result.decision, result.episode, result.step, now)
+                return
+            settled = self.machine.on_episode_ended(return_of(result))
+        self._complete(settled, result)
 
     def _stop(self) -> None:
         with self.changed:
-            call, self._call = self._call, None
-            endings = [e.ending for e in self.log.episodes if e.ending is not None]
-        if call is not None:
-            call.cancel()
-        self._fail(endings, "the pilot was closed before the server had the end of the episode")
-        self.session.close()
-
-    # Replies, on the thread of the stream.
-
-    def _on_reply(self, call: StreamCall, reply: Message) -> None:
-        now, now_ns = time.monotonic(), robot_clock.now_ns()
-        ended: Ending | None = None
+            is_open = self.machine.stop()
+            self._call = None
+        self._cancel_stream()
+        self._fail_summaries(None, _CLOSED)
         with self.changed:
-            if call is not self._call or not self._under_way:
+            lines = self.machine.take_lines()
+        _write_log(lines)
+        if is_open:
+            self._session.close()
+
+    # On the thread of the stream.
+
+    def _on_reply(self, stream: StreamCall, reply: Message) -> None:
+        now, robot_now = time.monotonic_ns(), robot_clock.now_ns()
+        with self.changed:
+            if stream is not self._stream:
                 return
-            request = self._under_way.popleft()
-            self._replied_at = now
             self._opener.answered()
-            if reply.HasField("error"):
-                self.counters.count(cancelled_calls=1)
-                self._refused(error_of_item("ActStream", reply.error), request)
-            elif request.episode is self.log.oldest:
-                self._succeeded()
-                self.log.forget_durable(reply.durable_decision, reply.durable_episode)
-                if request.ends and reply.HasField("ended"):
-                    summary = EpisodeSummary.from_wire(reply.ended)
-                    ended = self._settle(summary)
-                else:
-                    self._acknowledged(reply, request, now, now_ns)
+            settled, has_work = take_reply(self.machine, reply, now, robot_now)
             self.changed.notify_all()
-        if ended is not None:
-            ended.complete(summary)
+        if has_work:
+            self._woken.set()
+        if settled is not None:
+            self._complete(settled, reply.ended)
 
-    def _acknowledged(self, reply: Message, request: _Request, now: float, now_ns: int) -> None:
-        if request.ends:  # a server of an earlier release has taken the beats, not the end
-            self._ends_on_stream = self.log.is_ending = False
-        request.episode.acknowledge(reply.next_step)
-        if reply.HasField("action"):
-            self._take(reply, request, now, now_ns)
-
-    def _settle(self, summary: EpisodeSummary) -> Ending:
-        self.session.episode_ended()
-        ending = self.log.settle()
-        # A server that repeats its answer may know the steps alone: what it decides costs energy.
-        if summary.energy_joules > 0 and summary.episode_return != ending.episode_return:
-            self.counters.count(unequal_returns=1)
-            returns = ending.episode_return, summary.episode_return
-            LOGGER.warning("an episode: expected the return %f, received %f", *returns)
-        return ending
-
-    def _take(self, reply: Message, request: _Request, now: float, now_ns: int) -> None:
-        took = now - request.sent
-        before = self.round_trip
-        self.round_trip = took if before is None else before + (took - before) / 8
-        age = (now_ns - reply.observed_at) / 1e9
-        self.counters.count(late_answers=int(age > self.options.period))
-        if age > self.options.oldest:
-            # More requests would only make the queue longer.
-            self._window = max(1, self._window // 2)
-            self.counters.count(stale=1)
-            return
-        self._window = min(self._window + 1, self.options.most_in_flight)
-        newest = self.answer
-        if newest is None or newest.episode is not request.episode or reply.step > newest.step:
-            kind = reply.action.WhichOneof("kind")
-            values = reply.action.continuous.values
-            action = reply.action.discrete if kind == "discrete" else np.asarray(values, np.float32)
-            is_miswired = reply.wiring.is_safe_action
-            at = reply.observed_at
-            self.answer = Answer(request.episode, reply.step, action, at, is_miswired)
-
-    def _refused(self, error: SpikeserveError, request: _Request) -> None:
-        """Handles the error of one request."""
-        expected = expected_decision(error)
-        oldest = self.log.oldest
-        is_oldest = request.episode is oldest
-        if request.ends and is_oldest:
-            self.log.is_ending = False
-        if expected is not None:
-            # A request behind an end that failed, or one that was sent twice, fails without
-            # consequence.
-            if not is_oldest:
-                return
-            # The server has lost what it had acknowledged, the ends of episodes, too, and gets it
-            # again. If it has lost nothing, it has another end of the episode.
-            is_kept = self.log.rewind(expected, expected_episode(error))
-            if not is_kept or (request.ends and self.log.oldest is oldest and oldest.is_complete):
-                self._lose(error.message)
-        elif error.retry_after is not None:
-            self._paused_until = time.monotonic() + error.retry_after
-        elif isinstance(error, NotFoundError) and self._may_be_elsewhere():
-            self._log_failure(error)
-            self._pause_tries()
-            self._end_call()
-        elif is_lost(error):
-            self._lose(error.message, error)
-        else:
-            self._log_failure(error)
-            self._pause_tries()
-            self._end_call()
-            self._opener.failed()
-
-    def _on_end(self, call: StreamCall, error: SpikeserveError) -> None:
+    def _on_end(self, stream: StreamCall, error: SpikeserveError) -> None:
         with self.changed:
-            if call is not self._call:
-                return
-            self._drop_call()
-            if self._opener.is_renewed:
-                self._next_try = 0.0
-            else:
-                self._opener.failed()
-                self._log_failure(error)
-                self._pause_tries()
-            self.changed.notify_all()
+            if stream is self._stream:
+                self.machine.on_stream_ended(error_to_robot(error))
+                self.changed.notify_all()
+        self._woken.set()
 
-    # The state, with `changed` held.
-
-    def _may_send(self, now: float) -> bool:
-        return self._call is not None and self.session.is_open and now >= self._paused_until
-
-    def _send_end(self, now: float) -> None:
-        """Sends the end of the oldest episode and the beats before it, if they may be sent."""
-        oldest = self.log.oldest
-        has_ended = oldest.ending is not None and not self.log.is_ending
-        if not has_ended or self._calls_end or not self._may_send(now):
-            return
-        fits = self._ends_on_stream and oldest.fits(self.log.most)
-        has_room = len(self._under_way) < self._window
-        if (fits and has_room) or not (self._under_way or (oldest.is_complete and not fits)):
-            self._send(oldest, now, ends=fits)
-            self.log.is_ending = fits
-
-    def _send(self, episode: Episode, now: float, ends: bool = False) -> None:
-        assert self._call is not None
-        request = episode.request(self.session.session_id, self.log.most)
-        if ends:
-            request.end_episode.CopyFrom(episode.end_request(""))
-        if request.HasField("observed_at"):
-            request.valid_until = request.observed_at + int(self.options.oldest * 1e9)
-        report = self.counters.report(now)
-        if report is not None:
-            request.report.CopyFrom(report)
-        asks = len(request.observation) > 0
-        self._under_way.append(_Request(episode, request.step, now, ends, asks))
-        self._call.send(request)
-
-    def _take_opening(self) -> None:
-        self.log.history_limit = self.session.history_limit
-        self.log.is_stored = self.session.is_stored
-
-    def _end_call(self) -> None:
-        if self._call is not None:
-            self._call.cancel()
-            self._drop_call()
-
-    def _drop_call(self) -> None:
-        self.counters.count(cancelled_calls=len(self._under_way))
-        self._under_way.clear()
-        self.log.is_ending = False
-        self._call = None
-        self._window = self.options.most_in_flight
-
-    def _failed(self, error: SpikeserveError) -> None:
+    def _complete(self, settled: tuple[int, Mapping[str, Any]], ended: Message) -> None:
+        """Gives the summary of an episode to those who wait for it, if somebody does."""
+        serial, own = settled
         with self.changed:
-            expected = expected_decision(error)
-            is_kept = expected is not None and self.log.rewind(expected, expected_episode(error))
-            is_elsewhere = isinstance(error, NotFoundError) and self._may_be_elsewhere()
-            if is_lost(error) and self.session.is_open and not (is_kept or is_elsewhere):
-                self._lose(error.message, error)
-            else:
-                self._log_failure(error)
-            self._pause_tries()
+            summary = self._summaries.pop(serial, None)
+        if summary is not None:
+            summary.set_result(replace(EpisodeSummary.from_wire(ended), **own))
 
-    def _may_be_elsewhere(self) -> bool:
-        """Notes that a server does not know the session. Returns whether to ask on."""
-        if not self.log.is_stored:
-            return False
-        now = time.monotonic()
-        if self._denied_since is None:
-            self._denied_since = now
-        self._opener.denied()
-        return now - self._denied_since < DENIED_SECONDS
-
-    def _lose(self, reason: str, error: SpikeserveError | None = None) -> None:
-        """Gives the session up: a new one continues with the beats that are kept.
-
-        A beat that the server has refused as not valid would be refused again.
-        """
-        LOGGER.warning("the session is lost, and a new one is opened: %s", reason)
-        self._end_call()
-        self.session.lose()
-        self.answer = None
-        self._denied_since = None
-        self._fail(self.log.begin_again(not isinstance(error, InvalidArgumentError)), reason)
-        if self.session.local is not None:
-            self.session.local.begin_again(self.log.running)
-
-    @staticmethod
-    def _fail(endings: list[Ending], reason: str) -> None:
-        for ending in endings:
-            ending.summary.set_exception(lost_episode(reason))
-
-    def _log_failure(self, error: SpikeserveError) -> None:
-        if self._pause == FIRST_PAUSE:  # the first of several
-            LOGGER.warning("%s", error)
-
-    def _pause_tries(self) -> None:
-        self._next_try = time.monotonic() + self._pause
-        self._pause = min(2 * self._pause, LONGEST_PAUSE)
-
-    def _succeeded(self) -> None:
-        self._denied_since = None
-        self._opener.knows_session()
-        self._pause = FIRST_PAUSE
-        self._next_try = 0.0
+    def _fail_summaries(self, serial: int | None, reason: str) -> None:
+        """Gives up the summaries of the episodes before `serial`, or all."""
+        with self.changed:
+            lost = [each for each in self._summaries if serial is None or each < serial]
+            summaries = [self._summaries.pop(each) for each in lost]
+        for summary in summaries:
+            summary.set_exception(lost_episode(reason))
 
 
-def lost_episode(reason: str) -> SpikeserveError:
-    """Returns the error of an episode whose end the server has not learned."""
-    return make_error("EndEpisode", grpc.StatusCode.UNAVAILABLE, reason)
+def _write_log(lines: Iterable[str]) -> None:
+    for line in lines:
+        is_good = line.startswith(("fresh after", "held after"))
+        LOGGER.log(logging.INFO if is_good else logging.WARNING, "%s", line)

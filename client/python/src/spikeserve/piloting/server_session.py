@@ -1,189 +1,153 @@
-"""`ServerSession`: the session of a pilot at the server, and its copy on the robot."""
+"""`ServerSession`: the session of a pilot at the server, and the engine that plays it too."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
-import pathlib
 from typing import Any
 
 import grpc
 
 from spikeserve.calls import Call, Opened, open_session
 from spikeserve.connection import Connection
-from spikeserve.errors import NotFoundError, SpikeserveError, make_error
-from spikeserve.piloting.local_copy import LocalCopy, is_wanted
+from spikeserve.errors import SpikeserveError, is_retryable, make_error
+from spikeserve.piloting.local_engine import LocalEngine, is_wanted
 from spikeserve.piloting.pilot_options import PilotOptions
-from spikeserve.stream_opener import StreamOpener
+from spikeserve.piloting.robot_messages import robot, to_robot
+from spikeserve.replicas import Route
 from spikeserve.values import Opening
 from spikeserve.wire import METHODS, Message
 
 LOGGER = logging.getLogger("spikeserve.pilot")
-_TIMEOUT = 2.0  # seconds for a call; the link makes it again
-
-# Errors of a session that no further request can heal.
-_LOST = (
-    grpc.StatusCode.NOT_FOUND,
-    grpc.StatusCode.FAILED_PRECONDITION,
-    grpc.StatusCode.INVALID_ARGUMENT,
-    grpc.StatusCode.DATA_LOSS,
-)
-
-
-def is_lost(error: SpikeserveError) -> bool:
-    """Returns whether a session is given up after an error of one of its requests."""
-    return error.code in _LOST
 
 
 class ServerSession:
-    """Opens the session and brings its value to the robot's engine. For one thread.
+    """Describes the calls of the session. For one thread, but `session_id`.
 
-    The constructor opens it, with the retries of the client, and raises SpikeserveError.
+    The constructor opens the session, with the retries of the client, and raises SpikeserveError.
     """
 
-    def __init__(self, client: Connection, policy: str, options: PilotOptions) -> None:
+    def __init__(
+        self, client: Connection, policy: str, options: PilotOptions, route: Route
+    ) -> None:
         self._client = client
         self._policy = policy
         self._options = options
-        self.opener = StreamOpener(client)
-        self.local = LocalCopy(options.kept_beats) if is_wanted(options) else None
-        self._local_failed = False
-        self._wants_export = self.local is not None
+        self._route = route
+        self.engine = LocalEngine(options.local_policy) if is_wanted(options) else None
         self._call: Call[tuple[Opened, Message]] | None = None
-        self.is_open = False
-        opened, response = client.run(self._opening(None))
+        opened, response = client.run(self.opening_call())
         self.opening: Opening = opened.opening
         self.order = opened.order
-        self.neutral = response.neutral_action
-        self._begin(opened, response)
-        if self.history_limit == 0:
-            raise make_error(
-                "OpenSession",
-                grpc.StatusCode.UNIMPLEMENTED,
-                "server: expected a release that appends beats, received an older one",
-            )
-        if self._wants_export:
-            with contextlib.suppress(SpikeserveError):  # the link tries again
-                self._export()
+        self.neutral = self._neutral(response.neutral_action)
+        self.take(opened, response)
 
-    @property
-    def wants_export(self) -> bool:
-        """Returns whether the engine on the robot needs the session's value."""
-        is_broken = self.local is not None and self.local.is_broken
-        return (self._wants_export or is_broken) and not self._local_failed
+    def opening_call(self) -> Call[tuple[Opened, Message]]:
+        """Describes OpenSession, with the same id until it is answered."""
+        self._route.is_pinned = False
+        if self._call is None:
+            call = open_session(self._policy, self._options.session, self._route)
+            call.request.period_seconds = self._options.period
 
-    @property
-    def local_is_behind(self) -> bool:
-        """Returns whether the engine on the robot has beats to play."""
-        return self.local is not None and self.local.is_behind
+            def decode(response: Message) -> tuple[Opened, Message]:
+                check_release(response)
+                return call.decode(response), response
 
-    @property
-    def has_local(self) -> bool:
-        """Returns whether the engine on the robot can decide."""
-        return self.local is not None and self.local.is_ready
+            self._call = Call(call.method, call.request, decode, route=self._route)
+        return self._call
 
-    @property
-    def shares_head(self) -> bool:
-        """Returns whether the session learns the shared head of its fleet."""
-        learning = self._options.session.learning
-        return learning is not None and learning.scope == "FLEET"
+    def take(self, opened: Opened, response: Message) -> None:
+        """Takes the answer to OpenSession: the next session is another one."""
+        self._call = None
+        self.session_id = opened.session_id
+        self.history_limit = int(response.history_limit)
+        self.is_stored = opened.opening.durability in ("ASYNC", "SYNC")
+        self._route.is_pinned = not self.is_stored
 
-    def open(self) -> None:
-        """Opens the session if it is not open; otherwise brings its value to the robot."""
-        if not self.is_open:
-            self.opener.route.is_pinned = False
-            self._call = self._call or self._opening(_TIMEOUT)
-            opened, response = self._client.run(self._call)
-            self._call = None
-            self._begin(opened, response)
-        elif self.wants_export:
-            self._export()
+    def call(self, method: str, **fields: Any) -> Call[Message]:
+        """Describes another call of the session."""
+        request = METHODS[method].request(session_id=self.session_id, **fields)
+        return Call(method, request, lambda response: response, route=self._route)
 
-    def lose(self) -> None:
-        """Notes that the server does not have the session any more."""
-        self.is_open = False
-        self._wants_export = self.local is not None
+    def export_call(self) -> Call[Message]:
+        """Describes ExportSession, for the engine."""
+        needs_policy = self.engine is not None and self.engine.needs_policy
+        return self.call("ExportSession", include_policy=needs_policy)
 
-    def episode_ended(self) -> None:
-        """Notes that the server has ended an episode. A shared head may be another one now."""
-        self._wants_export = self._wants_export or (self.has_local and self.shares_head)
+    def machine(self, now: int, robot_now: int) -> Any:
+        """Returns the state machine of the robot's end.
 
-    def catch_up(self) -> None:
-        """Lets the engine on the robot play the beats that it has not played."""
-        if self.local is not None:
-            self.local.catch_up()
+        Brings the session to the engine. Without the server, the machine tries again later.
+        """
+        export = self._resume()
+        options, space = self._options, self.opening.action_space
+        learning = options.session.learning
+        machine = robot.RobotSession(
+            self.neutral,
+            n=getattr(space, "n", 0),
+            low=getattr(space, "low", ()),
+            high=getattr(space, "high", ()),
+            observation_size=self.opening.observation_size,
+            period=nanoseconds(options.period),
+            oldest=nanoseconds(options.oldest),
+            oldest_held=nanoseconds(options.oldest_held),
+            hold_steps=options.hold_beats,
+            ramp_steps=options.ramp,
+            most_in_flight=options.most_in_flight,
+            kept_steps=options.kept_beats,
+            servers=len(self._client.replicas),
+            has_engine=self.engine is not None,
+            shares_head=learning is not None and learning.scope == "FLEET",
+            history_limit=self.history_limit,
+            is_stored=self.is_stored,
+            steady=now,
+            robot=robot_now,
+        )
+        if export is not None:
+            machine.on_exported(export.decision, export.episode, export.step, now)
+        return machine
 
     def close(self) -> None:
         """Closes the session at the server, if that takes no time."""
-        if not self.is_open:
-            return
-        request = METHODS["CloseSession"].request(session_id=self.session_id)
-        call = Call("CloseSession", request, lambda _: None, 1.0, route=self.opener.route)
+        call = self.call("CloseSession")
         with contextlib.suppress(SpikeserveError, ValueError):
-            self._client.run(call)
+            self._client.run(Call(call.method, call.request, call.decode, 1.0, route=self._route))
 
-    def _opening(self, timeout: float | None) -> Call[tuple[Opened, Message]]:
-        call = open_session(self._policy, self._options.session, self.opener.route)
-        call.request.period_seconds = self._options.period
+    def _neutral(self, of_policy: Message) -> Any:
+        space = self.opening.action_space
+        if self._options.neutral is not None:
+            return to_robot(self._options.neutral, space, self.order)
+        is_index = of_policy.WhichOneof("kind") != "continuous"
+        return to_robot(of_policy.discrete if is_index else of_policy.continuous.values, space)
 
-        def decode(response: Message) -> tuple[Opened, Message]:
-            return call.decode(response), response
-
-        return Call(call.method, call.request, decode, timeout, route=call.route)
-
-    def _begin(self, opened: Opened, response: Message) -> None:
-        self.session_id = opened.session_id
-        self.history_limit = int(response.history_limit)
-        is_stored = opened.opening.durability in ("ASYNC", "SYNC")
-        self.is_stored = is_stored
-        # EndEpisode waits for the head of a fleet that a store keeps, and the stream does not.
-        self.waits_for_merge = is_stored and self.shares_head
-        self.opener.route.is_pinned = not is_stored
-        self.is_open = True
-
-    def _export(self) -> None:
-        """Opens the copy on the robot. Fails for good if the engine or the policy is not here."""
-        assert self.local is not None
-        fields: dict[str, Any] = {"session_id": self.session_id}
-        request = METHODS["ExportSession"].request(**fields)
-        wants_policy = self._options.local_policy is None
-        if wants_policy and "include_policy" in request.DESCRIPTOR.fields_by_name:
-            request.include_policy = True
-        call: Call[Message] = Call(
-            "ExportSession",
-            request,
-            lambda response: response,
-            _TIMEOUT,
-            session_id=self.session_id,
-            route=self.opener.route,
-        )
+    def _resume(self) -> Message | None:
+        """Brings the session to the engine, or plays without one unless it is required."""
+        if self.engine is None:
+            return None
         try:
-            export = self._client.run(call)
-            self.local.open(export, self._policy_of(export))
-        except (OSError, ValueError, RuntimeError) as error:
-            self._fail_local(str(error))
-        except SpikeserveError as error:
-            if error.code in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.DEADLINE_EXCEEDED):
+            export = self._client.run(self.export_call())
+            self.engine.resume(export)
+        except (OSError, ValueError, RuntimeError, SpikeserveError) as error:
+            if isinstance(error, SpikeserveError) and is_retryable(error):
+                return None
+            if self._options.local:
                 raise
-            if isinstance(error, NotFoundError):
-                raise
-            self._fail_local(str(error))
-        self._wants_export = False
+            LOGGER.warning("the engine on the robot is not used: %s", error)
+            self.engine = None
+            return None
+        return export
 
-    def _policy_of(self, export: Message) -> pathlib.Path | bytes:
-        given = self._options.local_policy
-        if given is None:
-            content = bytes(getattr(export, "policy_file", b""))
-            if not content:
-                raise ValueError("local_policy: expected the policy file, received none")
-            return content
-        path = pathlib.Path(given)
-        if path.is_dir():
-            path = path / export.policy / str(export.version) / "policy.safetensors"
-        return path
 
-    def _fail_local(self, reason: str) -> None:
-        self._local_failed = True
-        if self._options.local:
-            raise ValueError(reason)
-        LOGGER.warning("the engine on the robot is not used: %s", reason)
+def check_release(response: Message) -> None:
+    """Raises UnimplementedError if the server that has opened a session appends no beats."""
+    if response.history_limit == 0:
+        raise make_error(
+            "OpenSession",
+            grpc.StatusCode.UNIMPLEMENTED,
+            "server: expected a release that appends beats, received an older one",
+        )
+
+
+def nanoseconds(seconds: float) -> int:
+    """Returns seconds as the machine takes them."""
+    return round(seconds * 1e9)

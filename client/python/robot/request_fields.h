@@ -1,0 +1,21 @@
+// What a robot sends, as dicts with the names of the wire contract's fields, from which Python
+// makes the messages: the extension links no protobuf.
+//
+// The caller holds Python's global interpreter lock and the lock of the session.
+#ifndef CLIENT_PYTHON_ROBOT_REQUEST_FIELDS_H_
+#define CLIENT_PYTHON_ROBOT_REQUEST_FIELDS_H_
+
+#include <nanobind/nanobind.h>
+
+#include "core/robot/robot_session.h"
+
+namespace spikeserve::robot {
+
+// Returns the fields of an ActRequest without the session's id and `valid_until`.
+nanobind::dict FieldsOf(const StepLog& log, const Request& request);
+// Returns the fields of the EndEpisodeRequest of the oldest episode without the session's id.
+nanobind::dict EndFieldsOf(const StepLog& log);
+
+}  // namespace spikeserve::robot
+
+#endif  // CLIENT_PYTHON_ROBOT_REQUEST_FIELDS_H_
