@@ -11,10 +11,9 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "client/spikectl/admin_actions.h"
 #include "client/spikectl/admin_call.h"
 #include "client/spikectl/commands.h"
-#include "client/spikectl/head_actions.h"
-#include "client/spikectl/rollout_actions.h"
 #include "client/spikectl/traffic_report.h"
 #include "core/base/status_macros.h"
 

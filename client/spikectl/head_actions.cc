@@ -1,9 +1,8 @@
-#include "client/spikectl/head_actions.h"
-
 #include <string>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "client/spikectl/admin_actions.h"
 #include "client/spikectl/admin_call.h"
 #include "client/spikectl/traffic_report.h"
 #include "core/base/status_macros.h"

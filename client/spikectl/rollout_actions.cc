@@ -1,5 +1,3 @@
-#include "client/spikectl/rollout_actions.h"
-
 #include <string>
 #include <utility>
 #include <vector>
@@ -12,6 +10,7 @@
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "absl/time/time.h"
+#include "client/spikectl/admin_actions.h"
 #include "client/spikectl/traffic_report.h"
 #include "core/base/status_macros.h"
 

@@ -12,13 +12,57 @@
 #include "core/base/status_macros.h"
 #include "core/emit/fixed_sources.h"
 #include "core/emit/policy_tables.h"
-#include "core/emit/state_size.h"
 #include "core/emit/table_text.h"
 #include "core/engine/engine.h"
 #include "core/model/policy_file.h"
 
 namespace spikeserve {
 namespace {
+
+constexpr int kTextBytes = 320;
+constexpr int kEndBytes = 160;   // without the numbers of an observation and an action
+constexpr int kNumberBytes = 5;  // in CBOR
+constexpr int kCostsBytes = 23 * 4;
+
+int64_t RoundUp(int64_t value, int64_t unit) { return (value + unit - 1) / unit * unit; }
+
+// The size of spike_state (c/spike_policy.h), which is equal on every processor.
+struct StateSize {
+  int word_bits = 32;       // of spike_word: the widest that a head fills, of 8, 16 and 32
+  int words = 1;            // of a head at a tick
+  int widest = 0;           // the most inputs or outputs of a map or a population
+  int text_bytes = 0;       // of a session's labels and ids
+  int end_bytes = 0;        // of the end of an episode
+  int64_t state_bytes = 0;  // of all
+};
+
+StateSize StateSizeOf(const Policy& policy) {
+  const ModelConfig& config = policy.config;
+  const int64_t d = config.hidden_size;
+  const int64_t observations = policy.observation_size();
+  const int64_t actions = policy.action_space.size();
+  const int64_t slots = int64_t{3} * config.context;
+  StateSize size;
+  const int head = config.head_size();
+  size.word_bits = head % 32 == 0 ? 32 : head % 16 == 0 ? 16 : 8;
+  size.words = (head + size.word_bits - 1) / size.word_bits;
+  size.widest = std::max(
+      {config.hidden_size, config.ffn_size, config.has_routing() ? config.routing_hidden_size : 0,
+       config.state_inputs(policy.observation_size()), policy.action_space.size()});
+  size.text_bytes = kTextBytes;
+
+  const int64_t action = 4 * (policy.action_space.is_discrete() ? 1 : actions);
+  const int64_t words = int64_t{size.words} * config.ticks * config.heads;
+  int64_t bytes = 10 * 8 + 11 * 4 + 4 + 2 * kCostsBytes + 4 + 4 * actions + action +
+                  4 * actions * d + HistorySize(config) * (4 + 4 * observations + action);
+  bytes += 4 * (d + size.widest + slots + config.heads);                  // x, sums, weights, gates
+  bytes += words * size.word_bits / 8 * (2 * config.layers * slots + 1);  // keys, values, query
+  bytes = RoundUp(bytes, 2) + 2 * (size.widest + int64_t{config.ticks} * size.widest);
+  bytes += d + size.text_bytes;
+  size.state_bytes = RoundUp(bytes + kEndBytes + kNumberBytes * (observations + actions), 8);
+  size.end_bytes = static_cast<int>(size.state_bytes - bytes);
+  return size;
+}
 
 // Returns the largest number that attention may compute, which the C holds in 32 bits.
 int64_t LargestOfAttention(const Policy& policy) {

@@ -4,10 +4,30 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/status_macros.h"
-#include "server/access/permission.h"
+#include "server/access/role.h"
 
 namespace spikeserve {
 namespace {
+
+absl::Status Denied(Role role, absl::string_view allowed) {
+  return absl::PermissionDeniedError(
+      absl::StrCat("role: expected ", allowed, ", received ", ToString(role)));
+}
+
+absl::Status CheckMayCall(Role role, const Method& method) {
+  if (role == Role::kOperator) return absl::OkStatus();
+  switch (method.access) {
+    case Access::kAnyRole:
+      return absl::OkStatus();
+    case Access::kAgentOrOperator:
+      return role == Role::kAgent ? absl::OkStatus() : Denied(role, "agent or operator");
+    case Access::kViewerOrOperator:
+      return role == Role::kViewer ? absl::OkStatus() : Denied(role, "viewer or operator");
+    case Access::kOperatorOnly:
+      break;
+  }
+  return Denied(role, "operator");
+}
 
 absl::StatusOr<std::shared_ptr<const Credential>> Authenticate(const Authenticator& authenticator,
                                                                absl::string_view authorization) {
@@ -30,7 +50,7 @@ absl::StatusOr<std::shared_ptr<const Credential>> AdmitToPages(const Authenticat
                                                                absl::string_view authorization) {
   const auto caller = Authenticate(authenticator, authorization);
   if (!caller.ok()) return caller;
-  RETURN_IF_ERROR(CheckMayReadStatus((*caller)->role()));
+  if ((*caller)->role() == Role::kAgent) return Denied(Role::kAgent, "viewer or operator");
   return caller;
 }
 

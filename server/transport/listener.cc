@@ -12,7 +12,6 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "server/transport/listen_reason.h"
 
 namespace spikeserve {
 namespace {
@@ -22,6 +21,36 @@ constexpr int kBacklog = 1024;
 struct FreeAddresses {
   void operator()(addrinfo* addresses) const { freeaddrinfo(addresses); }
 };
+
+std::string Advice(int error) {
+  switch (error) {
+    case EADDRINUSE:
+      return ": another program listens there; stop it or choose another address; port 0 picks a "
+             "free one";
+    case EACCES:
+      return ": a port below 1024 needs the capability CAP_NET_BIND_SERVICE, and a socket of the "
+             "file system a directory that the server may write to";
+    case EADDRNOTAVAIL:
+      return ": it is no address of this machine";
+    default:
+      return "";
+  }
+}
+
+// Returns " (IPv4 127.0.0.1)", or an empty string for a socket of the file system.
+std::string Place(const sockaddr* address, socklen_t size) {
+  char host[NI_MAXHOST];
+  if (address->sa_family == AF_UNIX ||
+      getnameinfo(address, size, host, sizeof(host), nullptr, 0, NI_NUMERICHOST) != 0) {
+    return "";
+  }
+  return absl::StrCat(" (", address->sa_family == AF_INET6 ? "IPv6 " : "IPv4 ", host, ")");
+}
+
+// Names the family and the numeric address, because a host name may have several.
+std::string ListenReason(int error, const sockaddr* address, socklen_t size) {
+  return absl::StrCat(std::strerror(error), Place(address, size), Advice(error));
+}
 
 absl::Status CannotListen(absl::string_view field, const Address& address, absl::string_view why) {
   return absl::UnavailableError(
@@ -101,7 +130,11 @@ absl::StatusOr<Listeners> Listen(absl::string_view field, const Address& address
   hints.ai_socktype = SOCK_STREAM;
   addrinfo* found = nullptr;
   const int error = getaddrinfo(std::string(host).c_str(), nullptr, &hints, &found);
-  if (error != 0) return CannotListen(field, address, ResolveReason(error, std::string(host)));
+  if (error != 0) {
+    return CannotListen(
+        field, address,
+        absl::StrCat("the host name ", host, " cannot be resolved: ", gai_strerror(error)));
+  }
   const std::unique_ptr<addrinfo, FreeAddresses> addresses(found);
   Listeners result = {.sockets = {}, .address = address};
   for (addrinfo* next = addresses.get(); next != nullptr; next = next->ai_next) {
@@ -115,7 +148,10 @@ absl::StatusOr<Listeners> Listen(absl::string_view field, const Address& address
     result.address.port = PortOf(listener.get());
     result.sockets.push_back(std::move(listener));
   }
-  if (result.sockets.empty()) return CannotListen(field, address, ListenReason(EADDRNOTAVAIL));
+  if (result.sockets.empty()) {
+    return CannotListen(field, address,
+                        absl::StrCat(std::strerror(EADDRNOTAVAIL), Advice(EADDRNOTAVAIL)));
+  }
   return result;
 }
 

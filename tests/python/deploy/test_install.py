@@ -1,6 +1,5 @@
 """Installs components with `cmake --install`, and builds a program outside this tree against the C++ client."""
 
-import gzip
 import os
 import pathlib
 import re
@@ -52,21 +51,6 @@ def test_pkg_config(prefix, tmp_path):
 
 def test_public_headers_live_under_include_spikeserve(prefix):
     assert [entry.name for entry in (prefix / "include").iterdir()] == ["spikeserve"]
-
-
-@pytest.mark.parametrize(("component", "programs"), [("server", ["spikeserve"]), ("tools", ["spikectl", "spikeload"])])
-def test_a_program_has_its_manual_page_and_completions(component, programs, tmp_path):
-    run("cmake", "--install", BUILD, "--prefix", tmp_path, "--component", component)
-    share = tmp_path / "share"
-    for program in programs:
-        page = gzip.decompress((share / "man" / "man1" / f"{program}.1.gz").read_bytes()).decode()
-        assert page.startswith(f".TH {program.upper()} 1 ")
-        for text, start in {
-            f"bash-completion/completions/{program}": f"# bash completion of {program},",
-            f"zsh/site-functions/_{program}": f"#compdef {program}\n",
-            f"fish/vendor_completions.d/{program}.fish": f"# fish completion of {program},",
-        }.items():
-            assert (share / text).read_text().startswith(start), text
 
 
 def test_an_older_minor_version_is_refused(prefix, tmp_path):

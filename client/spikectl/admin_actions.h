@@ -1,0 +1,28 @@
+// The actions of `spikectl admin` about shared heads and roll-outs. Each one makes one call, prints
+// the answer, and returns the error of the call.
+#ifndef CLIENT_SPIKECTL_ADMIN_ACTIONS_H_
+#define CLIENT_SPIKECTL_ADMIN_ACTIONS_H_
+
+#include "absl/status/status.h"
+#include "client/spikectl/admin_call.h"
+
+namespace spikeserve {
+
+absl::StatusOr<Answer> ShowHead(const AdminFlags& flags);
+absl::StatusOr<Answer> PromoteHead(const AdminFlags& flags);
+absl::StatusOr<Answer> RollbackHead(const AdminFlags& flags);
+absl::StatusOr<Answer> PauseLearning(const AdminFlags& flags);
+absl::StatusOr<Answer> ResumeLearning(const AdminFlags& flags);
+
+// Starts a roll-out, or ends the running one if --abort is set.
+absl::StatusOr<Answer> ChangeRollout(const AdminFlags& flags);
+
+// Shows the last roll-out of every policy.
+absl::StatusOr<Answer> ShowRollouts(const AdminFlags& flags);
+
+// Shows who changed what.
+absl::StatusOr<Answer> ShowHistory(const AdminFlags& flags);
+
+}  // namespace spikeserve
+
+#endif  // CLIENT_SPIKECTL_ADMIN_ACTIONS_H_
