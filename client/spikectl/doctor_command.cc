@@ -13,8 +13,11 @@
 #include "absl/strings/str_format.h"
 #include "client/spikectl/commands.h"
 #include "core/agent/wiring_check.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
+#include "core/dataset/policy_description.h"
 #include "core/dataset/recordings.h"
+#include "core/engine/engine.h"
 #include "core/model/policy_file.h"
 #include "core/model/wiring_model.h"
 #include "spikeserve/client.h"
@@ -64,6 +67,7 @@ struct Diagnosis {
 // Plays the observations of `episode` to the check.
 void Check(const Policy& policy, const Episode& episode, WiringState* state, Diagnosis* found) {
   const auto obs = static_cast<size_t>(policy.observation_size());
+  const auto limit = static_cast<size_t>(HistorySize(policy.config));  // as the server has it
   History history;
   for (size_t t = 0; t <= episode.actions.size(); ++t) {
     const auto observation = absl::MakeConstSpan(episode.observations).subspan(t * obs, obs);
@@ -78,7 +82,7 @@ void Check(const Policy& policy, const Episode& episode, WiringState* state, Dia
     if (state->verdict.has_value()) found->verdict = state->verdict;
     ++found->steps;
     if (t == episode.actions.size()) return;
-    history.Append(0.0f, observation, episode.actions[t], /*limit=*/2);
+    history.Append(0.0f, observation, episode.actions[t], limit);
   }
 }
 
@@ -124,7 +128,6 @@ absl::Status Diagnose(const ServerFlags& server, const DoctorFlags& flags) {
         "received one without");
   }
   ASSIGN_OR_RETURN(const auto datasets, ReadRecordings(flags.observations));
-  WiringState state;
   Diagnosis found;
   found.elements.resize(static_cast<size_t>(policy.observation_size()));
   for (const Dataset& dataset : datasets) {
@@ -134,6 +137,10 @@ absl::Status Diagnose(const ServerFlags& server, const DoctorFlags& flags) {
           "--observations: expected observations of ", policy.observation_size(),
           " elements and the policy's actions, received ", dataset.observation_size, " elements"));
     }
+    if (const auto status = CheckRecordedNames(dataset.recipe, policy); !status.ok()) {
+      return Annotate(status, flags.observations);
+    }
+    WiringState state;
     for (const Episode& episode : dataset.episodes) Check(policy, episode, &state, &found);
   }
   Print(policy, found);

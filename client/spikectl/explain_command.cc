@@ -34,6 +34,18 @@ absl::StatusOr<v1::ExplainResponse> PlayAndExplain(const ExplainFlags& flags,
   return explained;
 }
 
+// Returns what the server says about the policy of a decision; nothing if it does not serve it.
+v1::PolicyInfo PolicyOf(const v1::ExplainResponse& explained, Client& client) {
+  const auto listed = client.ListPolicies();
+  if (!listed.ok()) return {};
+  for (const v1::PolicyInfo& policy : listed->policies()) {
+    if (policy.name() == explained.policy() && policy.version() == explained.version()) {
+      return policy;
+    }
+  }
+  return {};
+}
+
 absl::Status Explain(const ExplainFlags& flags, const ServerFlags& server) {
   if (flags.steps < 1) {
     return absl::InvalidArgumentError(
@@ -45,7 +57,8 @@ absl::Status Explain(const ExplainFlags& flags, const ServerFlags& server) {
                                              ? PlayAndExplain(flags, *environment, *client)
                                              : client->Explain(flags.session));
   if (!server.json) {
-    ASSIGN_OR_RETURN(const std::string text, ExplainToText(explained));
+    const v1::PolicyInfo policy = PolicyOf(explained, *client);
+    ASSIGN_OR_RETURN(const std::string text, ExplainToText(explained, policy));
     std::cout << text;
     return absl::OkStatus();
   }

@@ -89,20 +89,37 @@ std::string ToText(const google::protobuf::RepeatedField<float>& numbers) {
   });
 }
 
-std::string ToText(const v1::Action& action) {
-  return action.has_discrete() ? absl::StrCat(action.discrete())
-                               : ToText(action.continuous().values());
+using FeatureList = google::protobuf::RepeatedPtrField<v1::Feature>;
+
+// Returns the numbers, each behind its name if there is one for each.
+std::string ToText(const google::protobuf::RepeatedField<float>& numbers,
+                   const FeatureList& features) {
+  if (features.size() != numbers.size()) return ToText(numbers);
+  std::vector<std::string> named;
+  for (int i = 0; i < numbers.size(); ++i) {
+    named.push_back(absl::StrFormat("%s %.4g", features[i].name(), numbers[i]));
+  }
+  return absl::StrJoin(named, ", ");
 }
 
-std::string Head(const v1::ExplainResponse& explained) {
+std::string ToText(const v1::Action& action, const FeatureList& features) {
+  if (!action.has_discrete()) return ToText(action.continuous().values(), features);
+  const int64_t taken = action.discrete();
+  const bool is_named = taken >= 0 && taken < features.size();
+  return is_named ? absl::StrCat(taken, " ", features[static_cast<int>(taken)].name())
+                  : absl::StrCat(taken);
+}
+
+std::string Head(const v1::ExplainResponse& explained, const v1::PolicyInfo& policy) {
   const v1::ActResponse& answer = explained.answer();
   const v1::SpikesByStage& spikes = answer.stats().spikes_by_stage();
   std::string text = absl::StrFormat(
       "%s/%d (%s), session %s, episode %d, step %d\nobservation %s\nreturn-to-go %.6g\naction %s\n"
       "logits %s\n",
       explained.policy(), explained.version(), explained.mode(), explained.session_id(),
-      explained.episode(), answer.step(), ToText(explained.observation()), answer.return_to_go(),
-      ToText(answer.action()), ToText(explained.logits()));
+      explained.episode(), answer.step(),
+      ToText(explained.observation(), policy.observation_features()), answer.return_to_go(),
+      ToText(answer.action(), policy.action_features()), ToText(explained.logits()));
   if (!answer.action_probabilities().empty()) {
     absl::StrAppend(&text, "probabilities ", ToText(answer.action_probabilities()), "\n");
   }
@@ -183,9 +200,10 @@ std::string AttentionToText(const v1::Attention& attention, int head, int heads)
 
 }  // namespace
 
-absl::StatusOr<std::string> ExplainToText(const v1::ExplainResponse& explained) {
+absl::StatusOr<std::string> ExplainToText(const v1::ExplainResponse& explained,
+                                          const v1::PolicyInfo& policy) {
   RETURN_IF_ERROR(CheckExplanation(explained));
-  std::string text = Head(explained);
+  std::string text = Head(explained, policy);
   for (const v1::SpikeRaster& raster : explained.rasters()) {
     if (!raster.ticks().empty()) text += RasterToText(raster, explained.ticks());
   }

@@ -35,6 +35,9 @@ absl::Status AddData(const std::string& path, Policy* policy) {
                      " elements and the policy's actions, received those of ", dataset.environment,
                      " with ", dataset.observation_size, " elements"));
   }
+  if (const auto status = CheckRecordedNames(dataset.recipe, *policy); !status.ok()) {
+    return Annotate(status, path);
+  }
   AddNames(dataset.recipe, policy);
   return AddWiringModel(dataset.episodes, policy);
 }

@@ -12,13 +12,24 @@
 namespace spikeserve {
 namespace {
 
-std::vector<Feature> NamesIn(const nlohmann::json& recipe, const char* key) {
-  std::vector<Feature> features;
+std::vector<std::string> NamesIn(const nlohmann::json& recipe, const char* key) {
   std::vector<std::string> names;
   const auto member = recipe.is_object() ? recipe.find(key) : recipe.end();
-  if (member == recipe.end() || !ReadJson(key, *member, &names).ok()) return features;
-  for (std::string& name : names) features.push_back({.name = std::move(name)});
+  if (member == recipe.end() || !ReadJson(key, *member, &names).ok()) return {};
+  return names;
+}
+
+std::vector<Feature> FeaturesIn(const nlohmann::json& recipe, const char* key) {
+  std::vector<Feature> features;
+  for (std::string& name : NamesIn(recipe, key)) features.push_back({.name = std::move(name)});
   return features;
+}
+
+absl::Status CheckRecorded(const std::string& field, std::vector<std::string> names,
+                           const std::vector<Feature>& expected) {
+  if (names.empty() || expected.empty()) return absl::OkStatus();
+  return CheckNames(expected, {.field = field, .names = std::move(names), .units = {}},
+                    /*in_any_order=*/false);
 }
 
 }  // namespace
@@ -27,11 +38,17 @@ void AddNames(const nlohmann::json& recipe, Policy* policy) {
   const int obs = policy->observation_size();
   const int act = policy->action_space.size();
   Features named = policy->features;
-  if (named.observation.empty()) named.observation = NamesIn(recipe, "observation_names");
+  if (named.observation.empty()) named.observation = FeaturesIn(recipe, "observation_names");
   if (named.Validate(obs, act).ok()) policy->features = named;
   named = policy->features;
-  if (named.action.empty()) named.action = NamesIn(recipe, "action_names");
+  if (named.action.empty()) named.action = FeaturesIn(recipe, "action_names");
   if (named.Validate(obs, act).ok()) policy->features = std::move(named);
+}
+
+absl::Status CheckRecordedNames(const nlohmann::json& recipe, const Policy& policy) {
+  RETURN_IF_ERROR(CheckRecorded("observation", NamesIn(recipe, "observation_names"),
+                                policy.features.observation));
+  return CheckRecorded("action", NamesIn(recipe, "action_names"), policy.features.action);
 }
 
 absl::Status AddWiringModel(absl::Span<const Episode> episodes, Policy* policy) {

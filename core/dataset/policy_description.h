@@ -17,6 +17,10 @@ namespace spikeserve {
 // as conversions write them. Leaves what the policy has; ignores names that do not fit it.
 void AddNames(const nlohmann::json& recipe, Policy* policy);
 
+// Returns INVALID_ARGUMENT, which names the first difference, if a dataset's recipe and the policy
+// both name the elements, and do so differently or in another order.
+absl::Status CheckRecordedNames(const nlohmann::json& recipe, const Policy& policy);
+
 // Fits policy->wiring to the episodes. FAILED_PRECONDITION if the observations are too long or the
 // episodes too short (WiringFit::Finish). REQUIRES: the episodes have the policy's spaces.
 absl::Status AddWiringModel(absl::Span<const Episode> episodes, Policy* policy);

@@ -122,16 +122,22 @@ def errors_page():
 
 
 def read_policy(path):
-    """Returns the configuration, the record and the environment of a policy file, and its SHA-256."""
+    """Returns the configuration, the record, the features and the environment of a policy file, and its SHA-256."""
     data = path.read_bytes()
     metadata = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]
     record, config = json.loads(metadata["training"]), json.loads(metadata["config"])
-    return config, record, metadata["environment"], hashlib.sha256(data).hexdigest()
+    return config, record, json.loads(metadata["features"]), metadata["environment"], hashlib.sha256(data).hexdigest()
+
+
+def elements(features):
+    """Returns the names and units of the elements of an observation or an action as a cell."""
+    texts = [f"`{each['name']}`" + (f" {each['unit']}" if "unit" in each else "") for each in features]
+    return ", ".join(texts if len(texts) <= 16 else [texts[0], "...", f"{texts[-1]} ({len(texts)})"])
 
 
 def policy_rows(path):
-    """Returns what a policy is and how it was made, and what it does, as rows of two tables."""
-    config, record, environment, digest = read_policy(path)
+    """Returns what a policy is and how it was made, what it does, and its elements, as rows of three tables."""
+    config, record, features, environment, digest = read_policy(path)
     name, evaluation = f"`{path.parts[-3]}/{path.parts[-2]}`", record["evaluation"]
     sizes = f"{config['hidden_size']}, {config['heads']}, {config['layers']}, {config['ticks']}, {config['context']}, {config['ffn_size']}"
     trainings = [stage for stage in [*record["lineage"], record] if stage["command"].split()[1] == "train"]
@@ -142,12 +148,14 @@ def policy_rows(path):
     returned = [f"{evaluation[key]:.{digits}f}" for key in ("mean_return", "std_return")]
     what = (name, environment.partition("-OneHot")[0], config["mode"], sizes, f"{path.stat().st_size / 1000:.0f}", made, f"`{digest[:12]}`")
     does = (name, " ± ".join(returned), evaluation["episodes"], f"{evaluation['spikes_per_decision']:.1f}", *(f"{nj:,.1f}" for nj in energy))
-    return [f"| {' | '.join(map(str, row))} |\n" for row in (what, does)]
+    rate = f"{features['rate_hz']:g}" if "rate_hz" in features else "-"
+    robot = (name, rate, elements(features["observation"]), elements(features["action"]))
+    return [f"| {' | '.join(map(str, row))} |\n" for row in (what, does, robot)]
 
 
 def policies_page():
     rows = [policy_rows(path) for path in sorted((ROOT / "deploy/policies").glob("*/*/policy.safetensors"))]
-    what, does = ("".join(column) for column in zip(*rows))
+    what, does, robot = ("".join(column) for column in zip(*rows))
     page = "# Policies\n\n" + NOTE.format("the records of the files in deploy/policies")
     page += "All are in integers ([design/integer.md](../design/integer.md)), and the highest version of a name is the default. `full` has the\n"
     page += "paper's phase spikes and routing, `baseline` neither. The file `lab/past_policies.md` lists all policies that were shipped before.\n"
@@ -155,6 +163,8 @@ def policies_page():
     page += "\nReturns are means and deviations over starts that no training saw, from seed 2,000,000 on; spikes and energy are those of a\n"
     page += "decision on the same starts, [estimated](energy.md) with memory (`int_sram_45nm`) and without (`int_45nm`).\n"
     page += "\n| policy | return | starts | spikes | `int_sram_45nm`, nJ | `int_45nm`, nJ |\n| --- | ---: | ---: | ---: | ---: | ---: |\n" + does
+    page += "\nThe elements that a robot sends and takes, in the policy's order, with their units and the decisions per second of the training\n"
+    page += "data ([wiring](../guides/wiring.md)):\n\n| policy | Hz | observation | action |\n| --- | ---: | --- | --- |\n" + robot
     return page
 
 

@@ -247,6 +247,9 @@ absl::Status InferenceHandler::ModelInfer(CallContext& context, const ModelInfer
   response->set_model_version(absl::StrCat(version));
   response->set_id(request.id());
   WriteOutputs(answer, request, input, response);
+  if (answer.has_wiring()) {
+    (*response->mutable_parameters())["wiring"].set_string_param(answer.wiring().text());
+  }
   statistics_.CountSuccess(name, version, absl::Now(), clock_->Now() - start,
                            absl::Seconds(answer.stats().compute_seconds()));
   return sequence.end ? End(context, sequence) : absl::OkStatus();

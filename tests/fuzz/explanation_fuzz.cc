@@ -33,7 +33,7 @@ v1::ExplainResponse Valid() {
 void FuzzOne(absl::string_view input) {
   v1::ExplainResponse explained;
   if (!explained.ParseFromArray(input.data(), static_cast<int>(input.size()))) return;
-  const auto text = ExplainToText(explained);
+  const auto text = ExplainToText(explained, {});
   if (!text.ok()) FUZZ_CHECK(!text.status().message().empty());
   for (absl::string_view rest = input; !rest.empty();) {
     const size_t bytes = FirstCharacter(rest).bytes;

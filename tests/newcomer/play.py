@@ -39,6 +39,7 @@ PAGES = (
     "signing.md",
     "fleet.md",
     "training.md",
+    "wiring.md",
 )
 # Pages that a newcomer reads only. test_chips.py runs the examples of chips.md.
 WITHOUT_COMMANDS = {

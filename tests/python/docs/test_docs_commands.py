@@ -5,7 +5,7 @@ import os
 import pathlib
 
 import pytest
-from documentation import Shell
+from documentation import Shell, files_of
 from serving import run
 
 ROOT = pathlib.Path(__file__).parents[3]
@@ -73,6 +73,20 @@ def check_recording(shell, directory):
         "1/policy.safetensors",
         "2/policy.safetensors",
     ]
+
+
+def test_is_my_robot_wired_right(shell, tmp_path):
+    (tmp_path / "robot.py").write_text(files_of("wiring.md")["robot.py"])
+    listed = "spikectl doctor"
+    # The server writes an episode after it has answered.
+    wait = f"until [ $(ls {tmp_path}/recordings/*/000000.cbor 2>/dev/null | wc -l) = 2 ]; do :; done\n{listed}"
+    _, features, played = shell.run("wiring.md", [(listed, wait)])
+    assert "cartpole/2 at 50 Hz within 10 %\n  observation[0] cart_position m from -4.8 to 4.8 in track\n" in features
+    named, unnamed, *table = played.splitlines()
+    verdict = "observation[1] (cart_velocity) and observation[2] (pole_angle) look exchanged"
+    assert named.split() == ["return", "500.0"]
+    assert unnamed.endswith(verdict)
+    assert table[-1].endswith(verdict)
 
 
 @pytest.mark.skipif("SPIKETRAIN_PROGRAM" not in os.environ, reason="without libtorch")

@@ -281,6 +281,20 @@ def test_versions_keep_their_sequences_apart(server):
     assert code == 400 and "model_version: expected none, or 1" in answer["error"]
 
 
+def test_an_answer_says_what_looks_miswired(server):
+    environment = gymnasium.make("CartPole-v1")
+    observation, _ = environment.reset(seed=SEED)
+    reward, over, start, said = 0.0, False, True, []
+    while not over:
+        swapped = [float(observation[i]) for i in (0, 2, 1, 3)]
+        answer = infer(server, infer_body("miswired", start=start, reward=reward, observation=swapped))[2]
+        said.append(answer.get("parameters", {}).get("wiring"))
+        observation, reward, terminated, truncated, _ = environment.step(answer["outputs"][0]["data"][0])
+        over, start = terminated or truncated, False
+    assert said[0] is None
+    assert said[-1] == "observation[1] (cart_velocity) and observation[2] (pole_angle) look exchanged"
+
+
 def test_metrics_count_the_calls(server):
     def count():
         return sum(series(server, "spikeserve_rpc_duration_seconds_count", code="OK", method="ModelInfer"))

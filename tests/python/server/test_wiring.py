@@ -1,6 +1,7 @@
 """The server recognises a robot whose elements are wired otherwise than those of the training data."""
 
 import contextlib
+import json
 
 import gymnasium
 import numpy as np
@@ -9,7 +10,8 @@ import spikeserve
 from cpp_pilot import CppPilot
 from restartable_server import restartable_server
 from security import until
-from serving import metric, page_of, refusal_at_start, running_server
+from serving import SHIPPED_POLICIES, metric, page_of, refusal_at_start, run, running_server
+from spikeserve.conversion import Selection, convert
 
 STEPS = 50
 
@@ -163,8 +165,35 @@ def test_the_doctor_names_what_a_recording_and_a_session_show(server, client, re
     assert "pole_angular_velocity    rad/s" in recorded
 
 
-def doctor(server, *flags):
-    return server.spikectl("doctor", *flags).stdout
+def doctor(server, *flags, status=0):
+    done = server.spikectl("doctor", *flags, status=status)
+    return done.stderr if status else done.stdout
+
+
+def test_data_of_lerobot_in_another_order_are_refused_by_name(server, client, recordings, tmp_path):
+    with client.open_session("cartpole", spikeserve.SessionOptions(record=True)) as session:
+        play(session, gymnasium.make("CartPole-v1"), right)
+        session.end_episode(0.0, truncated=True)
+    folder = recordings / session.opening.recording
+    until(lambda: list(folder.glob("*.cbor")))
+    convert(folder, tmp_path / "set", "lerobot", selection=Selection(fps=50))
+    info = tmp_path / "set/meta/info.json"
+    described = json.loads(info.read_text())
+    for order in ([0, 1, 2, 3], [0, 2, 1, 3]):
+        names = described["features"]["observation.state"]["names"]
+        described["features"]["observation.state"]["names"] = [names[i] for i in order]
+        info.write_text(json.dumps(described))
+        convert(tmp_path / "set", tmp_path / f"{order[1]}.cbor", "spikeserve")
+    assert "wired right" in doctor(server, "--policy=cartpole", f"--observations={tmp_path}/1.cbor")
+    refusal = (
+        f'{tmp_path}/2.cbor: observation_names[1]: expected "cart_velocity", received "pole_angle"; '
+        "the policy's order is [0, 2, 1, 3] of the received elements"
+    )
+    assert refusal in doctor(server, "--policy=cartpole", f"--observations={tmp_path}/2.cbor", status=1)
+    shipped = SHIPPED_POLICIES / "cartpole/2/policy.safetensors"
+    flags = (f"--policy={shipped}", f"--data={tmp_path}/2.cbor", f"--out={tmp_path}/out")
+    assert refusal in run("spikectl", "policy", "annotate", *flags, status=1).stderr
+    assert not (tmp_path / "out").exists()
 
 
 def test_rules_are_refused_by_the_flag():
