@@ -1,5 +1,6 @@
 #include "core/base/printable.h"
 
+#include <algorithm>
 #include <cstdint>
 
 #include "absl/strings/str_format.h"
@@ -8,11 +9,21 @@
 namespace spikeserve {
 namespace {
 
+struct Range {
+  uint32_t first;
+  uint32_t last;
+};
+
+// Controls, separators of lines, and what has no width or changes the direction (Unicode's general
+// categories Cc, Zl, Zp and Cf). The joiners U+200C and U+200D stay: languages need them.
+constexpr Range kControls[] = {{0x00, 0x1f},     {0x7f, 0x9f},     {0xad, 0xad},
+                               {0x61c, 0x61c},   {0x180e, 0x180e}, {0x200b, 0x200b},
+                               {0x200e, 0x200f}, {0x2028, 0x202e}, {0x2060, 0x206f},
+                               {0xfeff, 0xfeff}, {0xfff9, 0xfffb}, {0xe0000, 0xe007f}};
+
 bool IsControl(uint32_t code) {
-  const bool c0_or_c1 = code < 0x20 || (code >= 0x7f && code < 0xa0);
-  const bool separator = code == 0x2028 || code == 0x2029;
-  const bool directional = (code >= 0x202a && code <= 0x202e) || (code >= 0x2066 && code <= 0x2069);
-  return c0_or_c1 || separator || directional;
+  return std::ranges::any_of(
+      kControls, [code](const Range& range) { return code >= range.first && code <= range.last; });
 }
 
 // Returns the bytes of a character of UTF-8 by its first one, or 0.

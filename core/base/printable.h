@@ -14,7 +14,7 @@ namespace spikeserve {
 // One character at the beginning of a text.
 struct Character {
   size_t bytes = 1;        // of the text; 0: the text ends within a character
-  bool printable = false;  // false for control characters, directional marks and bytes of no UTF-8
+  bool printable = false;  // false for what is not shown, and bytes of no UTF-8
 };
 
 // Returns the first character. REQUIRES: a text that is not empty.
