@@ -3,13 +3,13 @@
 #include <fcntl.h>
 #include <sys/file.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <sys/statvfs.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
 #include <cstdio>
-#include <limits>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
@@ -115,8 +115,6 @@ class LockedFile {
     return RemoveTornLine();
   }
 
-  off_t size() const { return size_; }
-
   // Makes sure that `bytes` more fit, and, if there is room, the reserve behind them.
   absl::Status MakeRoom(size_t bytes) {
     const bool has_reserve =
@@ -209,6 +207,9 @@ absl::StatusOr<std::unique_ptr<AuditLog>> AuditLog::Open(const std::string& path
                         absl::StrCat("--audit_log: expected a file that the server can append to: ",
                                      status.message()));
   }
+  if (auto status = log->AppendOfAgent(""); !status.ok()) {
+    LogWarning("calls of agents cannot be recorded", {{"error", status.message()}});
+  }
   ASSIGN_OR_RETURN(const auto text, ReadFile(path));
   for (const absl::string_view line : absl::StrSplit(text, '\n', absl::SkipEmpty())) {
     if (auto entry = ParseLine(line); entry.ok()) log->Remember(*std::move(entry));
@@ -226,17 +227,14 @@ absl::Status AuditLog::Append(absl::string_view line) {
 absl::Status AuditLog::AppendOfAgent(absl::string_view line) {
   const std::string path = absl::StrCat(path_, ".agents");
   absl::MutexLock lock(&agents_mutex_);
-  const auto append = [&](off_t most) -> absl::Status {
-    LockedFile file(path);
-    RETURN_IF_ERROR(file.Prepare());
-    if (file.size() < most) return file.Write(line);
-    return absl::ResourceExhaustedError(absl::StrCat(path, ": expected fewer bytes"));
-  };
-  if (append(kAgentsBytes).ok()) return absl::OkStatus();
-  // Too long, or the disk is full: the file before makes room. Another server that has the file
-  // open goes on in the renamed one with one line at most.
-  (void)rename(path.c_str(), absl::StrCat(path, ".1").c_str());
-  return append(std::numeric_limits<off_t>::max());
+  struct stat now = {};
+  if (stat(path.c_str(), &now) == 0 && now.st_size >= kAgentsBytes) {
+    // Another server that has the file open goes on in the renamed one with one line at most.
+    (void)rename(path.c_str(), absl::StrCat(path, ".1").c_str());
+  }
+  LockedFile file(path);
+  RETURN_IF_ERROR(file.Prepare());
+  return file.Write(line);
 }
 
 absl::Status AuditLog::Reserve(size_t bytes) {

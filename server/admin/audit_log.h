@@ -13,7 +13,8 @@
 //
 // Calls of agents are in a file beside it, "audit.jsonl.agents", which is renamed to ".agents.1"
 // when it is long. They are not flushed, and take neither the time nor the disk of operators: room
-// for a thousand lines or so behind those of the log is kept on the disk.
+// for a thousand lines or so behind those of the log is kept on the disk. A full disk refuses new
+// lines of agents; it removes none.
 //
 // Thread-safe.
 #ifndef SERVER_ADMIN_AUDIT_LOG_H_

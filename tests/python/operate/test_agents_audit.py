@@ -71,6 +71,18 @@ def test_the_file_of_agents_is_rotated(tmp_path):
         assert log.with_name("audit.jsonl.agents.1").stat().st_size == 9 * MEGABYTE
 
 
+def test_a_full_disk_removes_no_lines(tmp_path):
+    log = tmp_path / "audit.jsonl"
+    older = log.with_name("audit.jsonl.agents")
+    older.write_text("{}\n" * (MEGABYTE // 3))
+    kept = older.stat().st_size
+    prefix = ["prlimit", f"--fsize={MEGABYTE}:"]
+    with running_server(flags=[f"--audit_log={log}"], prefix=prefix) as addresses, service_with(addresses, None) as agent:
+        for _ in range(3):
+            assert code_of(agent.ExportSession, session_id="missing") == grpc.StatusCode.NOT_FOUND
+    assert older.stat().st_size == kept and not log.with_name("audit.jsonl.agents.1").exists()
+
+
 def test_a_reserve_is_kept_for_operators(tmp_path):
     """Blocks behind the end of the file, which the disk keeps for it."""
     log = tmp_path / "audit.jsonl"
