@@ -1,18 +1,25 @@
 #include "client/spikectl/policy_choice.h"
 
 #include <algorithm>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_join.h"
+#include "core/base/names.h"
 
 namespace spikeserve {
 namespace {
 
-std::string Listed(const v1::ListPoliciesResponse& served) {
+// Returns what the server has instead of a policy or environment, in a few lines at most.
+std::string OthersThan(const std::string& received, const v1::ListPoliciesResponse& served) {
   if (served.policies().empty()) return "no policy";
-  return absl::StrJoin(served.policies(), ", ", [](std::string* out, const v1::PolicyInfo& policy) {
-    absl::StrAppend(out, policy.name(), "/", policy.version(), " for ", policy.environment());
-  });
+  std::vector<std::string> versions;
+  std::vector<std::string> names;
+  for (const v1::PolicyInfo& policy : served.policies()) {
+    versions.push_back(
+        absl::StrCat(policy.name(), "/", policy.version(), " for ", policy.environment()));
+    names.insert(names.end(), {policy.name(), policy.environment()});
+  }
+  return absl::StrCat(NamesLike(received, versions), DidYouMean(received, names));
 }
 
 bool SameSpace(const v1::ActionSpace& served, const ActionSpace& space) {
@@ -36,8 +43,8 @@ absl::StatusOr<v1::PolicyInfo> ChoosePolicy(const v1::ListPoliciesResponse& serv
   const std::string what = name.empty() ? absl::StrCat("--env: no policy for ", environment)
                                         : absl::StrCat("--policy: no policy \"", name, "\"");
   const std::string which = version == 0 ? "" : absl::StrCat(" in version ", version);
-  return absl::NotFoundError(
-      absl::StrCat(what, which, " is served; the server has ", Listed(served)));
+  return absl::NotFoundError(absl::StrCat(what, which, " is served; the server has ",
+                                          OthersThan(name.empty() ? environment : name, served)));
 }
 
 absl::Status CheckSpacesMatch(const v1::PolicyInfo& policy, const Environment& environment) {

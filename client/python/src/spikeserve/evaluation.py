@@ -12,7 +12,7 @@ import grpc
 import numpy as np
 from numpy.typing import NDArray
 
-from spikeserve.check import check
+from spikeserve.check import check, names_like
 from spikeserve.client import Client
 from spikeserve.distance import Arrivals, Distance
 from spikeserve.errors import SessionLostError, SpikeserveError
@@ -191,9 +191,9 @@ def choose_policy(policies: list[Policy], env_id: str) -> Policy:
     for policy in policies:
         if policy.environment == env_id and policy.is_default:
             return policy
-    served = ", ".join(f"{p.name}/{p.version} for {p.environment}" for p in policies)
+    served = names_like(env_id, (f"{p.name}/{p.version} for {p.environment}" for p in policies))
     raise LookupError(
-        f"env_id: expected the environment of a served policy ({served or 'none'}), "
+        f"env_id: expected the environment of a served policy ({served}), "
         f"received {env_id}; pass policy= to choose one"
     )
 
