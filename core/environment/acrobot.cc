@@ -1,9 +1,9 @@
-#include "core/environment/acrobot.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <numbers>
+
+#include "core/environment/classic_tasks.h"
 
 namespace spikeserve {
 namespace {
@@ -61,42 +61,52 @@ double Wrap(double angle) {
   return angle;
 }
 
+class Acrobot final : public ClassicControl {
+ public:
+  explicit Acrobot(const AcrobotParameters& parameters)
+      : ClassicControl({.id = kAcrobotId,
+                        .state_size = 4,
+                        .observation_size = 6,
+                        .action_space = ActionSpace::Discrete(3),
+                        .max_episode_steps = 500}),
+        parameters_(parameters) {}
+
+  double Advance(const Action& action, absl::Span<double> state) const override {
+    const double torque = (action.discrete - 1) * parameters_.torque;
+    const State next = RungeKutta4(parameters_, torque, {state[0], state[1], state[2], state[3]});
+    state[0] = Wrap(next[0]);
+    state[1] = Wrap(next[1]);
+    state[2] = std::clamp(next[2], -kMaxVelocity1, kMaxVelocity1);
+    state[3] = std::clamp(next[3], -kMaxVelocity2, kMaxVelocity2);
+
+    return IsTerminal(state) ? 0.0 : -1.0;
+  }
+
+  bool IsTerminal(absl::Span<const double> state) const override {
+    return -cos(state[0]) - cos(state[1] + state[0]) > 1.0;
+  }
+
+ private:
+  std::vector<double> DrawInitialState(NumpyRandom& random) const override {
+    std::vector<double> state(4);
+    // Gymnasium rounds only this state to float32.
+    for (double& value : state) value = static_cast<float>(random.Uniform(-0.1, 0.1));
+    return state;
+  }
+
+  std::vector<float> Observe(absl::Span<const double> state) const override {
+    const std::array<double, 6> observation = {cos(state[0]), sin(state[0]), cos(state[1]),
+                                               sin(state[1]), state[2],      state[3]};
+    return {observation.begin(), observation.end()};
+  }
+
+  AcrobotParameters parameters_;
+};
+
 }  // namespace
 
-Acrobot::Acrobot(const AcrobotParameters& parameters)
-    : ClassicControl({.id = kId,
-                      .state_size = 4,
-                      .observation_size = 6,
-                      .action_space = ActionSpace::Discrete(3),
-                      .max_episode_steps = 500}),
-      parameters_(parameters) {}
-
-std::vector<double> Acrobot::DrawInitialState(NumpyRandom& random) const {
-  std::vector<double> state(4);
-  // Gymnasium rounds only this state to float32.
-  for (double& value : state) value = static_cast<float>(random.Uniform(-0.1, 0.1));
-  return state;
-}
-
-double Acrobot::Advance(const Action& action, absl::Span<double> state) const {
-  const double torque = (action.discrete - 1) * parameters_.torque;
-  const State next = RungeKutta4(parameters_, torque, {state[0], state[1], state[2], state[3]});
-  state[0] = Wrap(next[0]);
-  state[1] = Wrap(next[1]);
-  state[2] = std::clamp(next[2], -kMaxVelocity1, kMaxVelocity1);
-  state[3] = std::clamp(next[3], -kMaxVelocity2, kMaxVelocity2);
-
-  return IsTerminal(state) ? 0.0 : -1.0;
-}
-
-bool Acrobot::IsTerminal(absl::Span<const double> state) const {
-  return -cos(state[0]) - cos(state[1] + state[0]) > 1.0;
-}
-
-std::vector<float> Acrobot::Observe(absl::Span<const double> state) const {
-  const std::array<double, 6> observation = {cos(state[0]), sin(state[0]), cos(state[1]),
-                                             sin(state[1]), state[2],      state[3]};
-  return {observation.begin(), observation.end()};
+std::unique_ptr<ClassicControl> MakeAcrobot(const AcrobotParameters& parameters) {
+  return std::make_unique<Acrobot>(parameters);
 }
 
 }  // namespace spikeserve

@@ -6,18 +6,15 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "core/environment/acrobot.h"
-#include "core/environment/cart_pole.h"
-#include "core/environment/mountain_car.h"
-#include "core/environment/pendulum.h"
+#include "core/environment/classic_tasks.h"
 #include "core/environment/position_only.h"
 
 namespace spikeserve {
 namespace {
 
-template <typename Task>
+template <auto MakeTask>
 std::unique_ptr<Environment> Make() {
-  return std::make_unique<Task>();
+  return MakeTask({});
 }
 
 struct Entry {
@@ -26,10 +23,10 @@ struct Entry {
 };
 
 constexpr Entry kEnvironments[] = {
-    {CartPole::kId, Make<CartPole>},
-    {MountainCar::kId, Make<MountainCar>},
-    {Acrobot::kId, Make<Acrobot>},
-    {Pendulum::kId, Make<Pendulum>},
+    {kCartPoleId, Make<MakeCartPole>},
+    {kMountainCarId, Make<MakeMountainCar>},
+    {kAcrobotId, Make<MakeAcrobot>},
+    {kPendulumId, Make<MakePendulum>},
     {PositionOnly::kCartPoleId, PositionOnly::MakeCartPole},
     {PositionOnly::kPendulumId, PositionOnly::MakePendulum},
 };

@@ -8,10 +8,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "core/environment/acrobot.h"
-#include "core/environment/cart_pole.h"
-#include "core/environment/mountain_car.h"
-#include "core/environment/pendulum.h"
+#include "core/environment/classic_tasks.h"
 
 namespace spikeserve {
 namespace {
@@ -23,19 +20,20 @@ struct Change {
   std::function<void(Parameters&, double)> apply;
 };
 
-template <typename Task, typename Parameters>
-absl::StatusOr<std::unique_ptr<Environment>> Make(const Perturbation& perturbation,
+template <auto MakeTask, typename Parameters>
+absl::StatusOr<std::unique_ptr<Environment>> Make(absl::string_view id,
+                                                  const Perturbation& perturbation,
                                                   const std::vector<Change<Parameters>>& changes) {
   for (const Change<Parameters>& change : changes) {
     if (change.name != perturbation.name) continue;
     Parameters parameters;
     change.apply(parameters, perturbation.value);
-    return std::make_unique<Task>(parameters);
+    return MakeTask(parameters);
   }
   const std::string names = absl::StrJoin(
       changes, ", ", [](std::string* out, const auto& change) { out->append(change.name); });
   return absl::InvalidArgumentError(absl::StrCat("perturb: expected one of ", names, " for ",
-                                                 std::string(Task::kId), ", received \"",
+                                                 std::string(id), ", received \"",
                                                  perturbation.name, "\""));
 }
 
@@ -108,10 +106,10 @@ absl::StatusOr<std::unique_ptr<Environment>> MakePerturbedEnvironment(
     return absl::InvalidArgumentError(absl::StrCat("perturb: expected a ", perturbation.name,
                                                    " above 0, received ", perturbation.value));
   }
-  if (id == CartPole::kId) return Make<CartPole>(perturbation, CartPoleChanges());
-  if (id == MountainCar::kId) return Make<MountainCar>(perturbation, MountainCarChanges());
-  if (id == Acrobot::kId) return Make<Acrobot>(perturbation, AcrobotChanges());
-  if (id == Pendulum::kId) return Make<Pendulum>(perturbation, PendulumChanges());
+  if (id == kCartPoleId) return Make<MakeCartPole>(id, perturbation, CartPoleChanges());
+  if (id == kMountainCarId) return Make<MakeMountainCar>(id, perturbation, MountainCarChanges());
+  if (id == kAcrobotId) return Make<MakeAcrobot>(id, perturbation, AcrobotChanges());
+  if (id == kPendulumId) return Make<MakePendulum>(id, perturbation, PendulumChanges());
   return MakeEnvironment(id).status();  // NOT_FOUND, with the known ids
 }
 

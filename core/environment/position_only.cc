@@ -2,24 +2,23 @@
 
 #include <utility>
 
-#include "core/environment/cart_pole.h"
-#include "core/environment/pendulum.h"
+#include "core/environment/classic_tasks.h"
 
 namespace spikeserve {
 
 absl::string_view PositionOnly::InsideId(absl::string_view id) {
-  if (id == kCartPoleId) return CartPole::kId;
-  if (id == kPendulumId) return Pendulum::kId;
+  if (id == kCartPoleId) return spikeserve::kCartPoleId;
+  if (id == kPendulumId) return spikeserve::kPendulumId;
   return id;
 }
 
 std::unique_ptr<Environment> PositionOnly::MakeCartPole() {
-  return std::make_unique<PositionOnly>(kCartPoleId, std::make_unique<CartPole>(),
+  return std::make_unique<PositionOnly>(kCartPoleId, spikeserve::MakeCartPole(),
                                         std::vector<int>{0, 2});
 }
 
 std::unique_ptr<Environment> PositionOnly::MakePendulum() {
-  return std::make_unique<PositionOnly>(kPendulumId, std::make_unique<Pendulum>(),
+  return std::make_unique<PositionOnly>(kPendulumId, spikeserve::MakePendulum(),
                                         std::vector<int>{0, 1});
 }
 

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "core/base/status_macros.h"
-#include "core/environment/acrobot.h"
+#include "core/environment/classic_tasks.h"
 #include "train/expert/beam_search.h"
 #include "train/expert/experts.h"
 #include "train/expert/lookahead_expert.h"
@@ -66,7 +66,7 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeAcrobotExpert(const ExpertOptions& o
   if (!beam && options.name != "lookahead" && options.name != "greedy") {
     return UnknownExpert(options, "beam, lookahead or greedy");
   }
-  Problem problem = {.model = std::make_shared<Acrobot>(), .choices = {}};
+  Problem problem = {.model = MakeAcrobot(), .choices = {}};
   for (int torque = 0; torque < 3; ++torque) {
     problem.choices.push_back(Choice::Of({.discrete = torque, .continuous = {}}));
   }

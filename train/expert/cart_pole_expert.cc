@@ -3,7 +3,7 @@
 // 500 steps from every initial state that Gymnasium draws.
 #include <memory>
 
-#include "core/environment/cart_pole.h"
+#include "core/environment/classic_tasks.h"
 #include "train/expert/experts.h"
 #include "train/expert/target_length_expert.h"
 
@@ -28,7 +28,7 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeCartPoleExpert(const ExpertOptions& 
   if (options.name.empty() || options.name == "feedback") return std::make_unique<FeedbackExpert>();
   if (options.name != "dial") return UnknownExpert(options, "feedback or dial");
   return std::make_unique<TargetLengthExpert>(
-      std::make_shared<CartPole>(), /*reward=*/1.0, std::make_unique<FeedbackExpert>(),
+      MakeCartPole(), /*reward=*/1.0, std::make_unique<FeedbackExpert>(),
       std::make_unique<FallExpert>(), EpisodeLengths{.least = 10, .most = 500});
 }
 

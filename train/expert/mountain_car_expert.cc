@@ -4,7 +4,7 @@
 #include <utility>
 
 #include "core/base/status_macros.h"
-#include "core/environment/mountain_car.h"
+#include "core/environment/classic_tasks.h"
 #include "train/expert/experts.h"
 #include "train/expert/lookahead_expert.h"
 #include "train/expert/table_file.h"
@@ -17,7 +17,7 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeMountainCarExpert(const ExpertOption
   if (!dial && !options.name.empty() && options.name != "value_iteration") {
     return UnknownExpert(options, "value_iteration or dial");
   }
-  Problem problem = {.model = std::make_shared<MountainCar>(), .choices = {}};
+  Problem problem = {.model = MakeMountainCar(), .choices = {}};
   for (int push = 0; push < 3; ++push) {
     problem.choices.push_back(Choice::Of({.discrete = push, .continuous = {}}));
   }

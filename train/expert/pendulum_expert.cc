@@ -13,7 +13,7 @@
 #include <utility>
 
 #include "core/base/status_macros.h"
-#include "core/environment/pendulum.h"
+#include "core/environment/classic_tasks.h"
 #include "train/expert/experts.h"
 #include "train/expert/lookahead_expert.h"
 #include "train/expert/table_file.h"
@@ -52,7 +52,7 @@ absl::StatusOr<std::unique_ptr<Expert>> MakePendulumExpert(const ExpertOptions& 
   if (!robust && !cautious && name != "value_iteration") {
     return UnknownExpert(options, "value_iteration, robust or cautious");
   }
-  Problem problem = {.model = std::make_shared<Pendulum>(), .choices = {}};
+  Problem problem = {.model = MakePendulum(), .choices = {}};
   Axes<2> axes = {{{-pi, pi, 720, true}, {-8.0, 8.0, 641}}};
   if (robust) {
     problem.choices = Torques(21, {-2.0f, 0.0f, 2.0f});

@@ -2,7 +2,7 @@
 
 #include <vector>
 
-#include "core/environment/cart_pole.h"
+#include "core/environment/classic_tasks.h"
 #include "core/math/counter_random.h"
 
 namespace spikeserve {
@@ -36,14 +36,14 @@ bool TargetLengthExpert::MustFinish(absl::Span<const double> state) {
 }
 
 Action FallExpert::Act(absl::Span<const double> state) {
-  const CartPole model;
+  const auto model = MakeCartPole();
   std::vector<double> pushed[2];
   for (auto& side : pushed) side.assign(state.begin(), state.end());
   while (true) {
     for (int push = 0; push < 2; ++push) {
       const Action action = {.discrete = push, .continuous = {}};
-      model.Advance(action, absl::MakeSpan(pushed[push]));
-      if (model.IsTerminal(pushed[push])) return action;
+      model->Advance(action, absl::MakeSpan(pushed[push]));
+      if (model->IsTerminal(pushed[push])) return action;
     }
   }
 }

@@ -12,8 +12,8 @@
 #include "absl/strings/str_format.h"
 #include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
+#include "core/environment/classic_tasks.h"
 #include "core/environment/environment.h"
-#include "core/environment/pendulum.h"
 #include "core/environment/position_only.h"
 #include "core/math/counter_random.h"
 #include "train/recording/actors.h"
@@ -75,7 +75,7 @@ void DrawWideStart(const RecordOptions& options, uint64_t episode, std::vector<d
     return UniformDouble(RandomBits({kWideStarts, options.seed, episode, draw}));
   };
   if (uniform(0) >= options.wide_start_fraction) return;
-  state[1] = Pendulum::kMaxSpeed * (2.0 * uniform(1) - 1.0);
+  state[1] = kPendulumMaxSpeed * (2.0 * uniform(1) - 1.0);
 }
 
 absl::Status CheckFraction(absl::string_view name, double fraction, double most = 1.0) {
@@ -215,7 +215,7 @@ absl::Status RecordOptions::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("longest_burst: expected at least 1, received ", longest_burst));
   }
-  if (wide_start_fraction > 0.0 && PositionOnly::InsideId(expert.environment) != Pendulum::kId) {
+  if (wide_start_fraction > 0.0 && PositionOnly::InsideId(expert.environment) != kPendulumId) {
     return absl::InvalidArgumentError(absl::StrCat("wide_start_fraction: expected 0 for ",
                                                    expert.environment, ", received ",
                                                    wide_start_fraction));

@@ -9,7 +9,7 @@
 #include <tuple>
 #include <vector>
 
-#include "core/environment/cart_pole.h"
+#include "core/environment/classic_tasks.h"
 
 namespace spikeserve {
 namespace {
@@ -61,11 +61,11 @@ TEST_P(EveryEnvironmentTest, DescribesItself) {
 
 TEST(TruncationTest, LastStepMayTerminateAndTruncate) {
   // Without gravity and force the cart moves at a constant velocity and passes 2.4 m at step 500.
-  CartPole coasting({.gravity = 0.0, .force = 0.0});
-  coasting.ResetTo({0.0, 0.2402, 0.0, 0.0});
+  const auto coasting = MakeCartPole({.gravity = 0.0, .force = 0.0});
+  coasting->ResetTo({0.0, 0.2402, 0.0, 0.0});
   int steps = 0;
   StepResult last;
-  for (; !last.done(); ++steps) last = coasting.Step(Discrete(0));
+  for (; !last.done(); ++steps) last = coasting->Step(Discrete(0));
   EXPECT_EQ(steps, 500);
   EXPECT_TRUE(last.truncated);
   EXPECT_TRUE(last.terminated);

@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-#include "core/environment/acrobot.h"
+#include "core/environment/classic_tasks.h"
 
 namespace spikeserve {
 namespace {
@@ -17,7 +17,7 @@ class BeamSearchTest : public testing::Test {
     }
   }
 
-  Problem problem_ = {.model = std::make_shared<Acrobot>(), .choices = {}};
+  Problem problem_ = {.model = MakeAcrobot(), .choices = {}};
   // A table without information: the value of every state is 0.
   const ValueTable<4> flat_ = {
       Grid<4>({{{-kPi, kPi, 2}, {-kPi, kPi, 2}, {-30.0, 30.0, 2}, {-30.0, 30.0, 2}}}),

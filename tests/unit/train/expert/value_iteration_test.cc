@@ -5,7 +5,7 @@
 
 #include <cmath>
 
-#include "core/environment/mountain_car.h"
+#include "core/environment/classic_tasks.h"
 
 namespace spikeserve {
 namespace {
@@ -43,7 +43,7 @@ TEST(GridTest, CoarserAxesSpanTheSameBox) {
 }
 
 Problem CarProblem() {
-  Problem problem = {.model = std::make_shared<MountainCar>(), .choices = {}};
+  Problem problem = {.model = MakeMountainCar(), .choices = {}};
   for (int push = 0; push < 3; ++push) {
     problem.choices.push_back(Choice::Of({.discrete = push, .continuous = {}}));
   }
