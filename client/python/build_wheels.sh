@@ -25,10 +25,13 @@ tree=$(realpath "$package/../..")
 raw=$(mktemp -d)
 trap 'rm -rf "$raw"' EXIT
 libraries=()
-export LDFLAGS="-static-libstdc++ -static-libgcc -Wl,--exclude-libs,ALL"  # of the client; the engine links so by itself
+# Of the client; the engine links so by itself. Without sections that nothing uses, both fit the same glibc.
+export LDFLAGS="-static-libstdc++ -static-libgcc -Wl,--exclude-libs,ALL -Wl,--gc-sections"
 if [[ -n $stub ]]; then
   export CMAKE_TOOLCHAIN_FILE=$tree/cmake/toolchains/arm64.cmake CXX=aarch64-linux-gnu-g++
   export CMAKE_ARGS="-DSPIKESERVE_ENGINE_STUB=$stub"
+  export CXXFLAGS="--sysroot=$tree/build/arm64-root"
+  LDFLAGS+=" $CXXFLAGS"
   export _PYTHON_HOST_PLATFORM=linux-aarch64
   libraries=(--ldpaths="$tree/build/arm64-root/usr/lib/aarch64-linux-gnu:$tree/build/arm64-root/lib/aarch64-linux-gnu")
 fi

@@ -83,7 +83,9 @@ RobotSession MakeSession(const nb::kwargs& given, const GivenAction& neutral) {
                        .has_engine = nb::cast<bool>(given["has_engine"]),
                        .shares_head = nb::cast<bool>(given["shares_head"])};
   if (!shape.Fit(ViewOf(neutral), &settings.neutral)) {
-    throw nb::value_error("neutral: expected an action of the policy's action space");
+    const std::string received = nb::cast<std::string>(given["neutral_text"]);
+    throw nb::value_error(
+        ("neutral: expected an action of the policy's action space, received " + received).c_str());
   }
   const Opening opening = {.history_limit = nb::cast<int64_t>(given["history_limit"]),
                            .is_stored = nb::cast<bool>(given["is_stored"])};

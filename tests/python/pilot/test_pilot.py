@@ -481,6 +481,13 @@ def test_the_server_must_be_there_when_a_pilot_is_made():
             spikeserve.Pilot(client, "pendulum", period=PERIOD)
 
 
+@pytest.mark.parametrize("neutral", [[1.0, 2.0], "far", 3, [float("nan")]])
+def test_a_neutral_action_belongs_to_the_action_space(client, neutral):
+    with pytest.raises(ValueError, match="neutral: expected an action of the policy's action space, received ") as error:
+        spikeserve.Pilot(client, "pendulum", PERIOD, neutral=neutral, local=False)
+    assert str(neutral) in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

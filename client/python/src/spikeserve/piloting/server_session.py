@@ -84,6 +84,7 @@ class ServerSession:
         learning = options.session.learning
         machine = robot.RobotSession(
             self.neutral,
+            neutral_text=str(self.neutral if options.neutral is None else options.neutral),
             n=getattr(space, "n", 0),
             low=getattr(space, "low", ()),
             high=getattr(space, "high", ()),
