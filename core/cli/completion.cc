@@ -1,11 +1,10 @@
-#include "core/cli/completion.h"
-
 #include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
 #include "absl/strings/substitute.h"
+#include "core/cli/program_parts.h"
 
 namespace spikeserve {
 namespace {

@@ -1,10 +1,9 @@
-#include "core/cli/config_file.h"
-
 #include <cstdlib>
 #include <string>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "core/cli/program_parts.h"
 
 namespace spikeserve {
 namespace {

@@ -1,5 +1,3 @@
-#include "core/cli/environment.h"
-
 #include <unistd.h>
 
 #include <algorithm>
@@ -9,6 +7,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "core/cli/program_parts.h"
 
 namespace spikeserve {
 namespace {

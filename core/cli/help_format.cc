@@ -1,11 +1,10 @@
-#include "core/cli/help_format.h"
-
 #include <algorithm>
 #include <vector>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "core/cli/command_tree.h"
+#include "core/cli/program_parts.h"
 
 namespace spikeserve {
 namespace {

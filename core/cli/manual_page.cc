@@ -1,5 +1,3 @@
-#include "core/cli/manual_page.h"
-
 #include <cstdlib>
 #include <vector>
 
@@ -13,6 +11,7 @@
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "core/base/version.h"
+#include "core/cli/program_parts.h"
 
 namespace spikeserve {
 namespace {

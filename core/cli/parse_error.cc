@@ -1,5 +1,3 @@
-#include "core/cli/parse_error.h"
-
 #include <algorithm>
 #include <cstdlib>
 #include <string>
@@ -8,6 +6,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "core/cli/program_parts.h"
 
 namespace spikeserve {
 namespace {

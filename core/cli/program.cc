@@ -14,12 +14,7 @@
 #include "core/base/status_macros.h"
 #include "core/base/version.h"
 #include "core/cli/command_tree.h"
-#include "core/cli/completion.h"
-#include "core/cli/config_file.h"
-#include "core/cli/environment.h"
-#include "core/cli/help_format.h"
-#include "core/cli/manual_page.h"
-#include "core/cli/parse_error.h"
+#include "core/cli/program_parts.h"
 
 namespace spikeserve {
 namespace {
