@@ -19,11 +19,11 @@ GUESSERS = 8
 ROBOTS = 3
 CONNECTIONS = 4
 PAUSES = 20  # until a request is answered
-LARGEST = 16 << 20  # bytes of a message
+LARGEST = 1 << 20  # bytes of a message
 # Short maps, lists in lists, and one long text, where a robot sends what it observes.
-MANY_MAPS = b"\xdd\x00\x40\x00\x00" + b"\x82\xa1a\x01\xa1b\x02" * (LARGEST // 7 - 1)
+MANY_MAPS = b"\xdd\x00\x04\x00\x00" + b"\x82\xa1a\x01\xa1b\x02" * (LARGEST // 7 - 1)
 NESTED_LISTS = b"\xdc\x10\x00" + (b"\xdc\x10\x00" + b"\x90" * 4096) * (LARGEST // 4100)
-LONG_KEY = b"\x81\xdb\x00\xa0\x00\x00" + b"x" * (10 << 20) + b"\x00"
+LONG_KEY = b"\x81\xdb\x00\x0f\x00\x00" + b"x" * (15 << 16) + b"\x00"
 LONGEST_ERROR = 2000  # bytes
 PING = b"\x89\x80" + bytes(4)
 BEGINNING, FRAGMENT = b"\x02\x80" + bytes(4), b"\x00\x80" + bytes(4)  # of a message that never ends
@@ -65,12 +65,12 @@ def send_again(address, seconds, messages):
 
 
 def messages_of_many_values(address, seconds):
-    """Sends messages of 16 MiB whose values take many times as much."""
+    """Sends messages of 1 MiB whose values take many times as much."""
     return send_again(address, seconds, [MANY_MAPS, NESTED_LISTS[:LARGEST]])
 
 
 def errors_of_long_texts(address, seconds):
-    """Sends messages of 10 MB that an error could repeat."""
+    """Sends messages of 1 MB that an error could repeat."""
     return send_again(address, seconds, [LONG_KEY])
 
 

@@ -35,7 +35,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--target-return", type=float, help="default: the policy's own")
     parser.add_argument("--record", action="store_true", help="the server records the sessions")
     parser.add_argument("--max-connections", type=int, default=512)
-    parser.add_argument("--max-message-bytes", type=int, default=16 << 20)
+    parser.add_argument("--max-message-bytes", type=int, default=1 << 20)
     return parser
 
 

@@ -12,7 +12,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
 from websockets.protocol import State
 
-_PIECE = 4096  # bytes that are read before other connections have their turn again
+_PIECE = 1024  # bytes that are read before other connections have their turn again
 _BURST = 256  # frames at once, and fragments of a message; each KiB of them allows one more
 _RATE = 2000  # frames a second
 _KIB = 1024
@@ -26,12 +26,14 @@ class Connection(ServerConnection):
         self._frames = 0.0  # of late
         self._fragments = 0.0  # of the message that is being received
         self._at = self.loop.time()
+        self._is_over = False
 
     def data_received(self, data: bytes) -> None:
-        """Reads what arrives, but not what a client sends before its request is answered."""
+        """Reads what arrives, but not before the request is answered, and not after too much."""
         for begin in range(0, len(data), _PIECE):
             if self.request is not None and self.protocol.state is State.CONNECTING:
                 self.transport.abort()
+            if self._is_over or self.transport.is_closing():
                 return
             super().data_received(data[begin : begin + _PIECE])
 
@@ -45,6 +47,7 @@ class Connection(ServerConnection):
                     CloseCode.POLICY_VIOLATION, "frames: expected fewer or longer ones"
                 )
                 self.send_data()
+                self._is_over = True
                 return
             # The parser keeps the frame until the next one, but not what is in it.
             parsed, event = event, dataclasses.replace(event)

@@ -23,7 +23,7 @@ from websockets.frames import CloseCode
 from spikeserve.async_client import AsyncClient
 from spikeserve.async_session import AsyncSession
 from spikeserve.channels import ClientOptions
-from spikeserve.check import check
+from spikeserve.check import check, names_like
 from spikeserve.errors import (
     PermissionDeniedError,
     SessionLostError,
@@ -54,7 +54,7 @@ class GatewaySettings:
     server: str | None = None  # None: as Client
     credentials: grpc.ChannelCredentials | None = None
     max_connections: int = 512  # which tokens divide; see Places
-    max_message_bytes: int = 16 << 20
+    max_message_bytes: int = 1 << 20  # four images of 224 x 224 are 0.6 MB
     # Of the gateway's own call when it starts. A connection has the token of its API key, or none:
     # whoever reaches the gateway, perhaps through a proxy, does not get the rights of another.
     token: str = ""
@@ -140,7 +140,7 @@ class OpenpiGateway:
                 expected = f"{size} numbers, as {name} observes"
                 check(length in (None, size), "mapping: observation", expected, length)
                 return policy
-        served = ", ".join(sorted({policy.name for policy in policies}))
+        served = names_like(name, (policy.name for policy in policies))
         wanted = f"{name}/{version}" if version else name
         raise ValueError(f"policy: expected one that is served ({served}), received {wanted}")
 
