@@ -1,9 +1,15 @@
 """A pilot with the engine on the robot, which continues in the same session while the link is cut."""
 
+from dataclasses import replace
+
 import pytest
 import spikeserve
+from redis_servers import WITHOUT_REDIS
+from restartable_server import restartable_server
 from security import until
 from serving import SHIPPED_POLICIES, running_server
+from spikeserve.channels import Channels
+from spikeserve.lines import LineRenewedError
 from test_pilot import LEARNING, MAX_AGE, Flight, client, exported, fly, fly_through_cuts, fly_through_five_seconds  # noqa: F401
 
 
@@ -71,3 +77,25 @@ def test_a_server_may_withhold_its_policies(fly):
         wrong = SHIPPED_POLICIES / "cartpole/1/policy.safetensors"
         with pytest.raises(ValueError, match="local_policy: expected the file with SHA-256"):
             fly(client, local=True, local_policy=wrong)
+
+
+@WITHOUT_REDIS
+def test_an_export_that_fails_keeps_no_episode_from_its_end(redis, monkeypatch):
+    """The engine wants the head of the fleet after each episode, whose end needs a call of its own."""
+    options = replace(LEARNING, durability="ASYNC", learning=replace(LEARNING.learning, scope="FLEET"))
+    send = Channels._send
+
+    def send_no_export(self, line, call, request, timeout):
+        if call.method == "ExportSession":
+            raise LineRenewedError
+        return send(self, line, call, request, timeout)
+
+    with restartable_server(f"--session_store=redis://127.0.0.1:{redis.port}") as server:
+        with spikeserve.Client(server.address) as client, Flight(client, "cartpole", session=options) as flight:
+            flight.until("fresh")
+            monkeypatch.setattr(Channels, "_send", send_no_export)
+            for _ in range(3):
+                flight.fly(5)
+                flight.end()
+            flight.check_summaries()
+            assert flight.pilot.stats().has_local

@@ -26,7 +26,7 @@ class PilotStats:
     invalid: int = 0  # observations, rewards or executed actions that were not valid
     invalid_observations: int = 0  # beats without a valid observation
     last_invalid_observation: str = ""  # what was expected and received; empty: all were valid
-    failures: int = 0  # beats in which the pilot itself failed
+    failures: int = 0  # calls of the fall-back that failed
     longest_gap: float = 0.0  # without a fresh action
     age_p50: float = 0.0  # of the actions, without the safe ones
     age_p99: float = 0.0
