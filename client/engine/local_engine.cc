@@ -12,7 +12,6 @@
 #include "core/action/action_space.h"
 #include "core/action/reported_action.h"
 #include "core/agent/agent_session.h"
-#include "core/agent/blind_steps.h"
 #include "core/agent/served_policy.h"
 #include "core/base/clock.h"
 #include "core/base/file.h"
@@ -70,8 +69,7 @@ class LocalEngine::Player {
   absl::Mutex mutex_;
   std::shared_ptr<const ServedPolicy> served_ ABSL_GUARDED_BY(mutex_);  // null: not read
   std::optional<AgentSession> agent_ ABSL_GUARDED_BY(mutex_);
-  BlindSteps blind_ ABSL_GUARDED_BY(mutex_);  // of agent_
-  Action action_ ABSL_GUARDED_BY(mutex_);     // the last decision
+  Action action_ ABSL_GUARDED_BY(mutex_);  // the last decision
 };
 
 absl::Status LocalEngine::Player::Load(const v1::ExportSessionResponse& exported) {
@@ -113,7 +111,6 @@ absl::Status LocalEngine::Player::Resume(const v1::ExportSessionResponse& export
   session = RestoreSession({.snapshot = *std::move(session), .entries = {}}, served_->policy());
   if (!session.ok()) return session.status();
   agent_.reset();
-  blind_ = {};
   agent_.emplace(served_, *std::move(session), &clock_);
   return absl::OkStatus();
 }
@@ -127,12 +124,15 @@ absl::StatusOr<ActionView> LocalEngine::Player::Act(int64_t step,
   std::optional<ReportedAction> reported;
   if (executed.has_value()) reported = Reported(*executed, served_->policy().action_space);
   if (observation.empty()) {
-    RETURN_IF_ERROR(blind_.Add(reward, reported, &*agent_));
+    RETURN_IF_ERROR(agent_->AddBlindStep(reward, reported));
     return ActionView();
   }
-  if (blind_.Skip(&*agent_)) reported.reset();
-  ASSIGN_OR_RETURN(const auto answer, agent_->Act(step, observation, reward, reported));
-  blind_.Taken();
+  if (step != agent_->next_step()) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("step: expected ", agent_->next_step(), ", received ", step));
+  }
+  ASSIGN_OR_RETURN(const auto answer,
+                   agent_->Act(/*step=*/std::nullopt, observation, reward, reported));
   action_ = answer->action;
   return ActionView{.discrete = action_.discrete, .continuous = action_.continuous};
 }
@@ -141,17 +141,14 @@ absl::Status LocalEngine::Player::EndEpisode(const EpisodeOutcome& outcome,
                                              const ActionView& executed) {
   absl::MutexLock lock(&mutex_);
   if (!agent_.has_value()) return absl::FailedPreconditionError("local: there is no session");
-  const ActionSpace& space = served_->policy().action_space;
-  ASSIGN_OR_RETURN(Action last, ParseExecutedAction(Reported(executed, space), space));
-  blind_.Skip(&*agent_);
-  const auto ended = agent_->EndEpisode({.reward = outcome.reward,
-                                         .terminated = outcome.terminated,
-                                         .target_return = outcome.target_return,
-                                         .truncated = outcome.truncated,
-                                         .observation = outcome.observation,
-                                         .executed_action = std::move(last)});
-  if (ended.ok()) blind_.Taken();
-  return ended.status();
+  return agent_
+      ->EndEpisode({.reward = outcome.reward,
+                    .terminated = outcome.terminated,
+                    .target_return = outcome.target_return,
+                    .truncated = outcome.truncated,
+                    .observation = outcome.observation},
+                   Reported(executed, served_->policy().action_space))
+      .status();
 }
 
 absl::StatusOr<std::string> LocalEngine::Player::Export() {

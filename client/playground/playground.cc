@@ -64,7 +64,7 @@ absl::StatusOr<nlohmann::json> Playground::Step() {
     RETURN_IF_ERROR(BeginEpisode());
   }
   ASSIGN_OR_RETURN(const auto answer,
-                   agent_.Act(agent_.session().step, state_.observation, state_.reward));
+                   agent_.Act(/*step=*/std::nullopt, state_.observation, state_.reward));
   nlohmann::json decision = DecisionToJson(*served_, agent_.session());
   state_ = environment_->Step(answer->action);
   episode_return_ += state_.reward;

@@ -1,4 +1,4 @@
-// Applies an agent's requests to its session, without any network code.
+// Applies a robot's requests to its session, without any network code.
 //
 //   AgentSession agent(served, NewSession(id, options), clock);
 //   absl::StatusOr<const Answer*> answer = agent.Act(/*step=*/0, observation, /*reward=*/0.0);
@@ -18,12 +18,12 @@
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "absl/types/span.h"
-#include "core/agent/act_call.h"
 #include "core/agent/context_cache.h"
 #include "core/agent/served_policy.h"
 #include "core/agent/session_head.h"
 #include "core/agent/session_life.h"
 #include "core/agent/session_listener.h"
+#include "core/agent/step.h"
 #include "core/agent/wiring_check.h"
 #include "core/base/clock.h"
 #include "core/session/session.h"
@@ -38,62 +38,64 @@ class AgentSession {
   // on this policy, or restored from a session that was.
   AgentSession(std::shared_ptr<const ServedPolicy> served, Session session, const Clock* clock);
 
-  // Decides timestep `step` from `observation` [obs], in environment units, and from `reward`,
-  // which the previous action earned. `executed` is the action that was executed at the previous
-  // step, if it differs from the answered one; it takes the answer's place in the history, in
-  // learning and in recordings. Both are ignored at step 0. The returned answer is valid until the
-  // next call that changes the session.
+  // Does what the requests of different sessions ask for, in three passes: adds the steps that a
+  // session does not have, ends episodes, and decides. The results are equal, bit for bit, to those
+  // of one call per step. Sessions of one policy version load its weights once; the time of their
+  // common work is divided evenly between the `compute_seconds` of their answers. Histories are
+  // taken as far as `budget` goes, which is reduced; null: to their ends. A step whose result is
+  // not finished is applied again, with its result, before other requests of its session.
   //
-  // The step that was answered last, with the same arguments, is a retry: it returns the stored
-  // answer, and nothing is counted twice. Errors do not change the session: FAILED_PRECONDITION for
-  // another step, or other arguments (repeated_step.h); INVALID_ARGUMENT for an observation of the
-  // wrong length, a number that is not finite or an executed action outside the action space;
-  // INTERNAL, which names the policy, if the policy's answer is not finite.
-  absl::StatusOr<const Answer*> Act(int64_t step, absl::Span<const float> observation,
-                                    double reward,
+  // Sets the result of each step. Errors do not change the session; past steps before the one that
+  // fails are kept:
+  // - INVALID_ARGUMENT, which names the field: a history that is not well-formed, a vector of the
+  //   wrong length, a number that is not finite, an executed action outside the action space;
+  // - FAILED_PRECONDITION: another place in the session, a history that does not reach back to the
+  //   step that the session expects, another content of a step that it has (repeated_step.h), an
+  //   end without a decision since the last one. The first past step for a stored session is not
+  //   the one that it expects: its server may have lost what was executed before it;
+  // - UNAVAILABLE: an end, while the fleet's head has not taken the contribution of the episode
+  //   before yet;
+  // - INTERNAL, which names the policy: its answer is not finite.
+  //
+  // The step that was answered last, with the same content, is a retry: it returns the stored
+  // answer, and nothing is counted twice. So is an end before the next decision and, if it names
+  // its decision, later.
+  //
+  // `executed` takes the place of the last answer in the history, in learning and in recordings.
+  // Rewards and executed actions are ignored at step 0. A past step without an observation counts
+  // as a reward: the context begins again behind it. At the end of a history, such steps wait until
+  // an observation or the end follows.
+  static void Apply(absl::Span<Step* const> steps, StepBudget* budget = nullptr);
+
+  // As Apply, for one step that is decided; absent: the next one.
+  absl::StatusOr<const Answer*> Act(std::optional<int64_t> step,
+                                    absl::Span<const float> observation, double reward,
                                     const std::optional<ReportedAction>& executed = std::nullopt);
+  // As Apply, for the end of the running episode.
+  absl::StatusOr<EpisodeSummary> EndEpisode(
+      const EpisodeEnd& end, const std::optional<ReportedAction>& executed = std::nullopt);
+  // Takes the next step, which has no observation: counts its reward when a step with one, or the
+  // end of the episode, is applied without a place. For players that decide step by step.
+  absl::Status AddBlindStep(double reward, const std::optional<ReportedAction>& executed);
+  // Returns the next step, behind those without an observation.
+  int64_t next_step() const { return session_.step + static_cast<int64_t>(blind_rewards_.size()); }
+
+  // Returns the error with which Apply would refuse `step` as a new decision, or OK.
+  absl::Status CheckNewDecision(Step& step) const;
+
   // Appends the last action to the engine's context, after the answer was sent: this keeps the work
   // out of the latency of the next one. Does nothing once the agent has reported an executed
   // action.
   void AppendPendingAction();
-
-  // As Act and AppendPendingAction, for several different sessions, with results that are equal bit
-  // for bit. Sessions of one policy version load its weights once. The time of their common work is
-  // divided evenly between the `compute_seconds` of their answers.
-  static void ActTogether(absl::Span<ActCall> calls);
+  // As above, for different sessions together.
   static void AppendPendingActions(absl::Span<AgentSession* const> sessions);
-  // Returns the error with which ActTogether would refuse `call` as a new decision, or OK.
-  absl::Status CheckNewDecision(const ActCall& call) const;
-
-  // The next four methods add what the agent did without the server; beats.h checks and calls them.
-  // Adds the next step as Act decides it, but counts no decision for the observer.
-  absl::Status Append(absl::Span<const float> observation, double reward,
-                      const std::optional<ReportedAction>& executed);
-  // Counts the rewards of the next steps, whose observations are not known. REQUIRES: Append, Act
-  // or EndEpisode follows; if it fails, the steps are not counted either.
-  void SkipSteps(absl::Span<const double> rewards);
-  // Puts `executed`, of the action space, in the place of the last answered action, without a
-  // further decision. REQUIRES: the running episode has a decision.
-  void ReportExecuted(const Action& executed);
-  // As if the agent had reported an executed action: see AppendPendingAction().
-  void ExpectExecutedActions() { context_.ExpectExecuted(); }
 
   // Replaces the last action in the history only: not in the stored answer, which retries return.
   // REQUIRES: the last call was Act.
   void OverrideLastAction(const Action& action) { session_.history.ReplaceLastAction(action); }
 
-  // Ends the running episode. The next step is step 0 of the next episode. A repeated end before
-  // the next decision is a retry: it returns the stored summary, and learns nothing. Errors do not
-  // change the session: FAILED_PRECONDITION for any other end without a decision since the last
-  // one; INVALID_ARGUMENT for a number that is not finite or an observation of the wrong length;
-  // UNAVAILABLE if the fleet's head has not taken the contribution of the episode before yet.
-  absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
-  // As a repeated EndEpisode, whatever was decided since. FAILED_PRECONDITION for another end.
-  absl::StatusOr<EpisodeSummary> RepeatEnd(const EpisodeEnd& end);
   // Returns the contribution whose outcome the last returned summary may lack; null: it lacks none.
   const std::shared_ptr<FleetContribution>& contribution() const { return head_.contribution(); }
-
-  void CountMissingRewards(int64_t rewards);  // that were left out after step 0, and are 0
   // Calls `listener` for the decisions and episodes after this call.
   void AddListener(std::shared_ptr<SessionListener> listener);
 
@@ -122,11 +124,20 @@ class AgentSession {
   int64_t Rollbacks() const { return head_.Rollbacks(session_); }
 
  private:
-  struct Together;  // the steps of ActTogether, and of EndEpisode
+  struct HistoryPass;
+  struct DecisionPass;
+  struct EndPass;
 
   void TakeExecuted(const Action& executed);
-  // Replaces the action of the last answer by the neutral one.
-  void ActSafely();
+  // Puts the action in the place of the last answer, without a further decision. REQUIRES: the
+  // running episode has a decision.
+  absl::Status ReportExecuted(const ReportedAction& reported);
+  // Counts the rewards of the next steps, whose observations are not known. REQUIRES: a decision or
+  // the end of the episode follows; if it fails, the steps are not counted either.
+  void SkipSteps(absl::Span<const double> rewards);
+  // Undoes SkipSteps, if no decision has followed.
+  void RestoreSkipped();
+  void CountMissingRewards(int64_t rewards);  // that were left out after step 0, and are 0
   // Counts an answer that holds NaN or infinity, and returns its error.
   absl::Status NonFiniteError() const;
 
@@ -140,6 +151,7 @@ class AgentSession {
   WiringResponse wiring_response_;
   // The session before steps that were skipped, until the next decision; null: none were.
   std::unique_ptr<const Session> before_skipped_;
+  std::vector<double> blind_rewards_;  // of AddBlindStep, which no step has counted yet
   std::vector<std::shared_ptr<SessionListener>> listeners_;
 };
 

@@ -7,6 +7,7 @@
 #include "absl/strings/cord.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/agent/agent_session.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 
@@ -58,24 +59,25 @@ bool IsReward(double reward, double before, double after) {
 
 }  // namespace
 
-absl::Status CheckRepeatedStep(const RepeatedStep& repeated, const ActionSpace& space,
-                               const Session& session) {
-  SPIKESERVE_DCHECK(repeated.step < session.step);
+absl::Status CheckRepeatedStep(const Step& step) {
+  const Session& session = step.session->session();
+  const int64_t number = *step.place.step;
+  SPIKESERVE_DCHECK(number < session.step);
   const History& history = session.history;
-  const int64_t step = repeated.step;
-  const int64_t index = static_cast<int64_t>(history.size()) - (session.step - step);
+  const int64_t index = static_cast<int64_t>(history.size()) - (session.step - number);
   if (index < 0) return absl::OkStatus();
   const auto at = static_cast<size_t>(index);
-  RETURN_IF_ERROR(Compare("observation", history.observation(at), repeated.observation, step));
-  if (index == 0 || step == 0) return absl::OkStatus();
+  RETURN_IF_ERROR(Compare("observation", history.observation(at), step.observation, number));
+  if (index == 0 || number == 0) return absl::OkStatus();
   const double before = static_cast<double>(history.return_to_go(at - 1));
   const double after = static_cast<double>(history.return_to_go(at));
-  if (!IsReward(repeated.reward, before, after)) {
-    return Conflict("reward", absl::StrCat("about ", before - after), repeated.reward, step);
+  if (!IsReward(step.reward, before, after)) {
+    return Conflict("reward", absl::StrCat("about ", before - after), step.reward, number);
   }
-  if (!repeated.executed.has_value()) return absl::OkStatus();
-  ASSIGN_OR_RETURN(const Action executed, ParseExecutedAction(*repeated.executed, space));
-  return CompareActions(history.action(at - 1), executed, step);
+  if (!step.executed.has_value()) return absl::OkStatus();
+  ASSIGN_OR_RETURN(const Action executed,
+                   ParseExecutedAction(*step.executed, step.session->policy().action_space));
+  return CompareActions(history.action(at - 1), executed, number);
 }
 
 bool TakeConflict(absl::Status* status) { return status->ErasePayload(kConflictUrl); }

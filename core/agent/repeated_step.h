@@ -5,33 +5,18 @@
 #ifndef CORE_AGENT_REPEATED_STEP_H_
 #define CORE_AGENT_REPEATED_STEP_H_
 
-#include <cstdint>
-#include <optional>
-
 #include "absl/status/status.h"
-#include "absl/types/span.h"
-#include "core/action/action_space.h"
-#include "core/action/reported_action.h"
-#include "core/session/session.h"
+#include "core/agent/step.h"
 
 namespace spikeserve {
 
-// A step of the running episode. Views of a request.
-struct RepeatedStep {
-  int64_t step = 0;
-  absl::Span<const float> observation;
-  double reward = 0.0;                          // of the action before
-  std::optional<ReportedAction> executed = {};  // at the step before; absent: not compared
-};
-
-// Returns OK if the step has the content that `session` has of it, and a conflict that names the
+// Returns OK if `step` has the content that its session has of it, and a conflict that names the
 // field, its element and both values if not. Compares what the session has: the observation, the
 // executed action, and the reward within the rounding of the return-to-go in float32. Steps that
 // are older than the history of the session are not compared, nor are rewards and actions before
-// its first timestep. Returns INVALID_ARGUMENT if `executed` is not an action of `space`.
-// REQUIRES: repeated.step < session.step.
-absl::Status CheckRepeatedStep(const RepeatedStep& repeated, const ActionSpace& space,
-                               const Session& session);
+// its first timestep. Returns INVALID_ARGUMENT if `executed` is not an action of the policy.
+// REQUIRES: the step has a place in the running episode, before the next one.
+absl::Status CheckRepeatedStep(const Step& step);
 
 // Returns whether `status` is a conflict: a FAILED_PRECONDITION that nothing heals but another
 // session id. Removes the mark by which it is known.

@@ -39,10 +39,24 @@ absl::StatusOr<const Answer*> ShadowSession::Act(const ShadowStep& step) {
     return absl::FailedPreconditionError(
         "step: expected an episode that was shadowed from step 0, received a later step");
   }
-  if (step.executed.has_value()) agent_.OverrideLastAction(*step.executed);
+  if (step.executed.has_value() && !agent_.session().history.empty()) {
+    agent_.OverrideLastAction(*step.executed);
+  }
   const auto answer = agent_.Act(step.step, step.observation, step.reward);
   if (answer.ok()) agent_.OverrideLastAction(step.served.action);
   return answer;
+}
+
+void ShadowSteps::OnDecision(const Session& session, const DecisionInputs& inputs) {
+  const auto observation = session.history.observation(session.history.size() - 1);
+  if (session.last_answer->step == 0 || inputs.after_gap) executed_.reset();
+  steps_.push_back({.episode = session.episode,
+                    .step = session.last_answer->step,
+                    .observation = {observation.begin(), observation.end()},
+                    .reward = inputs.reward,
+                    .target_return = session.target_return,
+                    .executed = std::exchange(executed_, std::nullopt),
+                    .served = *session.last_answer});
 }
 
 bool Agree(const Action& a, const Action& b, const ActionSpace& space) {

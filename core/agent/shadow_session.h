@@ -9,11 +9,13 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "absl/status/statusor.h"
 #include "core/agent/agent_session.h"
 #include "core/agent/served_policy.h"
+#include "core/agent/session_listener.h"
 #include "core/base/clock.h"
 
 namespace spikeserve {
@@ -47,6 +49,21 @@ class ShadowSession {
   const std::shared_ptr<const ServedPolicy> candidate_;  // with an observer that ignores all events
   AgentSession agent_;
   int64_t episode_ = 0;  // of the serving session
+};
+
+// Gathers the steps of the serving session for its shadow.
+class ShadowSteps final : public SessionListener {
+ public:
+  void OnDecision(const Session& session, const DecisionInputs& inputs) override;
+  void OnExecuted(const Action& executed) override { executed_ = executed; }
+
+  bool empty() const { return steps_.empty(); }
+  // Returns the steps since the last call.
+  std::vector<ShadowStep> Take() { return std::exchange(steps_, {}); }
+
+ private:
+  std::vector<ShadowStep> steps_;
+  std::optional<Action> executed_;  // since the last decision; absent: as served
 };
 
 // Returns whether two actions agree: equal indices, or for a Box, a difference of at most 1% of the

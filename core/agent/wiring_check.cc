@@ -96,9 +96,9 @@ struct Scratch {
 };
 
 // The step from the last timestep of a history to an observation.
-class Step {
+class WiringStep {
  public:
-  Step(const Policy& policy, const History& history, absl::Span<const float> observation)
+  WiringStep(const Policy& policy, const History& history, absl::Span<const float> observation)
       : model_(*policy.wiring),
         before_(history.observation(history.size() - 1)),
         after_(observation),
@@ -144,7 +144,7 @@ class Step {
   Scratch& scratch_;
 };
 
-Step::Fit Step::Explain(const Wiring* wiring) const {
+WiringStep::Fit WiringStep::Explain(const Wiring* wiring) const {
   const size_t obs = model_.size();
   const bool is_delayed = wiring != nullptr && wiring->cause == WiringCause::kDelay;
   const std::vector<float>& action = scratch_.actions[is_delayed ? 1 : 0];
@@ -178,14 +178,14 @@ Step::Fit Step::Explain(const Wiring* wiring) const {
 }
 
 // Compares all hypotheses for a step.
-void Compare(const WiringModel& model, const Step& step, WiringState* state) {
-  const Step::Fit trained = step.Explain(nullptr);
+void Compare(const WiringModel& model, const WiringStep& step, WiringState* state) {
+  const WiringStep::Fit trained = step.Explain(nullptr);
   const double excess = trained.surprise - model.usual_surprise;
   double least = trained.surprise;
   for (WiringHypothesis& each : state->hypotheses) {
     const Wiring wiring = WiringOf(each.number, model.size());
     if (wiring.cause == WiringCause::kDelay && !step.knows_action_before()) continue;
-    const Step::Fit fit = step.Explain(&wiring);
+    const WiringStep::Fit fit = step.Explain(&wiring);
     least = std::min(least, fit.surprise);
     const double farther = std::max(0.0, fit.distance - trained.distance);
     double gain = trained.surprise - fit.surprise;
@@ -287,7 +287,7 @@ bool CheckWiring(const Policy& policy, int64_t step, const History& history,
   if (history.empty()) return false;
   CountRuns(model, history.observation(history.size() - 1), observation, state);
   if (state->is_open) {
-    Compare(model, Step(policy, history, observation), state);
+    Compare(model, WiringStep(policy, history, observation), state);
     Judge(policy, state);
   }
   return state->verdict.has_value() && !had_verdict;

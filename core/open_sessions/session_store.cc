@@ -107,6 +107,10 @@ absl::Status SessionStore::Add(std::shared_ptr<const ServedPolicy> served, Sessi
   entry->journal = std::move(extras.journal);
   // Held until the journal has the session: a request that finds it now waits.
   absl::MutexLock lock(&entry->mutex);
+  if (entry->shadow != nullptr) {
+    entry->shadow_steps = std::make_shared<ShadowSteps>();
+    entry->agent.AddListener(entry->shadow_steps);
+  }
   entry->recorder = std::move(extras.recorder);
   if (entry->recorder != nullptr) entry->agent.AddListener(entry->recorder);
   if (!Insert(id, entry)) {

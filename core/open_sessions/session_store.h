@@ -69,8 +69,8 @@ struct SessionEntry {
   absl::Mutex mutex;
   std::shared_ptr<EpisodeRecorder> recorder ABSL_GUARDED_BY(mutex);  // null: not recorded
   AgentSession agent ABSL_GUARDED_BY(mutex);
-  // Steps that the shadow has not processed yet.
-  std::vector<ShadowStep> shadow_steps ABSL_GUARDED_BY(mutex);
+  // Steps that the shadow has not processed yet; null: there is none.
+  std::shared_ptr<ShadowSteps> shadow_steps ABSL_GUARDED_BY(mutex);
   RobotLink robot ABSL_GUARDED_BY(mutex);
 };
 

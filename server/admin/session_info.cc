@@ -2,7 +2,7 @@
 
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
-#include "server/agent/beat_requests.h"
+#include "server/agent/step_conversion.h"
 #include "server/messages/convert.h"
 
 namespace spikeserve {

@@ -2,7 +2,7 @@
 
 #include "absl/types/span.h"
 #include "core/open_sessions/session_locks.h"
-#include "server/agent/act_together.h"
+#include "server/agent/decision_request.h"
 
 namespace spikeserve {
 
@@ -18,9 +18,8 @@ void DeferredWork::Run() {
     AgentSession::AppendPendingActions(sessions);
     for (const auto& entry : part) {
       entry->mutex.AssertHeld();
-      if (entry->shadow_steps.empty()) continue;
-      shadows_->Submit(entry->shadow, entry->served->version,
-                       std::exchange(entry->shadow_steps, {}));
+      if (entry->shadow_steps == nullptr || entry->shadow_steps->empty()) continue;
+      shadows_->Submit(entry->shadow, entry->served->version, entry->shadow_steps->Take());
     }
   }
   entries_.clear();

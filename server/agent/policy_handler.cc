@@ -8,19 +8,12 @@
 #include "absl/container/inlined_vector.h"
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
-#include "core/base/json.h"
-#include "core/base/printable.h"
-#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
-#include "core/journal/session_bytes.h"
 #include "core/journal/session_export.h"
 #include "core/session/session_id.h"
-#include "core/session/session_value.h"
-#include "server/agent/episode_end.h"
-#include "server/agent/open_request.h"
-#include "server/agent/request_order.h"
 #include "server/agent/session_recovery.h"
+#include "server/agent/step_conversion.h"
 #include "server/base/retry_delay.h"
 #include "server/messages/convert.h"
 #include "server/messages/explain_convert.h"
@@ -39,7 +32,7 @@ constexpr absl::Duration kBeatTime = absl::Microseconds(200);
 
 // Returns how many decisions the beats of a request count as.
 int64_t BeatsOf(const DecisionRequest& act) {
-  return act.beats.appended + act.beats.dropped / kSkippedPerDecision;
+  return act.step.result.appended + act.step.result.dropped / kSkippedPerDecision;
 }
 
 // Checks that a caller who may not learn does not play a session that does, which another token has
@@ -63,8 +56,8 @@ PolicyHandler::PolicyHandler(const PolicyRegistry* registry, const SessionGate* 
       store_(&gate->store()),
       shadows_(shadows),
       clock_(clock),
-      recordings_(recordings),
-      durability_(durability) {}
+      journals_(durability.journals),
+      opener_(registry, gate, clock, recordings, durability) {}
 
 absl::Status PolicyHandler::ListPolicies(CallContext& /*context*/,
                                          const v1::ListPoliciesRequest& /*request*/,
@@ -75,164 +68,13 @@ absl::Status PolicyHandler::ListPolicies(CallContext& /*context*/,
 
 absl::Status PolicyHandler::OpenSession(CallContext& context, const v1::OpenSessionRequest& request,
                                         v1::OpenSessionResponse* response) const {
-  const std::string& id = request.session_id();
-  if (!id.empty() && !IsDrawnSessionId(id)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "session_id: expected 32 hexadecimal digits in lower case, received ", Quoted(id)));
-  }
-  if (request.has_learning() && !context.caller->may_learn()) {
-    return absl::PermissionDeniedError(
-        "learning: expected unset, because the token has \"learning\": false, received a config");
-  }
-  ASSIGN_OR_RETURN(const auto durability, ChooseDurability(*context.caller->tenant(), request));
-  const auto open = gate_->Find(context, id);
-  if (open.ok()) return OpenAgain(context, **open, request, durability, response);
-  return OpenNew(context, id, request, durability, response);
+  return opener_.Open(context, request, response);
 }
 
 absl::Status PolicyHandler::OpenSessionAs(CallContext& context, std::string id,
                                           const v1::OpenSessionRequest& request,
                                           v1::OpenSessionResponse* response) const {
-  return OpenNew(context, std::move(id), request, Durability::kNone, response);
-}
-
-absl::StatusOr<Durability> PolicyHandler::ChooseDurability(
-    const Tenant& tenant, const v1::OpenSessionRequest& request) const {
-  const bool stores = durability_.journals != nullptr;
-  if (!v1::Durability_IsValid(request.durability())) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("durability: expected DURABILITY_DEFAULT, NONE, ASYNC or SYNC, received ",
-                     static_cast<int>(request.durability())));
-  }
-  if (!stores && (request.durability() == v1::ASYNC || request.durability() == v1::SYNC)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "durability: expected NONE, because the server runs without --session_store, received ",
-        v1::Durability_Name(request.durability())));
-  }
-  if (!stores) return Durability::kNone;
-  const Durability most = tenant.max_durability();
-  const auto check = [&](Durability level, absl::string_view why) -> absl::StatusOr<Durability> {
-    if (level <= most) return level;
-    return absl::PermissionDeniedError(
-        absl::StrCat("durability: expected at most ", v1::Durability_Name(ToProto(most)),
-                     ", the max_durability of tenant ", tenant.name(), ", received ",
-                     v1::Durability_Name(ToProto(level)), why));
-  };
-  // What a session of a fleet decides depends on the shared head and could not be computed again.
-  if (request.learning().scope() == v1::LearningConfig::FLEET) {
-    return check(Durability::kSync, ", which learning.scope FLEET needs");
-  }
-  switch (request.durability()) {
-    case v1::NONE:
-      return Durability::kNone;
-    case v1::ASYNC:
-      return check(Durability::kAsync, "");
-    case v1::SYNC:
-      return check(Durability::kSync, "");
-    default:
-      return std::min(most, request.has_learning() ? Durability::kSync : durability_.level);
-  }
-}
-
-absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id,
-                                    const v1::OpenSessionRequest& request, Durability durability,
-                                    v1::OpenSessionResponse* response) const {
-  absl::StatusOr<std::string> id = std::move(session_id);
-  if (id->empty()) id = NewSessionId();
-  if (!id.ok()) return id.status();
-  const std::string& tenant = context.caller->tenant()->name();
-  ASSIGN_OR_RETURN(const auto route, ChooseRoute(request, *id, *registry_->catalog()));
-  const ServedPolicy& served = *route.served;
-  ASSIGN_OR_RETURN(auto options, OptionsFromProto(request, served));
-  options.tenant = tenant;
-  options.durability = durability;
-  SessionExtras extras;
-  extras.id = *id;
-  extras.quota = context.caller->tenant();
-  extras.assigned = route.by_rollout;
-  if (route.shadow != nullptr) {
-    extras.shadow = std::make_shared<ShadowSession>(*route.shadow, options, clock_);
-  }
-  if (request.record()) {
-    ASSIGN_OR_RETURN(extras.recorder, NewRecorder(route.served, tenant, &options.recording));
-  }
-  if (durability != Durability::kNone) {
-    RETURN_IF_ERROR(durability_.journals->CheckReachable());
-    if (durability_.files != nullptr) {
-      RETURN_IF_ERROR(durability_.files->Check(served));
-    }
-    if (durability == Durability::kSync) {
-      if (auto status = durability_.journals->CheckKeepsRecords(); !status.ok()) {
-        return Annotate(status, "durability");
-      }
-    }
-    extras.journal = std::make_shared<SessionJournal>(
-        SessionJournal::Key{
-            .id = *id, .tenant = options.tenant, .policy_file = PolicyFileOf(served)},
-        durability, /*decisions=*/0, durability_.journals);
-  }
-  ToProto(*id, options, served, response);
-  const std::shared_ptr<SessionJournal> journal = extras.journal;
-  auto status = store_->Open(route.served, std::move(options), std::move(extras)).status();
-  // A session that was refused is never written, so that nothing of it can be waited for.
-  if (status.ok() && journal != nullptr) {
-    context.commits.push_back({.journal = journal, .position = 1, .opens = true});
-  }
-  return status;
-}
-
-absl::Status PolicyHandler::OpenAgain(CallContext& context, SessionEntry& entry,
-                                      const v1::OpenSessionRequest& request, Durability durability,
-                                      v1::OpenSessionResponse* response) const {
-  absl::MutexLock lock(&entry.mutex);
-  const Session& session = entry.agent.session();
-  const SessionOptions& opened = session.options;
-  ASSIGN_OR_RETURN(auto options, OptionsFromProto(request, *entry.served));
-  options.tenant = opened.tenant;
-  options.durability = durability;
-  options.policy = request.policy();
-  if (request.version() != 0) options.version = request.version();
-  if (request.record()) options.recording = opened.recording;
-  const auto bytes = [](const SessionOptions& any) {
-    return SerializeSession(NewSession("", any));
-  };
-  if (bytes(options) != bytes(opened) || request.record() == opened.recording.empty()) {
-    return absl::AlreadyExistsError(
-        absl::StrCat("session_id: expected an id that is not open, or the request that opened it, "
-                     "received another request for ",
-                     session.id));
-  }
-  if (SessionJournal* const journal = entry.journal.get(); journal != nullptr) {
-    // Nothing in the request proves that this server still owns the session, or that it is open.
-    const bool opens =
-        journal->is_new() && journal->written() == 1 && journal->stored().records == 0;
-    if (!opens && journal->is_shared()) journal->OnConfirm();
-    context.commits.push_back(
-        {.journal = entry.journal, .position = journal->written(), .opens = opens});
-  }
-  ToProto(request.session_id(), opened, *entry.served, response);
-  return absl::OkStatus();
-}
-
-absl::StatusOr<std::unique_ptr<EpisodeRecorder>> PolicyHandler::NewRecorder(
-    const std::shared_ptr<const ServedPolicy>& served, const std::string& tenant,
-    std::string* name) const {
-  if (recordings_ == nullptr) {
-    return absl::FailedPreconditionError(
-        "record: expected false, because the server runs without --record_dir, received true");
-  }
-  *name = Recordings::NewName(*served);
-  return recordings_->Record(served, *name, tenant);
-}
-
-absl::Status PolicyHandler::Act(CallContext& context, const v1::ActRequest& request,
-                                v1::ActResponse* response) const {
-  return ActOne(context, request, /*is_next=*/false, response);
-}
-
-absl::Status PolicyHandler::ActNext(CallContext& context, const v1::ActRequest& request,
-                                    v1::ActResponse* response) const {
-  return ActOne(context, request, /*is_next=*/true, response);
+  return opener_.OpenAs(context, std::move(id), request, response);
 }
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
@@ -250,9 +92,7 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
   return RetryDelay(writable).has_value() ? writable : WithRetryDelay(writable, kStoreRetryDelay);
 }
 
-BeatBudget PolicyHandler::NewBudget() const {
-  return {.beats = kBeatsPerGroup, .until = clock_->Now() + kBeatTime};
-}
+StepBudget PolicyHandler::NewBudget() const { return {.until = clock_->Now() + kBeatTime}; }
 
 void PolicyHandler::CountBeats(const Credential& caller, int64_t beats) const {
   if (!caller.tenant()->limits_decisions()) return;
@@ -261,8 +101,8 @@ void PolicyHandler::CountBeats(const Credential& caller, int64_t beats) const {
   }
 }
 
-absl::Status PolicyHandler::ActOne(CallContext& context, const v1::ActRequest& request,
-                                   bool is_next, v1::ActResponse* response) const {
+absl::Status PolicyHandler::Act(CallContext& context, const v1::ActRequest& request,
+                                v1::ActResponse* response, bool is_next) const {
   ASSIGN_OR_RETURN(auto entry, FindForDecision(context, request));
   DecisionRequest act = {.context = &context,
                          .request = &request,
@@ -270,10 +110,7 @@ absl::Status PolicyHandler::ActOne(CallContext& context, const v1::ActRequest& r
                          .is_next = is_next,
                          .entry = std::move(entry),
                          .received = clock_->Now()};
-  do {
-    BeatBudget budget;
-    DecideActs({&act}, *clock_, &budget);
-  } while (!act.is_finished());
+  DecideActs({&act}, /*budget=*/nullptr);
   if (act.status.ok()) context.deferred->Add(std::move(act.entry), shadows_);
   return act.status;
 }
@@ -282,22 +119,22 @@ absl::Status PolicyHandler::ActOne(CallContext& context, const v1::ActRequest& r
 // session are made in order.
 void PolicyHandler::ActMany(absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
                             absl::FunctionRef<void(absl::Span<DecisionRequest* const>)> answered,
-                            BeatBudget* budget) const {
+                            StepBudget* budget) const {
   absl::InlinedVector<DecisionRequest*, 1>
       found;                                 // of the group, without requests that were refused
   size_t begin = 0;                          // of the group
   absl::InlinedVector<int64_t, 1> appended;  // by the requests of the group, before
   std::vector<absl::string_view> held;       // sessions of requests that have not finished
   const auto conclude = [&](DecisionRequest* act) {
-    act->waits_for_claim = act->item < 0 && SessionGate::WaitsForClaim(*act->context, act->status);
-    if (!act->is_finished()) held.push_back(act->request->session_id());
+    act->Conclude();
+    if (!act->is_answered()) held.push_back(act->request->session_id());
   };
   const auto is_held = [&](const DecisionRequest& act) {
     return !held.empty() && absl::c_linear_search(held, act.request->session_id());
   };
   const auto answer_group = [&](size_t end) {
-    BeatBudget of_group;
-    DecideActs(found, *clock_, budget == nullptr ? &of_group : budget);
+    StepBudget of_group;
+    DecideActs(found, budget == nullptr ? &of_group : budget);
     for (size_t i = 0; i < found.size(); ++i) {
       DecisionRequest* const act = found[i];
       auto entry = std::exchange(act->entry, nullptr);
@@ -314,15 +151,15 @@ void PolicyHandler::ActMany(absl::Span<DecisionRequest* const> acts, DeferredWor
   for (size_t i = 0; i < acts.size(); ++i) {
     DecisionRequest& act = *acts[i];
     act.status = absl::OkStatus();
-    act.beats.finished = !is_held(act);
-    if (!act.beats.finished) continue;
+    act.state = DecisionState::kWaiting;
+    if (is_held(act)) continue;
     // A request that goes on with its history has counted already.
-    if (act.beats.started) act.context->has_paid = true;
+    if (act.step.result.started) act.context->has_paid = true;
     auto entry = FindForDecision(*act.context, *act.request);
     act.status = entry.status();
     if (!entry.ok()) {
       conclude(&act);
-      if (act.item < 0 && act.is_finished()) {
+      if (act.item < 0 && act.is_answered()) {
         gate_->AwaitEarlier(act.request->session_id(), act.context);
       }
       continue;
@@ -330,8 +167,7 @@ void PolicyHandler::ActMany(absl::Span<DecisionRequest* const> acts, DeferredWor
     const bool again =
         absl::c_any_of(found, [&](const DecisionRequest* other) { return other->entry == *entry; });
     if (again || found.size() == kMaxSessionsPerGroup) answer_group(i);
-    act.beats.finished = !is_held(act);
-    if (!act.beats.finished) continue;
+    if (is_held(act)) continue;
     act.entry = *std::move(entry);
     act.policy = act.entry->served->name;
     found.push_back(&act);
@@ -348,7 +184,7 @@ absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
 
 int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request,
                                  int first, v1::ActBatchResponse* response, absl::Duration received,
-                                 BeatProgress* beats, BeatBudget* budget) const {
+                                 StepResult* progress, StepBudget* budget) const {
   SPIKESERVE_DCHECK(CheckBatch(request).ok());
   SPIKESERVE_DCHECK(first >= 0 && first <= request.requests_size());
   const int limit =
@@ -365,15 +201,15 @@ int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest
                      .response = response->add_results()->mutable_response(),
                      .item = i,
                      .received = received,
-                     .beats = std::exchange(*beats, {})});
+                     .step = {.result = std::exchange(*progress, {})}});
   }
   for (DecisionRequest& item : items) acts.push_back(&item);
   ActMany(
       acts, context.deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, budget);
   for (const DecisionRequest& item : items) {
-    if (!item.is_finished()) {
+    if (!item.is_answered()) {
       response->mutable_results()->RemoveLast();
-      *beats = item.beats;
+      *progress = item.step.result;
       return first;
     }
     if (!item.status.ok()) ErrorToProto(item.status, response->mutable_results(item.item));
@@ -386,27 +222,31 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
   ASSIGN_OR_RETURN(const auto entry, gate_->Find(context, request.session_id()));
   RETURN_IF_ERROR(CheckMayPlay(*context.caller, *entry));
   absl::MutexLock lock(&entry->mutex);
-  AgentSession& agent = entry->agent;
+  const AgentSession& agent = entry->agent;
   if (entry->journal != nullptr) entry->journal->WriteAgainIfMissing(agent.session());
-  const int64_t episode = agent.session().episode;
-  const Place place = PlaceOf(request);
-  const absl::Status status = EndEpisodeOf(*entry, request, context.span, response);
+  Step step;
+  ToStep(request, *entry, &step);
+  Span merge = SessionGate::StartMerge(context.span, *entry);
+  AgentSession::Apply({&step});
+  const absl::Status& status = step.result.status;
+  merge.Fail(status);
+  merge.End();
   if (absl::IsFailedPrecondition(status)) {
-    return SessionGate::Refused(context, place, status, *entry);
+    return SessionGate::Refused(context, step.place, status, *entry);
   }
-  if (status.ok()) {
-    if (place.is_of_session) {
-      AddCommit(*entry, &context.commits);
-    } else {
-      AddConfirmation(*entry, agent.session().episode > episode, &context.commits);
-    }
-    if (context.commits.empty()) {
-      SessionGate::Trace(context.span, *entry, agent.contribution());
-    } else {
-      context.commits.back().contribution = agent.contribution();
-    }
+  if (!status.ok()) return status;
+  if (step.place.is_of_session()) {
+    AddCommit(*entry, &context.commits);
+  } else {
+    AddConfirmation(*entry, /*has_decided=*/!step.result.is_retry, &context.commits);
   }
-  return status;
+  if (context.commits.empty()) {
+    SessionGate::Trace(context.span, *entry, agent.contribution());
+  } else {
+    context.commits.back().contribution = agent.contribution();
+  }
+  ToProto(step, *entry, response);
+  return absl::OkStatus();
 }
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindReadable(
@@ -466,7 +306,7 @@ absl::Status PolicyHandler::CloseSession(CallContext& context,
   // The store refuses the end if another server has taken the session over. ASYNC sessions wait for
   // this, too, unless the store cannot be reached: then the end is written when it comes back.
   SessionJournal& journal = *entry->journal;
-  if (journal.is_sync() || durability_.journals->CheckReachable().ok()) {
+  if (journal.is_sync() || journals_->CheckReachable().ok()) {
     context.commits.push_back({.journal = entry->journal, .position = journal.written()});
   }
   return status;

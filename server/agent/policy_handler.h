@@ -14,29 +14,21 @@
 #include "absl/types/span.h"
 #include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
-#include "server/agent/act_together.h"
 #include "server/agent/call_context.h"
+#include "server/agent/decision_request.h"
 #include "server/agent/deferred_work.h"
 #include "server/agent/policy_list.h"
 #include "server/agent/session_gate.h"
+#include "server/agent/session_opener.h"
 #include "server/agent/session_recovery.h"
-#include "server/followers/recordings.h"
 #include "server/followers/shadow_runner.h"
 #include "server/policies/policy_registry.h"
-#include "server/policies/shared_files.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
 
 // The largest number of requests in one ActBatch.
 inline constexpr int kMaxBatch = 1024;
-
-// How sessions are stored.
-struct SessionDurability {
-  JournalWriter* journals = nullptr;      // null: no session is stored
-  Durability level = Durability::kAsync;  // of sessions that ask for none and do not learn
-  const SharedFiles* files = nullptr;     // null: no other server continues with them
-};
 
 class PolicyHandler {
  public:
@@ -60,12 +52,10 @@ class PolicyHandler {
   absl::Status OpenSessionAs(CallContext& context, std::string id,
                              const v1::OpenSessionRequest& request,
                              v1::OpenSessionResponse* response) const;
-  absl::Status Act(CallContext& context, const v1::ActRequest& request,
-                   v1::ActResponse* response) const;
-  // As Act, but ignores request.step and decides at the step that the session expects, so a request
-  // is never a retry.
-  absl::Status ActNext(CallContext& context, const v1::ActRequest& request,
-                       v1::ActResponse* response) const;
+  // If `is_next`, ignores request.step and decides at the step that the session expects, so that
+  // the request is never a retry.
+  absl::Status Act(CallContext& context, const v1::ActRequest& request, v1::ActResponse* response,
+                   bool is_next = false) const;
   // Answers each of `acts`, as Act does, in groups that are decided together. The decisions of one
   // session are made in the order of `acts`. Calls `answered` for each group, which is the next
   // part of `acts`, so that its answers can be sent before the next group is decided. A request
@@ -74,9 +64,9 @@ class PolicyHandler {
   // `budget` bounds the beats of all; null: those of each group.
   void ActMany(absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
                absl::FunctionRef<void(absl::Span<DecisionRequest* const> group)> answered,
-               BeatBudget* budget = nullptr) const;
+               StepBudget* budget = nullptr) const;
   // Returns the budget of one turn that begins now.
-  BeatBudget NewBudget() const;
+  StepBudget NewBudget() const;
   // Takes over the session of a request that waits for that, as SessionGate::Claim does.
   void Claim(const DecisionRequest& act, const SessionRecovery::Post& post,
              SessionRecovery::Done done) const {
@@ -87,10 +77,10 @@ class PolicyHandler {
   // Answers at most kMaxSessionsPerGroup items of a batch, from `first` on, and returns the index
   // after the last one. An item that fails has its own code in `response`. An item with past beats
   // is a group of its own. If it has not finished, returns `first`, and the next call goes on with
-  // it, by `beats`. REQUIRES: CheckBatch returned OK.
+  // it, by `progress`. REQUIRES: CheckBatch returned OK.
   int ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request, int first,
-                    v1::ActBatchResponse* response, absl::Duration received, BeatProgress* beats,
-                    BeatBudget* budget = nullptr) const;
+                    v1::ActBatchResponse* response, absl::Duration received, StepResult* progress,
+                    StepBudget* budget = nullptr) const;
   absl::Status EndEpisode(CallContext& context, const v1::EndEpisodeRequest& request,
                           v1::EndEpisodeResponse* response) const;
   absl::Status GetSession(CallContext& context, const v1::GetSessionRequest& request,
@@ -104,28 +94,10 @@ class PolicyHandler {
                             v1::CloseSessionResponse* response) const;
 
  private:
-  // Returns the durability of a new session: INVALID_ARGUMENT if the server cannot give it,
-  // PERMISSION_DENIED if it is above the ceiling of the tenant.
-  absl::StatusOr<Durability> ChooseDurability(const Tenant& tenant,
-                                              const v1::OpenSessionRequest& request) const;
-  // Opens a session that does not exist yet.
-  absl::Status OpenNew(CallContext& context, std::string id, const v1::OpenSessionRequest& request,
-                       Durability durability, v1::OpenSessionResponse* response) const;
-  // Answers a request for a session that is open. Returns ALREADY_EXISTS unless the same request
-  // opened it.
-  absl::Status OpenAgain(CallContext& context, SessionEntry& entry,
-                         const v1::OpenSessionRequest& request, Durability durability,
-                         v1::OpenSessionResponse* response) const;
-
   // Returns a session that the caller may read, without resetting its idle time: of this server, or
   // CallContext::read.
   absl::StatusOr<std::shared_ptr<SessionEntry>> FindReadable(const CallContext& context,
                                                              const std::string& id) const;
-
-  // Returns a recorder for a session of `served`, and sets `name` to a new name for the recording.
-  absl::StatusOr<std::unique_ptr<EpisodeRecorder>> NewRecorder(
-      const std::shared_ptr<const ServedPolicy>& served, const std::string& tenant,
-      std::string* name) const;
 
   // Counts the beats that were appended as decisions of the caller's tenant, as far as its limit
   // goes.
@@ -134,17 +106,14 @@ class PolicyHandler {
   // RESOURCE_EXHAUSTED if the tenant exceeds its limit.
   absl::StatusOr<std::shared_ptr<SessionEntry>> FindForDecision(
       CallContext& context, const v1::ActRequest& request) const;
-  // `is_next` as DecisionRequest::is_next.
-  absl::Status ActOne(CallContext& context, const v1::ActRequest& request, bool is_next,
-                      v1::ActResponse* response) const;
 
   const PolicyRegistry* const registry_;
   const SessionGate* const gate_;
   SessionStore* const store_;  // of the gate
   ShadowRunner* const shadows_;
   const Clock* const clock_;
-  Recordings* const recordings_;
-  const SessionDurability durability_;
+  JournalWriter* const journals_;  // null: no session is stored
+  const SessionOpener opener_;
   mutable PolicyList policy_list_;
 };
 

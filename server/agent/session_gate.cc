@@ -77,6 +77,20 @@ void EndSpan(const absl::Status& status, Span* span) {
   span->End();
 }
 
+// Returns whether a request at `place` follows something that this copy of the session has not
+// seen: a decision, or the end of an episode. Only another server can have answered that. Orders by
+// episode, decision and step. The end of an episode changes no number of decisions, but the step
+// after it is a smaller one.
+bool IsAhead(const Place& place, const Session& session) {
+  const int64_t step = place.step.value_or(0);
+  if (place.episode.has_value() && *place.episode != session.episode) {
+    return *place.episode > session.episode;
+  }
+  if (!place.decision.has_value()) return step > session.step;
+  if (*place.decision != session.decisions) return *place.decision > session.decisions;
+  return step < session.step;
+}
+
 }  // namespace
 
 struct SessionGate::Search {
@@ -101,7 +115,7 @@ absl::Status SessionGate::Refused(const CallContext& context, const Place& place
   // A request that does not name its place in the session may be right for a newer copy, whatever
   // its step is.
   const bool may_be_outdated = context.may_claim && journal != nullptr && journal->is_shared() &&
-                               (IsAhead(place, session) || !place.is_of_session);
+                               (IsAhead(place, session) || !place.is_of_session());
   if (may_be_outdated) {
     journal->Abandon();
     return NoSuchSession(session.id);
@@ -164,6 +178,12 @@ void SessionGate::Trace(const Span& call, const SessionEntry& entry,
   const Commit commit = {
       .journal = entry.journal, .position = entry.journal->written(), .contribution = contribution};
   WhenDurable(call, {commit}, [](const std::vector<absl::Status>& /*outcomes*/) {});
+}
+
+Span SessionGate::StartMerge(const Span& call, const SessionEntry& entry) {
+  const auto& learning = entry.agent.session().options.learning;
+  const bool merges = learning.has_value() && learning->scope == Scope::kFleet;
+  return merges && entry.journal == nullptr ? call.Child("merge") : Span();
 }
 
 bool SessionGate::FindMissing(GatedRequest& request, const absl::Status& status) const {

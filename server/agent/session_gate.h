@@ -20,9 +20,9 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/agent/head_log.h"
+#include "core/agent/step.h"
 #include "core/open_sessions/session_store.h"
 #include "server/agent/call_context.h"
-#include "server/agent/request_order.h"
 #include "server/agent/session_recovery.h"
 
 namespace spikeserve {
@@ -109,6 +109,11 @@ class SessionGate {
   // before it is written. Does nothing if `call` is empty or the session is not stored.
   static void Trace(const Span& call, const SessionEntry& entry,
                     const std::shared_ptr<FleetContribution>& contribution = nullptr)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex);
+
+  // Begins the span of a merge into the head of a fleet that the end of an episode itself does,
+  // because the session is not stored; empty for other sessions.
+  static Span StartMerge(const Span& call, const SessionEntry& entry)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex);
 
   // Sends the answer of a request whose handler has returned `status`, now or later.

@@ -329,7 +329,7 @@ absl::Status InferenceHandler::Decide(CallContext& context, const ModelInferRequ
   act.set_session_id(sequence.session_id);
   act.mutable_observation()->Add(input.observation.begin(), input.observation.end());
   act.set_reward(static_cast<double>(input.reward.value_or(0.0f)));
-  return sessions_->ActNext(context, act, answer);
+  return sessions_->Act(context, act, answer, /*is_next=*/true);
 }
 
 absl::Status InferenceHandler::End(CallContext& context, const SequenceRequest& sequence) const {

@@ -5,7 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/action/neutral_action.h"
-#include "core/agent/beats.h"
+#include "core/agent/step.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/engine/energy.h"

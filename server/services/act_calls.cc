@@ -52,7 +52,7 @@ class ActStreamCall::Item final : public QueuedAct,
     act().request = messages_.request();
     act().response = messages_.response();
     act().received = received_;
-    act().beats = {};
+    act().step = {};
     call_->queue_.Add(shared_from_this());
   }
   void OnDecided() override { call_->context().sessions->Leave(*this, act().status); }
@@ -79,7 +79,7 @@ void ActOneCall::Handle() {
   act().request = &request();
   act().response = response();
   act().received = context().clock->Now();
-  act().beats = {};
+  act().step = {};
   queue_.Add(std::static_pointer_cast<ActOneCall>(shared_from_this()));
 }
 
@@ -94,16 +94,16 @@ void ActBatchCall::Handle() {
   if (!status.ok()) return End(status);
   decided_ = 0;
   received_at_ = context().clock->Now();
-  beats_ = {};
+  progress_ = {};
   queue_.AddBatch(std::static_pointer_cast<ActBatchCall>(shared_from_this()));
 }
 
 bool ActBatchCall::DecideGroup(const PolicyHandler& handler, DeferredWork* deferred,
-                               BeatBudget* budget) {
+                               StepBudget* budget) {
   if (call() == nullptr) return true;
   call_context().deferred = deferred;
   decided_ = handler.ActBatchGroup(call_context(), request(), decided_, response(), received_at_,
-                                   &beats_, budget);
+                                   &progress_, budget);
   if (decided_ < request().requests_size()) return false;
   refusal_ = RefusalWithin(*response());
   ExplainMissing();

@@ -47,7 +47,7 @@ class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchRes
       : UnaryCall(context, call, method), queue_(*queue) {}
 
   bool DecideGroup(const PolicyHandler& handler, DeferredWork* deferred,
-                   BeatBudget* budget) override;
+                   StepBudget* budget) override;
 
  private:
   void Handle() override;
@@ -63,7 +63,7 @@ class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchRes
   ActQueue& queue_;
   int decided_ = 0;  // requests
   absl::Duration received_at_;
-  BeatProgress beats_;  // of the next request, if a part of it was handled
+  StepResult progress_;  // of the next request, if a part of it was handled
   std::map<std::string, absl::Status> unclaimed_;  // why sessions could not be taken over
   absl::Status refusal_;  // of an item that exceeded a limit of its tenant; OK if there is none
 };

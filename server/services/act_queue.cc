@@ -51,9 +51,9 @@ void ActQueue::Run() {
   running_ = true;
   // The beats of one turn are bounded, whatever the number of sessions. Requests that wait for
   // their next part come before new ones.
-  BeatBudget budget = handler_.NewBudget();
-  BeatBudget none = {.beats = 0};
-  BeatBudget* const of_new = batches_.empty() && turns_.empty() ? &budget : &none;
+  StepBudget budget = handler_.NewBudget();
+  StepBudget none = {.steps = 0};
+  StepBudget* const of_new = batches_.empty() && turns_.empty() ? &budget : &none;
   for (size_t i = 0; i < queues_.size(); ++i) {
     if (added_[i].empty()) continue;
     Acts acts = std::exchange(added_[i], {});
@@ -73,7 +73,7 @@ void ActQueue::Run() {
   running_ = false;
 }
 
-void ActQueue::DecideBatchGroup(BeatBudget* budget) {
+void ActQueue::DecideBatchGroup(StepBudget* budget) {
   const std::shared_ptr<QueuedBatch> batch = std::move(batches_.front());
   batches_.pop_front();
   DeferredWork deferred;
@@ -88,7 +88,7 @@ void ActQueue::Wait(ActQueue* from, std::shared_ptr<QueuedAct> act) {
   std::deque<Waiting>& behind = waiting_[id];
   behind.push_back({from, std::move(act)});
   if (behind.size() > 1) return;
-  if (behind.front().act->act().waits_for_claim) return Claim(id);
+  if (behind.front().act->act().state == DecisionState::kClaiming) return Claim(id);
   turns_.push_back(id);
 }
 
@@ -115,9 +115,7 @@ void ActQueue::OnClaimed(const std::string& id, const absl::Status& claimed) {
     DecisionRequest& act = waiting.act->act();
     const bool is_told = tenant_of(waiting) == tenant;
     if (is_told) {
-      SessionGate::OnClaimed(claimed, act.context);
-      act.waits_for_claim = false;
-      act.status = claimed;
+      act.OnClaimed(claimed);
     }
     if (is_told && !claimed.ok()) {
       Deliver(std::move(waiting));
@@ -153,7 +151,7 @@ ActQueue::Acts ActQueue::HoldBack(ActQueue* from, Acts acts) {
   return others;
 }
 
-void ActQueue::DecideWaiting(BeatBudget* budget) {
+void ActQueue::DecideWaiting(StepBudget* budget) {
   const std::string id = std::move(turns_.front());
   turns_.pop_front();
   std::deque<Waiting>& behind = waiting_[id];
@@ -162,16 +160,16 @@ void ActQueue::DecideWaiting(BeatBudget* budget) {
   DeferredWork deferred;
   handler_.ActMany(
       {&first.act->act()}, &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, budget);
-  const bool is_finished = first.act->act().is_finished();
-  const bool waits_for_claim = first.act->act().waits_for_claim;
-  if (is_finished) {
+  const bool is_answered = first.act->act().is_answered();
+  const bool is_claiming = first.act->act().state == DecisionState::kClaiming;
+  if (is_answered) {
     Deliver(std::move(first));
   } else {
     behind.push_front(std::move(first));
   }
   if (behind.empty()) {
     waiting_.erase(id);
-  } else if (waits_for_claim) {
+  } else if (is_claiming) {
     Claim(id);
   } else {
     turns_.push_back(id);
@@ -180,7 +178,7 @@ void ActQueue::DecideWaiting(BeatBudget* budget) {
   deferred.Run();
 }
 
-void ActQueue::Decide(Acts added, BeatBudget* budget) {
+void ActQueue::Decide(Acts added, StepBudget* budget) {
   const Acts acts = HoldBack(this, std::move(added));
   DeferredWork deferred;
   const auto requests = RequestsOf(acts);
@@ -188,7 +186,7 @@ void ActQueue::Decide(Acts added, BeatBudget* budget) {
   const auto answer = [&](absl::Span<DecisionRequest* const> group) {
     for (size_t i = 0; i < group.size(); ++i) {
       const auto& act = acts[answered + i];
-      if (act->act().is_finished()) {
+      if (act->act().is_answered()) {
         act->OnDecided();
       } else {
         Wait(this, act);
@@ -201,13 +199,13 @@ void ActQueue::Decide(Acts added, BeatBudget* budget) {
   handler_.ActMany(requests, &deferred, answer, budget);
 }
 
-void ActQueue::DecideForeign(const std::shared_ptr<Foreign>& foreign, BeatBudget* budget) {
+void ActQueue::DecideForeign(const std::shared_ptr<Foreign>& foreign, StepBudget* budget) {
   Acts acts = HoldBack(foreign->from, std::exchange(foreign->acts, {}));
   DeferredWork deferred;
   handler_.ActMany(
       RequestsOf(acts), &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, budget);
   for (auto& act : acts) {
-    if (act->act().is_finished()) {
+    if (act->act().is_answered()) {
       foreign->acts.push_back(std::move(act));
     } else {
       Wait(foreign->from, std::move(act));

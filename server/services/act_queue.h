@@ -40,7 +40,7 @@ class QueuedBatch {
   // Decides the next group of at most kMaxSessionsPerGroup requests. Returns true if none is left.
   // Called on the thread of the loop that the call came from. `budget` is that of the turn.
   virtual bool DecideGroup(const PolicyHandler& handler, DeferredWork* deferred,
-                           BeatBudget* budget) = 0;
+                           StepBudget* budget) = 0;
 };
 
 class ActQueue {
@@ -77,15 +77,15 @@ class ActQueue {
     std::shared_ptr<QueuedAct> act;
   };
 
-  void Decide(Acts added, BeatBudget* budget);
-  void DecideBatchGroup(BeatBudget* budget);
-  void DecideForeign(const std::shared_ptr<Foreign>& foreign, BeatBudget* budget);
+  void Decide(Acts added, StepBudget* budget);
+  void DecideBatchGroup(StepBudget* budget);
+  void DecideForeign(const std::shared_ptr<Foreign>& foreign, StepBudget* budget);
   // Lets a request wait for its turn, behind the others of its session.
   void Wait(ActQueue* from, std::shared_ptr<QueuedAct> act);
   // Queues every request whose session already has a pending one. Returns the rest.
   Acts HoldBack(ActQueue* from, Acts acts);
   // Handles a part of the first request of one session that waits.
-  void DecideWaiting(BeatBudget* budget);
+  void DecideWaiting(StepBudget* budget);
   // Takes over session `id`, for whose first request that waits it is not here.
   void Claim(const std::string& id);
   void OnClaimed(const std::string& id, const absl::Status& claimed);

@@ -98,6 +98,8 @@ class Span {
   // Says that the work has failed, unless `status` is OK.
   void Fail(const absl::Status& status);
 
+  // Forgets the work, which was not done after all.
+  void Cancel() { record_ = nullptr; }
   // Ends the span, which is empty then.
   void End() {
     if (record_ != nullptr) Finish();

@@ -194,11 +194,11 @@ class Game {
     v1::ActBatchResponse response;
     DeferredWork deferred;
     CallContext context = server_.NewContext(&deferred);
-    BeatProgress beats;
+    StepResult progress;
     for (int next = 0; next < request.requests_size();) {
       const int first = next;
       next = server_.handler().ActBatchGroup(context, request, next, &response,
-                                             absl::ZeroDuration(), &beats);
+                                             absl::ZeroDuration(), &progress);
       FUZZ_CHECK(next > first);
     }
     FUZZ_CHECK(response.results_size() == request.requests_size());

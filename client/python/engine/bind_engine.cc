@@ -107,18 +107,15 @@ void Skip(LocalSession& session, double reward, nb::handle executed_action) {
 
 EpisodeSummary EndEpisode(LocalSession& session, double reward, bool terminated, bool truncated,
                           std::optional<double> target_return, nb::handle executed_action) {
-  EpisodeEnd end = {.reward = reward,
-                    .terminated = terminated,
-                    .target_return = target_return,
-                    .truncated = truncated};
-  if (const ExecutedAction executed = ToExecuted(executed_action); executed.action.has_value()) {
-    end.executed_action =
-        ValueOrRaise(ParseExecutedAction(*executed.action, session.policy().action_space));
-  }
+  const EpisodeEnd end = {.reward = reward,
+                          .terminated = terminated,
+                          .target_return = target_return,
+                          .truncated = truncated};
+  const ExecutedAction executed = ToExecuted(executed_action);
   absl::StatusOr<EpisodeSummary> summary = EpisodeSummary();
   {
     const nb::gil_scoped_release release;
-    summary = session.EndEpisode(end);
+    summary = session.EndEpisode(end, executed.action);
   }
   return ValueOrRaise(std::move(summary));
 }

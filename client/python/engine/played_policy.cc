@@ -100,29 +100,25 @@ class LocalSession::Locks {
 absl::StatusOr<Answer> LocalSession::Act(absl::Span<const float> observation, double reward,
                                          const std::optional<ReportedAction>& executed) {
   const absl::MutexLock lock(&mutex_);
-  const bool is_behind_gap = blind_.Skip(&agent_);
-  ASSIGN_OR_RETURN(const Answer* answer, agent_.Act(agent_.session().step, observation, reward,
-                                                    is_behind_gap ? std::nullopt : executed));
-  blind_.Taken();
+  ASSIGN_OR_RETURN(const Answer* answer,
+                   agent_.Act(/*step=*/std::nullopt, observation, reward, executed));
   return *answer;
 }
 
 absl::Status LocalSession::Skip(double reward, const std::optional<ReportedAction>& executed) {
   const absl::MutexLock lock(&mutex_);
-  return blind_.Add(reward, executed, &agent_);
+  return agent_.AddBlindStep(reward, executed);
 }
 
 int64_t LocalSession::step() {
   const absl::MutexLock lock(&mutex_);
-  return agent_.session().step + static_cast<int64_t>(blind_.size());
+  return agent_.next_step();
 }
 
-absl::StatusOr<EpisodeSummary> LocalSession::EndEpisode(const EpisodeEnd& end) {
+absl::StatusOr<EpisodeSummary> LocalSession::EndEpisode(
+    const EpisodeEnd& end, const std::optional<ReportedAction>& executed) {
   const absl::MutexLock lock(&mutex_);
-  blind_.Skip(&agent_);
-  auto summary = agent_.EndEpisode(end);
-  if (summary.ok()) blind_.Taken();
-  return summary;
+  return agent_.EndEpisode(end, executed);
 }
 
 std::string LocalSession::Export() {
@@ -148,28 +144,29 @@ absl::StatusOr<BatchAnswers> LocalSession::ActTogether(absl::Span<LocalSession* 
         "sessions: expected different sessions, received one session twice");
   }
   const Locks locks(sorted);
-  std::vector<ActCall> calls(sessions.size());
+  std::vector<Step> steps(sessions.size());
+  std::vector<Step*> all(sessions.size());
   const size_t width = observations.size() / sessions.size();
   for (size_t i = 0; i < sessions.size(); ++i) {
     sessions[i]->mutex_.AssertHeld();
     AgentSession& agent = sessions[i]->agent_;
-    if (const size_t skipped = sessions[i]->blind_.size(); skipped > 0) {
+    if (const int64_t skipped = agent.next_step() - agent.session().step; skipped > 0) {
       return absl::FailedPreconditionError(absl::StrCat(
           "row ", i, ": expected a session without skipped steps, received one with ", skipped));
     }
-    calls[i].session = &agent;
-    calls[i].step = agent.session().step;
-    calls[i].observation = observations.subspan(i * width, width);
-    calls[i].reward = rewards[i];
-    if (auto status = agent.CheckNewDecision(calls[i]); !status.ok()) {
+    steps[i].session = &agent;
+    steps[i].observation = observations.subspan(i * width, width);
+    steps[i].reward = rewards[i];
+    all[i] = &steps[i];
+    if (auto status = agent.CheckNewDecision(steps[i]); !status.ok()) {
       return absl::Status(status.code(), absl::StrCat("row ", i, ": ", status.message()));
     }
   }
-  AgentSession::ActTogether(absl::MakeSpan(calls));
-  answers.Reserve(calls.size());
-  for (const ActCall& call : calls) {
-    if (!call.answer.ok()) return call.answer.status();
-    answers.Append(**call.answer);
+  AgentSession::Apply(all);
+  answers.Reserve(steps.size());
+  for (const Step& step : steps) {
+    if (!step.result.status.ok()) return step.result.status;
+    answers.Append(*step.result.answer);
   }
   return answers;
 }

@@ -24,7 +24,6 @@
 #include "client/python/engine/policy_source.h"
 #include "core/action/reported_action.h"
 #include "core/agent/agent_session.h"
-#include "core/agent/blind_steps.h"
 #include "core/agent/explanation.h"
 #include "core/agent/served_policy.h"
 #include "core/agent/session_request.h"
@@ -78,11 +77,12 @@ class LocalSession {
   // Errors of the methods: see AgentSession.
   absl::StatusOr<Answer> Act(absl::Span<const float> observation, double reward,
                              const std::optional<ReportedAction>& executed = std::nullopt);
-  // Takes a step whose observation is not known; see AppendBeats.
+  // Takes a step whose observation is not known; see AgentSession::AddBlindStep.
   absl::Status Skip(double reward, const std::optional<ReportedAction>& executed);
   // Returns the next step.
   int64_t step();
-  absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end);
+  absl::StatusOr<EpisodeSummary> EndEpisode(const EpisodeEnd& end,
+                                            const std::optional<ReportedAction>& executed);
   // A recomputed decision, and the value of the session that made it.
   struct Explained {
     Session session;
@@ -114,7 +114,6 @@ class LocalSession {
   const std::shared_ptr<const PlayedPolicy> played_;
   absl::Mutex mutex_;
   AgentSession agent_ ABSL_GUARDED_BY(mutex_);
-  BlindSteps blind_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace spikeserve

@@ -37,6 +37,12 @@ class ActTogetherTest : public ::testing::Test {
     return sessions;
   }
 
+  static void Apply(std::vector<Step>& steps) {
+    std::vector<Step*> all;
+    for (Step& step : steps) all.push_back(&step);
+    AgentSession::Apply(all);
+  }
+
   FakeClock clock_;
   std::shared_ptr<const ServedPolicy> even_ = Serve(SmallConfig(), ActionSpace::Discrete(2));
   std::shared_ptr<const ServedPolicy> odd_ = Serve(SmallConfig(), ActionSpace::Discrete(3));
@@ -50,21 +56,21 @@ TEST_F(ActTogetherTest, EqualsOneAfterTheOtherBitForBit) {
     for (size_t i = 0; i < together.size(); ++i) {
       observations.push_back(ObservationAt(step + static_cast<int64_t>(i)));
     }
-    std::vector<ActCall> calls;
+    std::vector<Step> steps;
     std::vector<AgentSession*> sessions;
     for (size_t i = 0; i < together.size(); ++i) {
-      calls.push_back({.session = together[i].get(),
-                       .step = step,
+      steps.push_back({.session = together[i].get(),
+                       .place = {.step = step},
                        .observation = observations[i],
                        .reward = RewardAt(step)});
       sessions.push_back(together[i].get());
     }
     if (step % 7 == 3) together[2]->DropContext();
-    AgentSession::ActTogether(absl::MakeSpan(calls));
+    Apply(steps);
     for (size_t i = 0; i < alone.size(); ++i) {
       ASSERT_TRUE(alone[i]->Act(step, observations[i], RewardAt(step)).ok());
-      ASSERT_TRUE(calls[i].answer.ok()) << calls[i].answer.status();
-      EXPECT_FALSE(calls[i].is_retry);
+      ASSERT_TRUE(steps[i].result.status.ok()) << steps[i].result.status;
+      EXPECT_FALSE(steps[i].result.is_retry);
       EXPECT_EQ(SerializeSession(together[i]->session()), SerializeSession(alone[i]->session()))
           << "session " << i << " at step " << step;
     }
@@ -78,19 +84,19 @@ TEST_F(ActTogetherTest, ARetryAndABadRequestLeaveTheOthersAlone) {
   ASSERT_TRUE(sessions[0]->Act(0, observation, 0.0).ok());
   const std::vector<float> bad = {1.0f, std::numeric_limits<float>::infinity(), 1.0f};
   const std::string untouched = SerializeSession(sessions[1]->session());
-  std::vector<ActCall> calls = {
-      {.session = sessions[0].get(), .step = 0, .observation = observation},
-      {.session = sessions[1].get(), .step = 0, .observation = bad},
-      {.session = sessions[2].get(), .step = 0, .observation = observation},
-      {.session = sessions[3].get(), .step = 4, .observation = observation}};
-  AgentSession::ActTogether(absl::MakeSpan(calls));
-  EXPECT_TRUE(calls[0].answer.ok());
-  EXPECT_TRUE(calls[0].is_retry);
-  EXPECT_THAT(calls[1].answer.status().message(), HasSubstr("observation[1]: expected a finite"));
+  std::vector<Step> steps = {
+      {.session = sessions[0].get(), .place = {.step = 0}, .observation = observation},
+      {.session = sessions[1].get(), .place = {.step = 0}, .observation = bad},
+      {.session = sessions[2].get(), .place = {.step = 0}, .observation = observation},
+      {.session = sessions[3].get(), .place = {.step = 4}, .observation = observation}};
+  Apply(steps);
+  EXPECT_TRUE(steps[0].result.status.ok());
+  EXPECT_TRUE(steps[0].result.is_retry);
+  EXPECT_THAT(steps[1].result.status.message(), HasSubstr("observation[1]: expected a finite"));
   EXPECT_EQ(SerializeSession(sessions[1]->session()), untouched);
-  EXPECT_TRUE(calls[2].answer.ok());
+  EXPECT_TRUE(steps[2].result.status.ok());
   EXPECT_EQ(sessions[2]->session().step, 1);
-  EXPECT_EQ(calls[3].answer.status().code(), absl::StatusCode::kFailedPrecondition);
+  EXPECT_EQ(steps[3].result.status.code(), absl::StatusCode::kFailedPrecondition);
 }
 
 }  // namespace

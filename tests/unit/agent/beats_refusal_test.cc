@@ -8,7 +8,7 @@
 #include <utility>
 #include <vector>
 
-#include "core/agent/beats.h"
+#include "core/agent/agent_session.h"
 #include "core/agent/repeated_step.h"
 #include "core/journal/session_bytes.h"
 #include "core/session/session_value.h"
@@ -19,6 +19,12 @@ namespace spikeserve {
 namespace {
 
 using ::testing::HasSubstr;
+
+PastSteps HistoryOf(const std::vector<PastStep>& past) {
+  return {.size = past.size(), .source = past.data(), .read = [](const void* source, size_t i) {
+            return static_cast<const PastStep*>(source)[i];
+          }};
+}
 
 struct DoneBeat {
   std::vector<float> observation;
@@ -35,7 +41,7 @@ TEST(BeatsRefusalTest, NothingIsHalfApplied) {
   const std::string before = SerializeSession(agent.session());
   const std::vector<float> known = ObservationAt(1);
   const std::vector<float> good = ObservationAt(5);
-  std::vector<Beat> beats;
+  std::vector<PastStep> beats;
   for (int64_t step = 1; step < 5; ++step) {
     beats.push_back({.step = step,
                      .observation = step == 1 ? known : good,
@@ -45,7 +51,7 @@ TEST(BeatsRefusalTest, NothingIsHalfApplied) {
   struct Change {
     std::string expected;
     absl::StatusCode code;
-    std::function<void(std::vector<Beat>&, BeatHistory&)> make;
+    std::function<void(std::vector<PastStep>&, Step&)> make;
   };
   const auto kInvalid = absl::StatusCode::kInvalidArgument;
   const auto kPlace = absl::StatusCode::kFailedPrecondition;
@@ -65,36 +71,31 @@ TEST(BeatsRefusalTest, NothingIsHalfApplied) {
       {"observation: expected 3 numbers, received 1", kInvalid,
        [](auto&, auto& history) { history.observation = kShort; }},
       {"decision: expected the number of the decision", kInvalid,
-       [](auto&, auto& history) { history.decision = std::nullopt; }},
+       [](auto&, auto& history) { history.place.decision = std::nullopt; }},
       {"decision: expected 2 for step 2, received 9 for step 5", kPlace,
-       [](auto&, auto& history) { history.decision = 9; }},
+       [](auto&, auto& history) { history.place.decision = 9; }},
       {"history: expected beats from step 2 on, received those from step 3 on", kPlace,
-       [](auto& all, auto& history) {
-         all.erase(all.begin(), all.begin() + 2);
-         history.size = 2;
-       }},
+       [](auto& all, auto&) { all.erase(all.begin(), all.begin() + 2); }},
       {"skipped_rewards[0]: reward: expected a finite number", kInvalid,
        [](auto& all, auto& history) {
          all.erase(all.begin(), all.begin() + 2);
-         history.size = 2;
          history.skipped_rewards = kRewards;
        }},
       {"history: expected at least one beat behind skipped_rewards, received none", kInvalid,
-       [](auto&, auto& history) { history.size = 0; }}};
+       [](auto& all, auto& history) {
+         all.clear();
+         history.skipped_rewards = kRewards;
+       }}};
   for (const Change& change : changes) {
-    std::vector<Beat> changed = beats;
-    const auto at = [&](size_t i) { return changed[i]; };
-    BeatHistory history = {.step = 5,
-                           .decision = 5,
-                           .skipped_rewards = {},
-                           .size = 4,
-                           .beat = at,
-                           .observation = good,
-                           .reward = 1.0};
-    change.make(changed, history);
-    const auto result = AppendBeats(history, &agent);
-    EXPECT_EQ(result.status().code(), change.code) << change.expected << ": " << result.status();
-    EXPECT_THAT(std::string(result.status().message()), HasSubstr(change.expected));
+    std::vector<PastStep> changed = beats;
+    Step step = {
+        .session = &agent, .place = {.decision = 5, .step = 5}, .observation = good, .reward = 1.0};
+    change.make(changed, step);
+    step.history = HistoryOf(changed);
+    AgentSession::Apply({&step});
+    const absl::Status& status = step.result.status;
+    EXPECT_EQ(status.code(), change.code) << change.expected << ": " << status;
+    EXPECT_THAT(std::string(status.message()), HasSubstr(change.expected));
     EXPECT_EQ(SerializeSession(agent.session()), before) << change.expected;
   }
 }
@@ -109,30 +110,27 @@ TEST(BeatsRefusalTest, AStoredSessionIsToldWhatWasExecutedBeforeIt) {
     AgentSession agent(Serve(SmallConfig(), ActionSpace::Discrete(3)),
                        NewSession("id", std::move(options)), &clock);
     const auto append = [&](int64_t first, int64_t last, std::vector<double> skipped) {
-      const auto at = [&](size_t i) -> Beat {
-        return {.step = first + static_cast<int64_t>(i),
-                .observation = observation,
-                .reward = 1.0,
-                .executed = int64_t{2}};
-      };
-      return AppendBeats({.step = last + 1,
-                          .decision = static_cast<uint64_t>(last + 1),
-                          .skipped_rewards = skipped,
-                          .size = static_cast<size_t>(last + 1 - first),
-                          .beat = at,
-                          .observation = {},
-                          .reward = 0.0},
-                         &agent);
+      std::vector<PastStep> past;
+      for (int64_t step = first; step <= last; ++step) {
+        past.push_back(
+            {.step = step, .observation = observation, .reward = 1.0, .executed = int64_t{2}});
+      }
+      Step step = {.session = &agent,
+                   .place = {.decision = static_cast<uint64_t>(last + 1), .step = last + 1},
+                   .skipped_rewards = skipped,
+                   .history = HistoryOf(past)};
+      AgentSession::Apply({&step});
+      return step.result.status;
     };
     EXPECT_TRUE(append(0, 1, {}).ok());  // before step 0 nothing was executed
     const std::string before = SerializeSession(agent.session());
     const auto late = append(2, 3, {});
     if (durability == Durability::kNone) {
-      EXPECT_TRUE(late.ok()) << late.status();
+      EXPECT_TRUE(late.ok()) << late;
       continue;
     }
-    EXPECT_EQ(late.status().code(), absl::StatusCode::kFailedPrecondition);
-    EXPECT_THAT(std::string(late.status().message()),
+    EXPECT_EQ(late.code(), absl::StatusCode::kFailedPrecondition);
+    EXPECT_THAT(std::string(late.message()),
                 HasSubstr("history: expected beats from step 1 on, received those from step 2 on"));
     EXPECT_EQ(SerializeSession(agent.session()), before);
     EXPECT_TRUE(append(1, 3, {}).ok());
@@ -152,21 +150,18 @@ TEST(BeatsRefusalTest, BeatsThatTheSessionHasAreCompared) {
     done.push_back({ObservationAt(t), RewardAt(t), {.discrete = 1, .continuous = {}}});
   }
   const auto append = [&](const std::vector<DoneBeat>& beats) {
-    const auto at = [&](size_t i) -> Beat {
-      return {.step = static_cast<int64_t>(i),
-              .observation = beats[i].observation,
-              .reward = beats[i].reward,
-              .executed = int64_t{beats[i].executed.discrete}};
-    };
-    return AppendBeats({.step = static_cast<int64_t>(beats.size()),
-                        .decision = beats.size(),
-                        .skipped_rewards = {},
-                        .size = beats.size(),
-                        .beat = at,
-                        .observation = {},
-                        .reward = 0.0},
-                       &agent)
-        .status();
+    std::vector<PastStep> past;
+    for (const DoneBeat& beat : beats) {
+      past.push_back({.step = static_cast<int64_t>(past.size()),
+                      .observation = beat.observation,
+                      .reward = beat.reward,
+                      .executed = int64_t{beat.executed.discrete}});
+    }
+    Step step = {.session = &agent,
+                 .place = {.decision = past.size(), .step = static_cast<int64_t>(past.size())},
+                 .history = HistoryOf(past)};
+    AgentSession::Apply({&step});
+    return step.result.status;
   };
   ASSERT_TRUE(append(done).ok());
   const std::string before = SerializeSession(agent.session());

@@ -1,14 +1,13 @@
 // Tests of beats: a session whose robot decided by itself for a while, and told the server
 // afterwards, equals the undisturbed session, bit for bit.
-#include "core/agent/beats.h"
-
 #include <gtest/gtest.h>
 
+#include <limits>
 #include <ostream>
 #include <random>
 
 #include "absl/strings/str_cat.h"
-#include "core/agent/blind_steps.h"
+#include "core/agent/agent_session.h"
 #include "core/journal/journal_entry.h"
 #include "core/journal/session_bytes.h"
 #include "core/journal/session_export.h"
@@ -94,27 +93,29 @@ class BeatsTest : public ::testing::TestWithParam<BeatCase> {
     return config;
   }
 
-  // Calls `use` with the history of the last `count` of `done`, before the step behind them.
-  template <typename Use>
-  auto WithHistory(const AgentSession& steady, const std::vector<DoneBeat>& done, size_t count,
-                   Use use, std::vector<double> skipped = {}) {
-    const size_t first = done.size() - count;
-    const auto beat = [&](size_t i) -> Beat {
-      const DoneBeat& at = done[first + i];
-      return {.step = static_cast<int64_t>(first + i),
-              .observation = at.observation,
-              .reward = at.reward,
-              .executed = Reported(at.executed, GetParam().action_space)};
-    };
-    const BeatHistory history = {.step = static_cast<int64_t>(done.size()),
-                                 .decision = steady.session().decisions,
-                                 .skipped_rewards = skipped,
-                                 .size = count,
-                                 .beat = beat,
-                                 .observation = {},
-                                 .reward = 0.0};
-    return use(history);
+  // Applies the history of the last `count` of `done` to `agent`, and `more`, before the step
+  // behind them, whose number in the session is `decision`.
+  StepResult Apply(AgentSession& agent, const std::vector<DoneBeat>& done, size_t count,
+                   uint64_t decision, Step more = {}, int64_t most = kAll) {
+    std::vector<PastStep> past;
+    for (size_t i = done.size() - count; i < done.size(); ++i) {
+      past.push_back({.step = static_cast<int64_t>(i),
+                      .observation = done[i].observation,
+                      .reward = done[i].reward,
+                      .executed = Reported(done[i].executed, GetParam().action_space)});
+    }
+    more.session = &agent;
+    more.place.step = static_cast<int64_t>(done.size());
+    more.place.decision = decision;
+    more.history = {.size = count, .source = past.data(), .read = [](const void* source, size_t i) {
+                      return static_cast<const PastStep*>(source)[i];
+                    }};
+    StepBudget budget = {.steps = most};
+    AgentSession::Apply({&more}, &budget);
+    EXPECT_TRUE(more.result.status.ok()) << more.result.status;
+    return more.result;
   }
+  static constexpr int64_t kAll = std::numeric_limits<int64_t>::max();
 
   FakeClock clock_;
   std::shared_ptr<RecordingObserver> observer_ = std::make_shared<RecordingObserver>();
@@ -160,12 +161,9 @@ TEST_P(BeatsTest, ACutSessionEqualsTheUndisturbedOne) {
           // The link is back: the history, then a decision.
           const size_t known = done.size() - before + (before > 0 ? 1 : 0);
           if (known > 0) {
-            const auto appended = WithHistory(steady, done, known, [&](BeatHistory history) {
-              history.decision = *history.decision - 1;  // `steady` has decided this step
-              return AppendBeats(history, &cut);
-            });
-            ASSERT_TRUE(appended.ok()) << appended.status();
-            EXPECT_EQ(appended->appended, static_cast<int64_t>(done.size() - before));
+            // `steady` has decided this step.
+            const auto taken = Apply(cut, done, known, steady.session().decisions - 1);
+            EXPECT_EQ(taken.appended, static_cast<int64_t>(done.size() - before));
           }
           const auto decided = cut.Act(t, ObservationAt(t), RewardAt(t), told);
           ASSERT_TRUE(decided.ok()) << decided.status();
@@ -199,16 +197,12 @@ TEST_P(BeatsTest, BeatsCountOnceAndInParts) {
     done.push_back({ObservationAt(t), RewardAt(t), (*answer)->action});
   }
   const auto append = [&](int64_t most) {
-    const auto result = WithHistory(steady, done, 20, [&](const BeatHistory& history) {
-      return AppendBeats(history, &cut, most);
-    });
-    EXPECT_TRUE(result.ok()) << result.status();
-    return *result;
+    return Apply(cut, done, 20, steady.session().decisions, {}, most);
   };
   EXPECT_EQ(append(7).appended, 7);
   EXPECT_FALSE(append(7).finished);
   EXPECT_EQ(append(7).appended, 6);
-  const AppendedBeats again = append(7);
+  const StepResult again = append(7);
   EXPECT_EQ(again.appended, 0);
   EXPECT_TRUE(again.finished);
   EXPECT_EQ(ExportSession(cut), ExportSession(steady));
@@ -225,15 +219,10 @@ TEST_P(BeatsTest, SkippedRewardsCount) {
   for (int64_t t = 0; t < 3; ++t) ASSERT_TRUE(agent.Act(t, ObservationAt(t), RewardAt(t)).ok());
   // Steps 1 to 5 as rewards, of which 3 to 5 are new, and step 6 as a beat.
   std::vector<DoneBeat> done(7, {ObservationAt(6), 0.25, agent.session().last_answer->action});
-  const auto result = WithHistory(agent, done, 1,
-                                  [&](BeatHistory history) {
-                                    history.decision = 7;
-                                    return AppendBeats(history, &agent);
-                                  },
-                                  {100.0, 100.0, 1.0, 2.0, 4.0});
-  ASSERT_TRUE(result.ok()) << result.status();
-  EXPECT_EQ(result->appended, 1);
-  EXPECT_EQ(result->dropped, 3);
+  const std::vector<double> skipped = {100.0, 100.0, 1.0, 2.0, 4.0};
+  const auto result = Apply(agent, done, 1, 7, {.skipped_rewards = skipped});
+  EXPECT_EQ(result.appended, 1);
+  EXPECT_EQ(result.dropped, 3);
   EXPECT_EQ(agent.session().step, 7);
   EXPECT_EQ(agent.session().decisions, 7u);
   EXPECT_EQ(agent.session().history.size(), 1u);
@@ -272,38 +261,29 @@ TEST_P(BeatsTest, StepsWithoutAnObservationCountAsRewards) {
     const auto told = t == 0 ? std::nullopt : std::optional<ReportedAction>(Reported(held, space));
     ASSERT_TRUE(expected.Act(t, ObservationAt(t), RewardAt(t), told).ok());
   }
-  const auto append = [&](std::optional<double> end_reward) {
-    AgentSession behind = NewAgent();
-    const auto result = WithHistory(behind, done, 9, [&](BeatHistory history) {
-      history.decision = 9;
-      history.end_reward = end_reward;
-      return AppendBeats(history, &agent);
-    });
-    EXPECT_TRUE(result.ok()) << result.status();
-    return *result;
-  };
   // Steps 3 and 4 are skipped; 7 and 8 wait.
-  const AppendedBeats first = append(std::nullopt);
+  const StepResult first = Apply(agent, done, 9, 9);
   EXPECT_EQ(first.appended, 5);
   EXPECT_EQ(first.dropped, 2);
-  expected.ReportExecuted(held);
-  expected.SkipSteps({RewardAt(3), RewardAt(4)});
-  ASSERT_TRUE(expected.Act(5, ObservationAt(5), RewardAt(5)).ok());
+  ASSERT_TRUE(expected.AddBlindStep(RewardAt(3), Reported(held, space)).ok());
+  ASSERT_TRUE(expected.AddBlindStep(RewardAt(4), std::nullopt).ok());
+  ASSERT_TRUE(expected.Act(std::nullopt, ObservationAt(5), RewardAt(5)).ok());
   ASSERT_TRUE(expected.Act(6, ObservationAt(6), RewardAt(6), Reported(held, space)).ok());
   EXPECT_EQ(ExportSession(agent), ExportSession(expected));
   const auto restored = RestoreSession(*ParseJournal(writer.records_), served_->policy());
   ASSERT_TRUE(restored.ok()) << restored.status();
   EXPECT_EQ(SerializeSession(*restored), SerializeSession(agent.session()));
-  EXPECT_EQ(append(std::nullopt).dropped, 0);  // again
+  EXPECT_EQ(Apply(agent, done, 9, 9).dropped, 0);  // again
   // The end of the episode takes the last ones.
-  EXPECT_EQ(append(2.0).dropped, 2);
-  expected.ReportExecuted(held);
-  expected.SkipSteps({RewardAt(7), RewardAt(8)});
-  const EpisodeEnd end = {.reward = 2.0, .terminated = true, .executed_action = held};
-  const auto summary = agent.EndEpisode(end);
-  ASSERT_TRUE(summary.ok()) << summary.status();
-  EXPECT_EQ(summary->steps, 9);
-  ASSERT_TRUE(expected.EndEpisode(end).ok());
+  const EpisodeEnd end = {.reward = 2.0, .terminated = true};
+  const Step behind = {.place = {.episode = 0}, .executed = Reported(held, space), .end = end};
+  const StepResult ended_by = Apply(agent, done, 9, 9, behind);
+  EXPECT_EQ(ended_by.dropped, 2);
+  ASSERT_TRUE(ended_by.summary.has_value());
+  EXPECT_EQ(ended_by.summary->steps, 9);
+  ASSERT_TRUE(expected.AddBlindStep(RewardAt(7), Reported(held, space)).ok());
+  ASSERT_TRUE(expected.AddBlindStep(RewardAt(8), std::nullopt).ok());
+  ASSERT_TRUE(expected.EndEpisode(end, Reported(held, space)).ok());
   EXPECT_EQ(ExportSession(agent), ExportSession(expected));
   const auto ended = RestoreSession(*ParseJournal(writer.records_), served_->policy());
   ASSERT_TRUE(ended.ok()) << ended.status();
@@ -314,7 +294,6 @@ TEST_P(BeatsTest, StepsWithoutAnObservationCountAsRewards) {
 TEST_P(BeatsTest, BlindStepsEqualAHistory) {
   AgentSession agent = NewAgent();
   AgentSession local = NewAgent();
-  BlindSteps blind;
   const ActionSpace& space = GetParam().action_space;
   const Action held = space.is_discrete() ? Action{.discrete = 1, .continuous = {}}
                                           : Action{.discrete = 0, .continuous = {0.5f, 0.25f}};
@@ -322,29 +301,22 @@ TEST_P(BeatsTest, BlindStepsEqualAHistory) {
   for (int64_t t = 0; t < 6; ++t) {
     const bool sees = t < 2 || t == 5;
     done.push_back({sees ? ObservationAt(t) : std::vector<float>(), RewardAt(t), held});
-    auto told = t == 0 ? std::nullopt : std::optional<ReportedAction>(Reported(held, space));
+    const auto told = t == 0 ? std::nullopt : std::optional<ReportedAction>(Reported(held, space));
     if (!sees) {
-      ASSERT_TRUE(blind.Add(RewardAt(t), told, &local).ok());
+      ASSERT_TRUE(local.AddBlindStep(RewardAt(t), told).ok());
       continue;
     }
-    if (blind.Skip(&local)) told.reset();
-    ASSERT_TRUE(local.Act(t, ObservationAt(t), RewardAt(t), told).ok());
-    blind.Taken();
+    ASSERT_EQ(local.next_step(), t);
+    ASSERT_TRUE(local.Act(std::nullopt, ObservationAt(t), RewardAt(t), told).ok());
   }
-  AgentSession behind = NewAgent();
-  const auto result = WithHistory(behind, done, 6, [&](BeatHistory history) {
-    history.decision = 6;
-    return AppendBeats(history, &agent);
-  });
-  ASSERT_TRUE(result.ok()) << result.status();
+  Apply(agent, done, 6, 6);
+  ASSERT_TRUE(local.AddBlindStep(1.0, Reported(held, space)).ok());
   EXPECT_EQ(ExportSession(agent), ExportSession(local));
   // A step that is refused leaves the session as it was before the steps without an observation.
-  const std::string before = ExportSession(local);
-  ASSERT_TRUE(blind.Add(1.0, Reported(held, space), &agent).ok());
-  const std::string reported = ExportSession(agent);
-  EXPECT_TRUE(blind.Skip(&agent));
-  EXPECT_FALSE(agent.Act(7, {1.0f}, 1.0).ok());
-  EXPECT_EQ(ExportSession(agent), reported);
+  const std::vector<float> too_short = {1.0f};
+  EXPECT_FALSE(local.Act(std::nullopt, too_short, 1.0).ok());
+  EXPECT_EQ(ExportSession(agent), ExportSession(local));
+  EXPECT_EQ(local.next_step(), 7);
 }
 
 // The action of the newest beat counts, too, if nothing is asked.
@@ -365,13 +337,8 @@ TEST_P(BeatsTest, TheLastActionIsTakenWithoutADecision) {
     ASSERT_TRUE(steady.Act(t, ObservationAt(t), RewardAt(t), told).ok());
     done.push_back({ObservationAt(t), RewardAt(t), held});
   }
-  const auto status = WithHistory(steady, done, 4, [&](const BeatHistory& history) {
-    const auto appended = AppendBeats(history, &cut);
-    if (!appended.ok()) return appended.status();
-    return TakeLastExecuted(history, &cut);
-  });
-  ASSERT_TRUE(status.ok()) << status;
-  steady.ReportExecuted(held);
+  Apply(cut, done, 4, 4);
+  ASSERT_TRUE(steady.AddBlindStep(0.0, Reported(held, space)).ok());
   EXPECT_EQ(ExportSession(cut), ExportSession(steady));
   const auto restored = RestoreSession(*ParseJournal(writer.records_), served_->policy());
   ASSERT_TRUE(restored.ok()) << restored.status();

@@ -96,12 +96,24 @@ TEST_F(SessionListenerTest, IsCalledForWhatTheAgentDidWithoutTheServer) {
   ASSERT_TRUE(agent.Act(1, ObservationAt(1), 0.0, ReportedAction(executed)).ok());
   const std::string first = absl::StrCat("a: executed ", executed);
   executed = other();
-  agent.ReportExecuted({.discrete = static_cast<int>(executed), .continuous = {}});
+  ASSERT_TRUE(agent.AddBlindStep(0.5, executed).ok());
   const std::string second = absl::StrCat("a: executed ", executed);
-  agent.SkipSteps(std::vector<double>{0.5});
-  ASSERT_TRUE(agent.Append(ObservationAt(3), 0.0, std::nullopt).ok());
-  EXPECT_THAT(notes_, ElementsAre("a: decision 0", first, "a: decision 1 executed", second,
-                                  "a: change", "a: gap", "a: decision 3 after gap beat"));
+  const std::vector<float> observation = ObservationAt(3);
+  const auto beat = [](const void* source, size_t /*i*/) {
+    return PastStep{.step = 3,
+                    .observation = *static_cast<const std::vector<float>*>(source),
+                    .executed = int64_t{0}};
+  };
+  const std::vector<double> skipped = {0.5};
+  Step history = {.session = &agent,
+                  .place = {.decision = 4, .step = 4},
+                  .skipped_rewards = skipped,
+                  .history = {.size = 1, .source = &observation, .read = beat}};
+  AgentSession::Apply({&history});
+  ASSERT_TRUE(history.result.status.ok()) << history.result.status;
+  EXPECT_THAT(notes_,
+              ElementsAre("a: decision 0", first, "a: decision 1 executed", second, "a: change",
+                          "a: gap", "a: decision 3 after gap beat", "a: executed 0", "a: change"));
 }
 
 TEST_F(SessionListenerTest, AContributionIsAppendedUnlessAListenerTakesIt) {

@@ -20,9 +20,9 @@ class PolicyHandlerTest : public PolicyHandlerFixture {
                 DeferredWork* deferred) {
     ASSERT_TRUE(PolicyHandler::CheckBatch(batch).ok());
     CallContext context{.caller = caller_.get(), .deferred = deferred};
-    BeatProgress beats;
+    StepResult progress;
     for (int next = 0; next < batch.requests_size();) {
-      next = handler_.ActBatchGroup(context, batch, next, answers, absl::ZeroDuration(), &beats);
+      next = handler_.ActBatchGroup(context, batch, next, answers, absl::ZeroDuration(), &progress);
     }
   }
 };
@@ -45,7 +45,7 @@ TEST_F(PolicyHandlerTest, AnswersDoNotDependOnDeferredWork) {
 
 // A request without beats of its own that comes in the same turn as a long history waits for it.
 TEST_F(PolicyHandlerTest, ARequestBehindALongHistoryIsAnswered) {
-  constexpr int64_t kBeats = 2 * kBeatsPerGroup + 1;
+  constexpr int64_t kBeats = 2 * kPastStepsPerGroup + 1;
   const std::string session = MustOpen();
   v1::ActResponse answer;
   DeferredWork deferred;
@@ -69,14 +69,14 @@ TEST_F(PolicyHandlerTest, ARequestBehindALongHistoryIsAnswered) {
   std::vector<DecisionRequest*> waiting = {&acts[0], &acts[1]};
   const auto decide = [&] {
     handler_.ActMany(waiting, &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {});
-    std::erase_if(waiting, [](const DecisionRequest* act) { return act->is_finished(); });
+    std::erase_if(waiting, [](const DecisionRequest* act) { return act->is_answered(); });
   };
   decide();
   EXPECT_EQ(waiting.size(), 2u);
   decide();
   decide();
   for (const DecisionRequest& act : acts) {
-    EXPECT_TRUE(act.is_finished());
+    EXPECT_TRUE(act.is_answered());
     EXPECT_TRUE(act.status.ok()) << act.status;
     EXPECT_EQ(act.response->step(), act.request->step());
   }
@@ -85,7 +85,7 @@ TEST_F(PolicyHandlerTest, ARequestBehindALongHistoryIsAnswered) {
 // The beats that one turn appends are bounded, whatever the number of sessions that have some.
 TEST_F(PolicyHandlerTest, HistoriesOfManySessionsShareATurn) {
   constexpr int kSessions = 12;
-  constexpr int64_t kBeats = 3 * kBeatsPerGroup;
+  constexpr int64_t kBeats = 3 * kPastStepsPerGroup;
   DeferredWork deferred;
   v1::ActResponse answer;
   ASSERT_TRUE(Decide(MakeRequest(MustOpen(), 0), &answer, &deferred).ok());
@@ -115,21 +115,74 @@ TEST_F(PolicyHandlerTest, HistoriesOfManySessionsShareATurn) {
   int64_t appended = 0;
   for (int turn = 1; !waiting.empty(); ++turn) {
     ASSERT_LE(turn, 2 * kSessions * 3 + kSessions);
-    BeatBudget budget;
+    StepBudget budget;
     handler_.ActMany(
         waiting, &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, &budget);
     int64_t sum = 0;
-    for (const DecisionRequest& act : acts) sum += act.beats.appended;
-    EXPECT_LE(sum - appended, kBeatsPerGroup) << turn;
+    for (const DecisionRequest& act : acts) sum += act.step.result.appended;
+    EXPECT_LE(sum - appended, kPastStepsPerGroup) << turn;
     EXPECT_GT(sum, appended) << turn;
     appended = sum;
-    std::erase_if(waiting, [](const DecisionRequest* act) { return act->is_finished(); });
+    std::erase_if(waiting, [](const DecisionRequest* act) { return act->is_answered(); });
   }
   EXPECT_EQ(appended, kSessions * kBeats);
   for (const DecisionRequest& act : acts) {
     EXPECT_TRUE(act.status.ok()) << act.status;
-    EXPECT_EQ(act.beats.dropped, kBeats);
+    EXPECT_EQ(act.step.result.dropped, kBeats);
   }
+}
+
+// Each transition of DecisionState.
+TEST_F(PolicyHandlerTest, ARequestWaitsUntilItIsAnswered) {
+  const std::string session = MustOpen();
+  v1::ActRequest requests[] = {MakeRequest(session, 2), MakeRequest(session, 3)};
+  v1::ActResponse responses[2];
+  DeferredWork deferred;
+  CallContext contexts[2];
+  DecisionRequest acts[2];
+  std::vector<DecisionRequest*> both;
+  for (int i = 0; i < 2; ++i) {
+    contexts[i] = {.caller = caller_.get(), .deferred = &deferred, .may_claim = true};
+    acts[i] = {.context = &contexts[i], .request = &requests[i], .response = &responses[i]};
+    both.push_back(&acts[i]);
+  }
+  const auto decide = [&](StepBudget budget) {
+    handler_.ActMany(
+        both, &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, &budget);
+  };
+  requests[0].set_decision(2);
+  for (int64_t step = 0; step < 2; ++step) {
+    v1::Beat& beat = *requests[0].add_history();
+    beat.set_step(step);
+    for (const float value : ObservationAt(step)) beat.add_observation(value);
+    beat.mutable_executed()->set_discrete(0);
+  }
+  for (const DecisionRequest& act : acts) EXPECT_EQ(act.state, DecisionState::kWaiting);
+  // A part of the history is taken; the request behind it is held back.
+  decide({.steps = 1});
+  EXPECT_EQ(acts[0].step.result.appended, 1);
+  for (const DecisionRequest& act : acts) EXPECT_EQ(act.state, DecisionState::kWaiting);
+  // The session is not here: the first request asks for it, and the second one waits behind.
+  for (v1::ActRequest& request : requests) request.set_session_id(std::string(32, '0'));
+  decide({});
+  EXPECT_EQ(acts[0].state, DecisionState::kClaiming);
+  EXPECT_EQ(acts[1].state, DecisionState::kWaiting);
+  // It was taken over; it was not.
+  acts[0].OnClaimed(absl::OkStatus());
+  EXPECT_EQ(acts[0].state, DecisionState::kWaiting);
+  acts[1].OnClaimed(absl::UnavailableError("store"));
+  EXPECT_EQ(acts[1].state, DecisionState::kAnswered);
+  EXPECT_TRUE(absl::IsUnavailable(acts[1].status));
+  // It is claimed once.
+  both = {&acts[0]};
+  decide({});
+  EXPECT_EQ(acts[0].state, DecisionState::kAnswered);
+  EXPECT_TRUE(absl::IsNotFound(acts[0].status));
+  requests[0].set_session_id(session);
+  decide({});
+  EXPECT_EQ(acts[0].state, DecisionState::kAnswered);
+  EXPECT_TRUE(acts[0].status.ok()) << acts[0].status;
+  EXPECT_EQ(responses[0].step(), 2);
 }
 
 TEST_F(PolicyHandlerTest, DeferredWorkMayComeLate) {

@@ -1,0 +1,231 @@
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <utility>
+#include <vector>
+
+#include "absl/base/attributes.h"
+#include "absl/strings/str_cat.h"
+#include "core/action/neutral_action.h"
+#include "core/agent/repeated_step.h"
+#include "core/agent/session_passes.h"
+#include "core/base/status_macros.h"
+#include "core/session/session_value.h"
+
+namespace spikeserve {
+namespace {
+
+// Sorts `all` by policy version, and calls `visit` once per version with the elements of that
+// version.
+template <typename T, typename VersionOf, typename Visit>
+void ForEachVersion(std::vector<T*>& all, VersionOf version_of, Visit visit) {
+  const auto is_before = [version_of](T* a, T* b) {
+    return std::less<>()(version_of(a), version_of(b));
+  };
+  if (!std::is_sorted(all.begin(), all.end(), is_before)) {
+    std::sort(all.begin(), all.end(), is_before);
+  }
+  for (size_t first = 0, last = 0; first < all.size(); first = last) {
+    while (last < all.size() && version_of(all[last]) == version_of(all[first])) ++last;
+    visit(absl::MakeConstSpan(all).subspan(first, last - first));
+  }
+}
+
+bool AllFinite(absl::Span<const float> values) {
+  return std::all_of(values.begin(), values.end(),
+                     [](float value) { return std::isfinite(value); });
+}
+
+bool IsFinite(const Answer& answer) {
+  return AllFinite(answer.logits) && AllFinite(answer.probabilities) &&
+         AllFinite(answer.action.continuous) && std::isfinite(answer.return_to_go);
+}
+
+// Returns the reward that a request for the next step counts: 0 at step 0, where no action was
+// taken before.
+double CountedReward(const Session& session, double reward) {
+  return session.step == 0 ? 0.0 : reward;
+}
+
+// Memory of a thread, which its decisions reuse, so that a warm decision allocates none.
+struct DecisionScratch {
+  std::vector<AgentSession*> sessions;
+  std::vector<Engine::Decision> decisions;
+  std::vector<Engine::Output> outputs;
+  ActionChoice choice;
+};
+
+// Not inlined, because in a shared library the compiler would call a function for the address again
+// at every access.
+ABSL_ATTRIBUTE_NOINLINE DecisionScratch& ThreadScratch() {
+  thread_local DecisionScratch scratch;
+  return scratch;
+}
+
+}  // namespace
+
+bool AgentSession::DecisionPass::IsNew(Step& step) {
+  AgentSession& agent = *step.session;
+  const Session& session = agent.session_;
+  const Place& place = step.place;
+  StepResult& result = step.result;
+  const bool names_last = !place.decision.has_value() || *place.decision + 1 == session.decisions;
+  result.is_retry =
+      session.last_answer.has_value() && place.step == session.last_answer->step && names_last;
+  if (!result.is_retry) {
+    result.status = agent.CheckNewDecision(step);
+    if (place.decision.has_value() && *place.decision != session.decisions) {
+      result.status = absl::FailedPreconditionError(
+          absl::StrCat("decision: expected ", session.decisions, ", received ", *place.decision));
+    }
+    if (!result.status.ok()) agent.RestoreSkipped();
+    return result.status.ok();
+  }
+  result.status = CheckRepeatedStep(step);
+  // A store may hold an answer of a server that did not check it.
+  if (result.status.ok() && !IsFinite(*session.last_answer)) result.status = agent.NonFiniteError();
+  if (!result.status.ok()) return false;
+  result.answer = &*session.last_answer;
+  agent.served_->observer->OnRepeated();
+  return false;
+}
+
+void AgentSession::DecisionPass::Decide(std::vector<Step*>& steps) {
+  ForEachVersion(
+      steps, [](const Step* step) { return step->session->served_.get(); },
+      [](absl::Span<Step* const> part) { DecideVersion(part); });
+}
+
+void AgentSession::DecisionPass::DecideVersion(absl::Span<Step* const> steps) {
+  auto& [sessions, decisions, outputs, choice] = ThreadScratch();
+  const ServedPolicy& served = *steps[0]->session->served_;
+  const Clock& clock = *steps[0]->session->clock_;
+  absl::Duration last = clock.Now();
+  sessions.clear();
+  for (const Step* step : steps) {
+    AgentSession& session = *step->session;
+    session.head_.TakeMerged(&session.session_);
+    sessions.push_back(&session);
+    if (step->result.executed.has_value()) session.TakeExecuted(*step->result.executed);
+    session.context_.Fill(served, session.session_);
+  }
+  AppendActions(sessions);
+  decisions.clear();
+  if (outputs.size() < steps.size()) outputs.resize(steps.size());
+  for (size_t i = 0; i < steps.size(); ++i) {
+    AgentSession& session = *steps[i]->session;
+    const double reward = CountedReward(session.session_, steps[i]->reward);
+    const double return_to_go = NextReturnToGo(session.session_, reward);
+    decisions.push_back({session.context_.StartDecision(), static_cast<float>(return_to_go),
+                         steps[i]->observation, &outputs[i]});
+  }
+  served.engine->DecideTogether(decisions);
+
+  const absl::Duration decided = clock.Now();
+  const absl::Duration share = (decided - last) / static_cast<int64_t>(steps.size());
+  last = decided;
+  for (size_t i = 0; i < steps.size(); ++i) {
+    Step& step = *steps[i];
+    AgentSession& session = *step.session;
+    session.head_.Choose(session.session_, outputs[i].readout, &choice);
+    // Probabilities and actions are finite where the logits are.
+    if (!AllFinite(choice.logits)) {
+      session.context_.Drop();  // it holds the decision that was not made
+      session.RestoreSkipped();
+      step.result.status = session.NonFiniteError();
+      continue;
+    }
+    CheckWiring(session, step.observation);
+    Answer answer = MakeAnswer(session, outputs[i], step.reward, &choice);
+    answer.unusual_observations =
+        served.observer->CountUnusual(step.observation, static_cast<double>(answer.return_to_go));
+    const absl::Duration chosen = clock.Now();
+    answer.compute_seconds = absl::ToDoubleSeconds(share + (chosen - last));
+    last = chosen;
+    Record(step, std::move(answer), outputs[i].readout, choice.noise);
+    const Answer& answered = *session.session_.last_answer;
+    session.life_.OnDecision(chosen - session.created_, answered.counts.total_spikes(),
+                             answered.compute_seconds);
+    step.result.answer = &answered;
+    step.is_past ? served.observer->OnBeat(answered) : served.observer->OnDecision(answered);
+  }
+}
+
+void AgentSession::DecisionPass::CheckWiring(AgentSession& agent,
+                                             absl::Span<const float> observation) {
+  Session& session = agent.session_;
+  if (agent.policy().wiring == nullptr) return;
+  if (!spikeserve::CheckWiring(agent.policy(), session.step, session.history, observation,
+                               &session.wiring)) {
+    return;
+  }
+  const WiringVerdict& verdict = *session.wiring.verdict;
+  agent.served_->observer->OnWiring(session.id, verdict.cause, WiringText(agent.policy(), verdict),
+                                    agent.wiring_response_);
+}
+
+// Reuses the memory of the session's last answer.
+Answer AgentSession::DecisionPass::MakeAnswer(AgentSession& agent, const Engine::Output& output,
+                                              double reward, ActionChoice* choice) {
+  Session& session = agent.session_;
+  const double counted = CountedReward(session, reward);
+  Answer answer = session.last_answer.has_value() ? *std::move(session.last_answer) : Answer();
+  answer.step = session.step;
+  answer.return_to_go = static_cast<float>(NextReturnToGo(session, counted));
+  answer.counts = output.counts;
+  agent.head_.OnDecision(*choice, output.readout, static_cast<double>(answer.return_to_go), counted,
+                         &session);
+  std::swap(answer.action, choice->action);
+  std::swap(answer.logits, choice->logits);
+  std::swap(answer.probabilities, choice->probabilities);
+  return answer;
+}
+
+void AgentSession::DecisionPass::Record(Step& step, Answer answer, absl::Span<const float> readout,
+                                        absl::Span<const float> noise) {
+  AgentSession& agent = *step.session;
+  const bool lacks_reward = agent.session_.step > 0 && !step.has_reward;
+  DecisionInputs inputs = {.reward = CountedReward(agent.session_, step.reward),
+                           .executed = std::move(step.result.executed),
+                           .readout = readout,
+                           .noise = noise,
+                           .is_beat = step.is_past,
+                           .after_gap = std::exchange(agent.before_skipped_, nullptr) != nullptr,
+                           .is_safe = agent.acts_safely()};
+  agent.blind_rewards_.clear();
+  CountDecision(agent.policy(), std::move(answer), step.observation, inputs.reward,
+                &agent.session_);
+  if (inputs.is_safe) ActSafely(agent);
+  for (const auto& listener : agent.listeners_) listener->OnDecision(agent.session_, inputs);
+  if (lacks_reward) agent.CountMissingRewards(1);
+}
+
+void AgentSession::DecisionPass::ActSafely(AgentSession& agent) {
+  const Action neutral = NeutralAction(agent.policy().action_space);
+  if (neutral == agent.session_.last_answer->action) return;
+  agent.head_.OnExecuted(neutral, &agent.session_);
+  agent.session_.last_answer->action = neutral;
+}
+
+void AgentSession::DecisionPass::AppendActions(absl::Span<AgentSession* const> sessions) {
+  thread_local std::vector<AgentSession*> pending;
+  pending.clear();
+  for (AgentSession* session : sessions) {
+    if (session->context_.TakePending()) pending.push_back(session);
+  }
+  const auto append = [](absl::Span<AgentSession* const> part) {
+    thread_local std::vector<std::vector<float>> encoded;
+    thread_local std::vector<Engine::TakenAction> taken;
+    taken.clear();
+    if (encoded.size() < part.size()) encoded.resize(part.size());
+    const ServedPolicy& served = *part[0]->served_;
+    for (size_t i = 0; i < part.size(); ++i) {
+      taken.push_back(part[i]->context_.LastAction(served, part[i]->session_, &encoded[i]));
+    }
+    served.engine->AppendActionsTogether(taken);
+  };
+  ForEachVersion(
+      pending, [](const AgentSession* session) { return session->served_.get(); }, append);
+}
+
+}  // namespace spikeserve
