@@ -1,5 +1,7 @@
 #include "server/services/act_calls.h"
 
+#include <algorithm>
+#include <iterator>
 #include <utility>
 
 #include "server/access/admission.h"
@@ -37,15 +39,19 @@ bool IsMissing(const v1::ActResult& result) {
 
 }  // namespace
 
-// One request of the stream. Keeps the call alive.
+// One request of the stream. Keeps the call alive, and the requests of its session behind it that
+// are answered before it: requests of a session that moves do not wait for the same.
 class ActStreamCall::Item final : public QueuedAct,
                                   public GatedRequest,
                                   public std::enable_shared_from_this<Item> {
  public:
   Item(std::shared_ptr<ActStreamCall> call, size_t request_bytes, absl::Duration received)
       : call_(std::move(call)), request_bytes_(request_bytes), received_(received) {}
+  // At the end of the server, a request may have no answer.
+  ~Item() override { call_->TakeOut(*this); }
 
   Messages& messages() { return messages_; }
+  const std::string& session_id() { return messages_.request()->session_id(); }
 
   void Handle() {
     act().context = &call_context();
@@ -64,14 +70,24 @@ class ActStreamCall::Item final : public QueuedAct,
   void OnGranted() override { call_->OnGranted(); }
   void Answer(const absl::Status& status) override {
     call_->EndSpan(status, &call_context().span);
-    call_->Answer(messages_, status, request_bytes_, received_, act().policy);
+    status_ = status;
+    Item* const earlier = call_->TakeOut(*this);
+    if (earlier != nullptr) return earlier->behind_.push_back(shared_from_this());
+    Send();
   }
 
  private:
+  void Send() {
+    call_->Answer(messages_, status_, request_bytes_, received_, act().policy);
+    for (const auto& item : std::exchange(behind_, {})) item->Send();
+  }
+
   const std::shared_ptr<ActStreamCall> call_;
   const size_t request_bytes_;
   const absl::Duration received_;  // time of the server's clock
   Messages messages_;
+  absl::Status status_;                        // of the answer
+  std::vector<std::shared_ptr<Item>> behind_;  // their answers wait for this one
 };
 
 void ActOneCall::Handle() {
@@ -146,6 +162,7 @@ void ActStreamCall::HandleMessage(absl::string_view message) {
     return Finish(status);
   }
   item->call_context().span = StartSpan(TraceOf(*item->messages().request(), *call()));
+  waiting_.push_back(item.get());
   // The next request of a tenant with a limit must wait if this one is refused.
   limited_ = caller().tenant()->limits_decisions();
   if (CountRequest(message.size()) >= kMaxInProgress || limited_) call()->PauseReading();
@@ -156,6 +173,17 @@ void ActStreamCall::HandleMessage(absl::string_view message) {
   item->call_context().caller = &caller();
   context().sessions->Enter(&item->call_context());
   item->Handle();
+}
+
+ActStreamCall::Item* ActStreamCall::TakeOut(const Item& item) {
+  const auto at = std::find(waiting_.begin(), waiting_.end(), &item);
+  if (at == waiting_.end()) return nullptr;
+  const auto earlier =
+      std::find_if(std::make_reverse_iterator(at), waiting_.rend(),
+                   [&](Item* waiting) { return waiting->session_id() == (*at)->session_id(); });
+  Item* const last = earlier == waiting_.rend() ? nullptr : *earlier;
+  waiting_.erase(at);
+  return last;
 }
 
 size_t ActStreamCall::CountRequest(size_t bytes) {

@@ -68,8 +68,9 @@ class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchRes
   absl::Status refusal_;  // of an item that exceeded a limit of its tenant; OK if there is none
 };
 
-// Answers any number of requests. A request that fails is answered with its error, and the stream
-// continues; after a refusal the next request is read when the delay of the refusal is over.
+// Answers any number of requests, those of one session in their order. A request that fails is
+// answered with its error, and the stream continues; after a refusal the next request is read when
+// the delay of the refusal is over.
 class ActStreamCall final : public ServiceCall {
  public:
   ActStreamCall(const ServiceContext* context, Call* call, const Method& method, ActQueue* queue)
@@ -89,6 +90,9 @@ class ActStreamCall final : public ServiceCall {
   // Sends the answer to a request of `request_bytes` that was `received` then.
   void Answer(Messages& messages, const absl::Status& status, size_t request_bytes,
               absl::Duration received, absl::string_view policy);
+  // Takes a request that is answered, or gone, from those that wait. Returns the last one of its
+  // session before it that still waits, or null.
+  Item* TakeOut(const Item& item);
   // Counts a request in progress. Returns how many there are.
   size_t CountRequest(size_t bytes);
   // Counts what the requests in progress occupy. Returns false if that exceeds a limit.
@@ -101,7 +105,8 @@ class ActStreamCall final : public ServiceCall {
   static constexpr size_t kMaxInProgress = 64;
 
   ActQueue& queue_;
-  size_t in_progress_ = 0;        // requests that wait for their answer
+  std::vector<Item*> waiting_;    // requests that have no answer, in the order of their arrival
+  size_t in_progress_ = 0;        // those, and the ones whose answer waits for one of them
   size_t in_progress_bytes_ = 0;  // as they arrived
   bool limited_ = false;  // the request that was read last may be refused, and no other is read
   bool half_closed_ = false;

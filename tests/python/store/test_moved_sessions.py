@@ -1,6 +1,7 @@
 """Sessions move while requests are in flight: answers keep their order, and what only a server's memory had comes again."""
 
 import contextlib
+import threading
 
 import grpc
 import pytest
@@ -8,6 +9,7 @@ from beating import KINDS, Robot, answers_on_stream
 from links import Link
 from redis_servers import DURABLE, WITHOUT_REDIS, Redis, stopping
 from security import code_of, until
+from serving import DEADLINE_SECONDS, POLICY, method_of
 from stored_sessions import Restartable, acting, expected_decision, opening, replicas_on, until_answered
 
 SESSIONS = 60
@@ -54,6 +56,28 @@ def test_answers_keep_their_order_behind_a_claim(durability):
             until(lambda begun=begun: former.Act(**begun[-1]).durable_decision == 3)
             rest = pipelined(i, 3)
             check_in_order(rest, on_stream(owner, rest))
+
+
+@WITHOUT_REDIS
+def test_a_refusal_does_not_overtake_an_answer_that_waits_for_the_store():
+    with stopping([Redis(password="")]) as [redis], Link(f"127.0.0.1:{redis.port}") as link:
+        with Restartable(f"redis://{link.address}", ["--max_tenant_bytes=16384"]) as server:
+            server.OpenSession(**opening(0))
+            link.hold_answers()
+            request, stream = method_of(server.channel, POLICY, "ActStream")
+            is_sent = threading.Event()
+
+            def requests():
+                yield request(**acting(0, 0, 0))
+                yield request(**acting(0, 0, 1), traceparent="x" * 14000)  # more than the tenant may have in flight
+                is_sent.set()
+
+            answers = stream(requests(), timeout=DEADLINE_SECONDS)
+            assert is_sent.wait(DEADLINE_SECONDS)
+            link.heal()
+            stored, refused = answers
+            assert (stored.step, refused.step) == (0, 1)
+            assert refused.error.code == grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
 
 
 def test_pipelined_requests_behind_a_restart_find_their_sessions(tmp_path):
