@@ -39,13 +39,22 @@ def _make_pool(files: descriptor_pb2.FileDescriptorSet) -> descriptor_pool.Descr
     return pool
 
 
+def _make_classes(files: descriptor_pb2.FileDescriptorSet) -> dict[str, Message]:
+    # At once: two threads that ask for a class for the first time may get two that do not fit.
+    pool = _make_pool(files)
+    of_package = [file for file in files.file if file.package == PACKAGE]
+    names = [f"{PACKAGE}.{message.name}" for file in of_package for message in file.message_type]
+    classes = map(message_factory.GetMessageClass, map(pool.FindMessageTypeByName, names))
+    return dict(zip(names, classes, strict=True))
+
+
 _FILES = _load_files()
-_POOL = _make_pool(_FILES)
+_CLASSES = _make_classes(_FILES)
 
 
 def message_class(name: str) -> Message:
     """Returns the class of the message `name` of the package, for example `ActRequest`."""
-    return message_factory.GetMessageClass(_POOL.FindMessageTypeByName(f"{PACKAGE}.{name}"))
+    return _CLASSES[f"{PACKAGE}.{name}"]
 
 
 @dataclass(frozen=True)
