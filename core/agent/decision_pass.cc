@@ -68,7 +68,7 @@ bool AgentSession::DecisionPass::IsNew(Step& step) {
   AgentSession& agent = *step.session;
   const Session& session = agent.session_;
   const Place& place = step.place;
-  StepResult& result = step.result;
+  StepOutcome& result = step.result;
   const bool names_last = !place.decision.has_value() || *place.decision + 1 == session.decisions;
   result.is_retry =
       session.last_answer.has_value() && place.step == session.last_answer->step && names_last;

@@ -73,7 +73,7 @@ absl::Status AgentSession::EndPass::TakeUnlessRefused(Step& step, StepBudget* bu
   AgentSession& agent = *step.session;
   const Session& session = agent.session_;
   const Place& place = step.place;
-  StepResult& result = step.result;
+  StepOutcome& result = step.result;
   // A request that names its decision may have a history, which is added after all checks.
   const bool is_behind = place.decision.has_value();
   if (is_behind) RETURN_IF_ERROR(Annotate(CheckValues(step), "end_episode"));

@@ -235,7 +235,7 @@ struct AgentSession::HistoryPass::Part {
 
 absl::StatusOr<bool> AgentSession::HistoryPass::Take(Step& step, StepBudget* budget) {
   AgentSession& agent = *step.session;
-  StepResult& result = step.result;
+  StepOutcome& result = step.result;
   if (!step.place.step.has_value()) {
     if (!agent.blind_rewards_.empty()) agent.SkipSteps(agent.blind_rewards_);
     return true;
@@ -271,7 +271,7 @@ absl::StatusOr<bool> AgentSession::HistoryPass::Take(Step& step, StepBudget* bud
 
 absl::Status AgentSession::HistoryPass::TakeParts(Step& step, bool decides, StepBudget* budget) {
   AgentSession& agent = *step.session;
-  StepResult& result = step.result;
+  StepOutcome& result = step.result;
   result.finished = false;
   if (!result.checked && budget->steps > 0) {
     const auto checks = static_cast<int64_t>(step.history.size + step.skipped_rewards.size());

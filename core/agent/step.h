@@ -68,7 +68,7 @@ struct StepTimes {
 };
 
 // What became of a step so far. A long history is taken in several parts.
-struct StepResult {
+struct StepOutcome {
   // Errors leave the session as it was, but for the past steps that were taken before them.
   absl::Status status;
   // Valid until the session changes. Null: no decision was asked for, or it came too late.
@@ -111,7 +111,7 @@ struct Step {
   std::optional<StepTimes> times = std::nullopt;
   bool is_past = false;  // of Apply(): nobody asked for the decision
 
-  StepResult result = {};
+  StepOutcome result = {};
 
   bool has_past() const { return history.size > 0 || !skipped_rewards.empty(); }
 };

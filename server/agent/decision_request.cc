@@ -59,7 +59,7 @@ void Acknowledge(DecisionRequest& act) ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->
     act.status = SessionGate::Refused(*act.context, act.step.place, act.status, entry);
     if (absl::IsNotFound(act.status)) return;
   }
-  const StepResult& result = act.step.result;
+  const StepOutcome& result = act.step.result;
   const bool is_new = result.answer == nullptr && !act.step.end.has_value() ? result.appended > 0
                                                                             : !result.is_retry;
   const bool has_decided = act.status.ok() && is_new;
@@ -92,7 +92,7 @@ Span StartSpan(const DecisionRequest& act) ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.ent
 void TakeResult(DecisionRequest& act, Span span) ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->mutex) {
   const SessionEntry& entry = *act.entry;
   entry.mutex.AssertHeld();
-  const StepResult& result = act.step.result;
+  const StepOutcome& result = act.step.result;
   act.status = result.status;
   if (act.status.ok() && !result.finished) return span.Cancel();
   if (act.status.ok() && result.answer == nullptr && !result.summary.has_value()) span.Cancel();

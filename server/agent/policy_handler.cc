@@ -184,7 +184,7 @@ absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
 
 int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request,
                                  int first, v1::ActBatchResponse* response, absl::Duration received,
-                                 StepResult* progress, StepBudget* budget) const {
+                                 StepOutcome* progress, StepBudget* budget) const {
   SPIKESERVE_DCHECK(CheckBatch(request).ok());
   SPIKESERVE_DCHECK(first >= 0 && first <= request.requests_size());
   const int limit =

@@ -79,7 +79,7 @@ class PolicyHandler {
   // is a group of its own. If it has not finished, returns `first`, and the next call goes on with
   // it, by `progress`. REQUIRES: CheckBatch returned OK.
   int ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request, int first,
-                    v1::ActBatchResponse* response, absl::Duration received, StepResult* progress,
+                    v1::ActBatchResponse* response, absl::Duration received, StepOutcome* progress,
                     StepBudget* budget = nullptr) const;
   absl::Status EndEpisode(CallContext& context, const v1::EndEpisodeRequest& request,
                           v1::EndEpisodeResponse* response) const;

@@ -129,7 +129,7 @@ void ToProto(const Step& step, const SessionEntry& entry, v1::EndEpisodeResponse
 
 void ToProto(const v1::ActRequest& request, const Step& step, absl::Duration received,
              const SessionEntry& entry, v1::ActResponse* response) {
-  const StepResult& result = step.result;
+  const StepOutcome& result = step.result;
   if (result.answer != nullptr) {
     ToProto(request.session_id(), *result.answer, entry.served->policy(), response);
     WiringToProto(entry.agent, response);

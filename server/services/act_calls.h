@@ -63,7 +63,7 @@ class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchRes
   ActQueue& queue_;
   int decided_ = 0;  // requests
   absl::Duration received_at_;
-  StepResult progress_;  // of the next request, if a part of it was handled
+  StepOutcome progress_;  // of the next request, if a part of it was handled
   std::map<std::string, absl::Status> unclaimed_;  // why sessions could not be taken over
   absl::Status refusal_;  // of an item that exceeded a limit of its tenant; OK if there is none
 };

@@ -194,7 +194,7 @@ class Game {
     v1::ActBatchResponse response;
     DeferredWork deferred;
     CallContext context = server_.NewContext(&deferred);
-    StepResult progress;
+    StepOutcome progress;
     for (int next = 0; next < request.requests_size();) {
       const int first = next;
       next = server_.handler().ActBatchGroup(context, request, next, &response,

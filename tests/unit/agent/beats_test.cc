@@ -95,8 +95,8 @@ class BeatsTest : public ::testing::TestWithParam<BeatCase> {
 
   // Applies the history of the last `count` of `done` to `agent`, and `more`, before the step
   // behind them, whose number in the session is `decision`.
-  StepResult Apply(AgentSession& agent, const std::vector<DoneBeat>& done, size_t count,
-                   uint64_t decision, Step more = {}, int64_t most = kAll) {
+  StepOutcome Apply(AgentSession& agent, const std::vector<DoneBeat>& done, size_t count,
+                    uint64_t decision, Step more = {}, int64_t most = kAll) {
     std::vector<PastStep> past;
     for (size_t i = done.size() - count; i < done.size(); ++i) {
       past.push_back({.step = static_cast<int64_t>(i),
@@ -202,7 +202,7 @@ TEST_P(BeatsTest, BeatsCountOnceAndInParts) {
   EXPECT_EQ(append(7).appended, 7);
   EXPECT_FALSE(append(7).finished);
   EXPECT_EQ(append(7).appended, 6);
-  const StepResult again = append(7);
+  const StepOutcome again = append(7);
   EXPECT_EQ(again.appended, 0);
   EXPECT_TRUE(again.finished);
   EXPECT_EQ(ExportSession(cut), ExportSession(steady));
@@ -262,7 +262,7 @@ TEST_P(BeatsTest, StepsWithoutAnObservationCountAsRewards) {
     ASSERT_TRUE(expected.Act(t, ObservationAt(t), RewardAt(t), told).ok());
   }
   // Steps 3 and 4 are skipped; 7 and 8 wait.
-  const StepResult first = Apply(agent, done, 9, 9);
+  const StepOutcome first = Apply(agent, done, 9, 9);
   EXPECT_EQ(first.appended, 5);
   EXPECT_EQ(first.dropped, 2);
   ASSERT_TRUE(expected.AddBlindStep(RewardAt(3), Reported(held, space)).ok());
@@ -277,7 +277,7 @@ TEST_P(BeatsTest, StepsWithoutAnObservationCountAsRewards) {
   // The end of the episode takes the last ones.
   const EpisodeEnd end = {.reward = 2.0, .terminated = true};
   const Step behind = {.place = {.episode = 0}, .executed = Reported(held, space), .end = end};
-  const StepResult ended_by = Apply(agent, done, 9, 9, behind);
+  const StepOutcome ended_by = Apply(agent, done, 9, 9, behind);
   EXPECT_EQ(ended_by.dropped, 2);
   ASSERT_TRUE(ended_by.summary.has_value());
   EXPECT_EQ(ended_by.summary->steps, 9);

@@ -20,7 +20,7 @@ class PolicyHandlerTest : public PolicyHandlerFixture {
                 DeferredWork* deferred) {
     ASSERT_TRUE(PolicyHandler::CheckBatch(batch).ok());
     CallContext context{.caller = caller_.get(), .deferred = deferred};
-    StepResult progress;
+    StepOutcome progress;
     for (int next = 0; next < batch.requests_size();) {
       next = handler_.ActBatchGroup(context, batch, next, answers, absl::ZeroDuration(), &progress);
     }
