@@ -27,6 +27,7 @@ ROOT = pathlib.Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "python"), str(ROOT / "tests" / "python" / "pilot")]
 
 import spikeserve  # noqa: E402
+import test_pilot  # noqa: E402
 from links import Link  # noqa: E402
 from machine import Clock, small_disk  # noqa: E402
 from replicated import options_of, policy_of, running_fleet  # noqa: E402
@@ -40,6 +41,7 @@ SKIPPED = 77
 EPISODE = 40  # beats, about
 DISK = 64 << 20  # bytes
 PATIENCE = 300.0  # seconds, on a busy machine
+TTL = "--session_ttl=24h"  # the comparison of many sessions takes a while, too
 PATIENT = spikeserve.ClientOptions(connect_timeout=PATIENCE, retry=spikeserve.RetryOptions(max_elapsed=PATIENCE))
 
 
@@ -69,14 +71,15 @@ def running(store, servers):
         setup = SimpleNamespace(redis=None, disk=None, server_clock=Clock(folder / "servers"))
         setup.robot_clock = Clock(folder / "robots")
         if store == "redis":
-            fleet = stack.enter_context(running_fleet(replicas=servers, prefix=setup.server_clock.prefix))
+            fleet = stack.enter_context(running_fleet(TTL, replicas=servers, prefix=setup.server_clock.prefix))
             setup.redis, setup.servers = fleet.redis, fleet.replicas
         else:
             setup.disk = stack.enter_context(small_disk(folder / "disk", DISK))
             if setup.disk is None:
                 yield None
                 return
-            server = RestartableServer(f"--session_store=file:{setup.disk}/store", prefix=setup.server_clock.prefix)
+            files = f"--session_store=file:{setup.disk}/store"
+            server = RestartableServer(files, TTL, prefix=setup.server_clock.prefix)
             stack.callback(server.kill)
             server.start()
             setup.servers = [server]
@@ -151,6 +154,7 @@ def play_round(arguments, store, servers, durability, count):
 
 
 def main():
+    test_pilot.WAIT = PATIENCE
     arguments, rounds = parse_arguments()
     share, rest = divmod(arguments.faults, len(rounds))
     outcomes = [play_round(arguments, *each, share + (i < rest)) for i, each in enumerate(rounds)]
