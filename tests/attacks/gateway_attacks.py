@@ -1,6 +1,8 @@
 """Attacks on the gateway of openpi, which has a token of its own, and robots of two tenants."""
 
+import concurrent.futures
 import contextlib
+import dataclasses
 import itertools
 
 from tests.attacks.flood import PAUSE, Sent, flood
@@ -15,7 +17,7 @@ STRANGERS = (
     ("Authorization: Api-Key nope", "X-Forwarded-For: 127.0.0.1"),
     ("Authorization: Api-Key ", "Authorization: Api-Key agent"),
 )
-GUESSERS = 8
+GUESSERS, CROWD = 4, 10
 ROBOTS = 3
 CONNECTIONS = 4
 PAUSES = 20  # until a request is answered
@@ -35,18 +37,28 @@ class LentError(Exception):
 
 
 def strangers_at_the_gateway(address, seconds):
-    """Asks for connections without a token, with those of nobody, and in other forms, at eight a time. None is to be had."""
+    """Asks for connections without a token, with those of nobody, and in other forms. None is to be had.
+
+    Four at a time wait for their answers, and a crowd with a token each does not.
+    """
     sent = Sent()
+    number = itertools.count()
+
+    def script():
+        return iter([request(f"Authorization: Api-Key nope{next(number)}")])
 
     def ask(is_over):
-        while not is_over():
-            for headers in STRANGERS:
-                sent.connections += 1
-                with contextlib.suppress(RefusedError), Robot(address, *headers):
-                    raise LentError(headers)
+        for headers in itertools.cycle(STRANGERS):
+            if is_over():
+                return
+            sent.connections += 1
+            with contextlib.suppress(RefusedError), Robot(address, *headers):
+                raise LentError(headers)
 
-    in_threads(GUESSERS, seconds, ask)
-    return sent
+    with concurrent.futures.ThreadPoolExecutor(1) as thread:
+        crowd = thread.submit(flood, address, seconds, script, CROWD)
+        in_threads(GUESSERS, seconds, ask)
+    return dataclasses.replace(crowd.result(), connections=crowd.result().connections + sent.connections)
 
 
 def send_again(address, seconds, messages):

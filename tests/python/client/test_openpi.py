@@ -227,13 +227,17 @@ def test_more_frames_than_a_robot_needs_end_the_connection(gateway, send):
         assert unpackb(policy.ws.recv())["step"] == 0
 
 
+def upgrade(**more):
+    """Returns the request for a connection."""
+    fields = {"Host": "h", "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+    fields |= {"Sec-WebSocket-Key": "A" * 22 + "=="} | more
+    return ("GET / HTTP/1.1\r\n" + "".join(f"{name}: {value}\r\n" for name, value in fields.items()) + "\r\n").encode()
+
+
 def test_what_is_sent_before_the_answer_is_not_read(gateway):
     host, port = gateway.removeprefix("ws://").split(":")
     with socket.create_connection((host, int(port))) as stranger, contextlib.suppress(ConnectionError):
-        fields = {"Host": "h", "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
-        fields["Sec-WebSocket-Key"] = "A" * 22 + "=="
-        head = "".join(f"{name}: {value}\r\n" for name, value in fields.items())
-        stranger.sendall(f"GET / HTTP/1.1\r\n{head}\r\n".encode() + (b"\x89\x80" + bytes(4)) * 10_000)
+        stranger.sendall(upgrade() + (b"\x89\x80" + bytes(4)) * 10_000)
         assert len(stranger.makefile("rb").read()) < 2000  # 20,000 bytes, if all were answered
 
 
@@ -388,6 +392,25 @@ def test_api_keys_are_the_tokens_of_the_server(tokens):
                     with pytest.raises(websockets.InvalidStatus) as refused:
                         connect(address, additional_headers=headers)
                     assert refused.value.response.status_code == 401, headers
+
+
+def test_strangers_take_turns(tokens):
+    """The gateway asks the server about two tokens of an address at a time that nobody has, not about all."""
+    crowd = 60
+    with running_server(flags=[f"--tokens={tokens}"]) as server, contextlib.ExitStack() as stack:
+        address = stack.enter_context(running_gateway(server.grpc, "--policy=cartpole"))
+        host, port = address.removeprefix("ws://").split(":")
+        robot = stack.enter_context(WebsocketClientPolicy(address, api_key="agent"))
+        opened, most = pathlib.Path(f"/proc/{address.process.pid}/fd"), 0
+        before = len(list(opened.iterdir()))
+        strangers = [stack.enter_context(socket.create_connection((host, int(port)))) for _ in range(crowd)]
+        for i, stranger in enumerate(strangers):
+            stranger.sendall(upgrade(Authorization=f"Api-Key nope{i}"))
+        for stranger in strangers:
+            most = max(most, len(list(opened.iterdir())))
+            assert b" 401 " in stranger.makefile("rb").readline()
+            assert robot.infer({"observation": np.zeros(4)})["actions"].shape == (1, 1)
+        assert most < before + 1.5 * crowd
 
 
 def test_a_lost_session_ends_the_connection(tmp_path):

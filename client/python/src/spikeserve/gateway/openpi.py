@@ -7,6 +7,7 @@ binary, MessagePack with arrays. A text frame is an error.
 from __future__ import annotations
 
 import asyncio
+import collections
 import contextlib
 import http
 import time
@@ -34,6 +35,7 @@ from spikeserve.gateway.connection import Connection
 from spikeserve.gateway.mapping import ObservationMapping, Step
 from spikeserve.gateway.numpy_msgpack import pack, unpack
 from spikeserve.gateway.places import Places
+from spikeserve.gateway.turns import Turns
 from spikeserve.printing import say
 from spikeserve.spaces import Discrete
 from spikeserve.values import Decision, EpisodeSummary, Policy, SessionOptions
@@ -67,6 +69,8 @@ class OpenpiGateway:
         self._settings = settings
         self._clients: dict[str, tuple[AsyncClient, int]] = {}  # by token, with their users
         self._connections = Places(settings.max_connections)
+        self._known: collections.Counter[str] = collections.Counter()  # tokens of connections
+        self._turns = Turns()
 
     async def listen(self, host: str, port: int) -> Server:
         """Starts to listen. Port 0 picks one."""
@@ -94,8 +98,11 @@ class OpenpiGateway:
         if not self._connections.has(_group_of(connection, token)):
             return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{_CROWDED}\n")
         try:
-            async with self._client(token) as client:
-                await self._find_policy(client)
+            async with self._turn(connection, token) as has_turn:
+                if not has_turn:
+                    return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{_CROWDED}\n")
+                async with self._client(token) as client:
+                    await self._find_policy(client)
         except UnauthenticatedError as error:
             return connection.respond(http.HTTPStatus.UNAUTHORIZED, f"{error}\n")
         except PermissionDeniedError as error:
@@ -103,6 +110,14 @@ class OpenpiGateway:
         except (SpikeserveError, ValueError) as error:
             return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{error}\n")
         return None
+
+    def _turn(
+        self, connection: ServerConnection, token: str
+    ) -> contextlib.AbstractAsyncContextManager[bool]:
+        """Returns the turn of a request: at once if a connection has its token, which is known."""
+        if token in self._known:
+            return contextlib.nullcontext(True)
+        return self._turns.turn(str(connection.remote_address[0]))
 
     @contextlib.asynccontextmanager
     async def _client(self, token: str) -> AsyncIterator[AsyncClient]:
@@ -152,12 +167,16 @@ class OpenpiGateway:
                 await connection.close(CloseCode.TRY_AGAIN_LATER, _CROWDED)
                 return
             try:
+                self._known[token] += 1
                 async with self._client(token) as client:
                     await self._converse(connection, client)
             except websockets.ConnectionClosed:
                 pass
             except SpikeserveError as error:
                 await _fail(connection, error)
+            finally:
+                self._known[token] -= 1
+                self._known += collections.Counter()  # forgets tokens without connections
 
     async def _converse(self, connection: ServerConnection, client: AsyncClient) -> None:
         """Answers the frames of a connection. Its session is replaced by `_Robot` if it is lost."""
