@@ -110,14 +110,15 @@ void DecisionRequest::Conclude() {
     state = DecisionState::kWaiting;
   } else {
     // The items of a batch are taken over together, when the batch leaves by the gate.
-    const bool claims = item < 0 && SessionGate::WaitsForClaim(*context, status);
+    const bool claims = item < 0 && context->may_claim && absl::IsNotFound(status);
     state = claims ? DecisionState::kClaiming : DecisionState::kAnswered;
   }
 }
 
 void DecisionRequest::OnClaimed(const absl::Status& claimed) {
   SPIKESERVE_DCHECK(state == DecisionState::kClaiming || state == DecisionState::kWaiting);
-  SessionGate::OnClaimed(claimed, context);
+  context->may_claim = false;
+  context->has_claimed = claimed.ok();
   status = claimed;
   step.result.checked = false;  // against another copy of the session
   state = claimed.ok() ? DecisionState::kWaiting : DecisionState::kAnswered;

@@ -129,10 +129,6 @@ absl::Status SessionGate::Refused(const CallContext& context, const Place& place
       status, {.decision = session.decisions, .episode = session.episode, .step = session.step});
 }
 
-bool SessionGate::WaitsForClaim(const CallContext& context, const absl::Status& status) {
-  return context.may_claim && absl::IsNotFound(status);
-}
-
 void SessionGate::Claim(const CallContext& context, const std::string& id,
                         const SessionRecovery::Post& post, SessionRecovery::Done done) const {
   const auto span = std::make_shared<Span>(context.span.Store("claim"));
@@ -142,11 +138,6 @@ void SessionGate::Claim(const CallContext& context, const std::string& id,
                        EndSpan(claimed, span.get());
                        done(claimed);
                      });
-}
-
-void SessionGate::OnClaimed(const absl::Status& claimed, CallContext* context) {
-  context->may_claim = false;
-  context->has_claimed = claimed.ok();
 }
 
 void SessionGate::AwaitEarlier(const std::string& id, CallContext* context) const {

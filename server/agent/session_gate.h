@@ -82,15 +82,11 @@ class SessionGate {
   absl::StatusOr<std::shared_ptr<SessionEntry>> Find(const CallContext& context,
                                                      const std::string& id) const;
 
-  // Returns true if a request that has ended with `status` is to be handled again when its session
-  // was taken over.
-  static bool WaitsForClaim(const CallContext& context, const absl::Status& status);
   // Takes session `id` over for a request with `context`, which outlives that. Calls `done` by
-  // `post`, or at once, as SessionRecovery does. OnClaimed() is to be called for every
-  // request that has waited, and the requests are then handled again if it returned OK.
+  // `post`, or at once, as SessionRecovery does. DecisionRequest::OnClaimed() is to be called for
+  // every request that has waited.
   void Claim(const CallContext& context, const std::string& id, const SessionRecovery::Post& post,
              SessionRecovery::Done done) const;
-  static void OnClaimed(const absl::Status& claimed, CallContext* context);
   // Lets the error of a request that was not decided wait for what the answers before it wait for.
   void AwaitEarlier(const std::string& id, CallContext* context) const;
   // Returns the error for a session that was taken over and is not here any more.
