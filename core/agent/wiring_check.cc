@@ -1,55 +1,42 @@
 #include "core/agent/wiring_check.h"
 
 #include <algorithm>
-#include <cmath>
 #include <memory>
-#include <numbers>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "core/agent/wiring_step.h"
 #include "core/contract/dcheck.h"
+#include "core/math/portable.h"
 #include "core/model/features.h"
 #include "core/model/wiring_model.h"
 
 namespace spikeserve {
 namespace {
 
+// Without a window, only the wiring of the training data is computed.
+constexpr int64_t kPeriod = 1000;
+constexpr int64_t kWatched = 50;        // first steps of each period in which a window may open
+constexpr int64_t kEvery = 3;           // of these, steps from one that is computed to the next
+constexpr double kReference = 0.67;     // of the usual surprise: above it, a step is suspicious
+constexpr double kMostReference = 8.5;  // and at most this
+constexpr double kMostExcess = 10.0;    // most surprise above that of one step
+constexpr double kSuspicious = 8.0;     // sum of these that opens a window
+constexpr size_t kReplayed = 5;         // steps before, with which the window begins
+
+// A window computes every wiring.
 constexpr double kEnough = 25.0;         // evidence for a verdict
 constexpr double kMost = 50.0;           // evidence that is kept, so that it can be withdrawn
 constexpr double kStep = 8.0;            // most evidence of one step
-constexpr double kUsualStep = 1.5;       // most evidence of a step that is not unusual
+constexpr double kUsualStep = 2.0;       // most evidence of a step that is not unusual
 constexpr double kNearer = 3.0;          // weight of a distance against a robot that stands still
-constexpr double kContradicted = -30.0;  // total at which a hypothesis is given up
+constexpr double kContradicted = -15.0;  // total at which a hypothesis is given up
 constexpr double kSimilar = 0.5;         // share of the best evidence that may name the cause
 constexpr double kUnusualStep = 4.0;     // most evidence of one step against all wirings
-constexpr double kUnusual = 120.0;       // that evidence for a verdict
-constexpr int64_t kWindow = 50;          // steps of a window
-constexpr int64_t kPeriod = 1000;        // steps from one window of an episode to the next
+constexpr double kUnusual = 140.0;       // that evidence for a verdict
+constexpr int64_t kWindow = 100;         // steps in which a window may have evidence and no verdict
 constexpr int64_t kStuckSteps = 50;
-constexpr double kImplausible = 4.0;  // deviations from the mean from which a unit is wrong
-constexpr double kDegree = std::numbers::pi / 180.0;
-constexpr double kLogOfDegree = 4.048223198220452;  // -ln(pi / 180)
-
-// A wiring other than that of the training data.
-struct Wiring {
-  WiringCause cause = WiringCause::kDelay;
-  size_t i = 0, j = 0;  // elements
-};
-
-// Returns how many wirings there are of `obs` elements: the pairs, the signs, the units, the delay.
-size_t Wirings(size_t obs) { return obs * (obs - 1) / 2 + 2 * obs + 1; }
-
-Wiring WiringOf(size_t number, size_t obs) {
-  for (size_t i = 0; i + 1 < obs; ++i) {
-    const size_t pairs = obs - 1 - i;
-    if (number < pairs) return {WiringCause::kExchanged, i, i + 1 + number};
-    number -= pairs;
-  }
-  if (number < obs) return {WiringCause::kSign, number};
-  if (number < 2 * obs) return {WiringCause::kUnit, number - obs};
-  return {WiringCause::kDelay};
-}
 
 bool MayBeAngle(const Features& features, size_t element) {
   if (element >= features.observation.size()) return true;
@@ -67,10 +54,11 @@ bool IsWiring(const std::optional<WiringVerdict>& verdict) {
          verdict->cause != WiringCause::kDynamics;
 }
 
-void OpenWindow(const Policy& policy, WiringState* state) {
+// `steps` of the window have passed.
+void OpenWindow(const Policy& policy, int64_t steps, WiringState* state) {
   const size_t obs = policy.wiring->size();
   state->is_open = true;
-  state->steps = 0;
+  state->steps = steps;
   state->unusual = 0.0;
   state->hypotheses.clear();
   for (size_t number = 0; number < Wirings(obs); ++number) {
@@ -87,111 +75,24 @@ void CloseWindow(WiringState* state) {
   state->hypotheses = {};
 }
 
-// The memory of a thread, which its checks reuse.
-struct Scratch {
-  Action action;
-  std::vector<float>
-      actions[2];  // [act], of the last timestep and of the one before; empty: unknown
-  std::vector<double> numbers;
-};
+// Returns ln(a / b), but at least 0.
+double Excess(double a, double b) { return a > b ? portable::Log(a / b) : 0.0; }
 
-// The step from the last timestep of a history to an observation.
-class WiringStep {
- public:
-  WiringStep(const Policy& policy, const History& history, absl::Span<const float> observation)
-      : model_(*policy.wiring),
-        before_(history.observation(history.size() - 1)),
-        after_(observation),
-        scratch_(ThreadScratch()) {
-    for (size_t age = 0; age < 2; ++age) {
-      std::vector<float>& encoded = scratch_.actions[age];
-      encoded.clear();
-      if (age >= history.size()) continue;
-      history.action(history.size() - 1 - age, &scratch_.action);
-      encoded.resize(static_cast<size_t>(policy.action_space.size()));
-      policy.action_space.Encode(scratch_.action, absl::MakeSpan(encoded));
-    }
-  }
-
-  bool knows_action_before() const { return !scratch_.actions[1].empty(); }
-
-  struct Fit {
-    double surprise;  // of the step
-    double distance;  // of its observation
-    double standing;  // surprise of the step if the robot stood still
-  };
-  // Returns how a wiring (null: the training data's) explains the step.
-  Fit Explain(const Wiring* wiring) const;
-
-  // A unit is plausible only if the element is far from the training data without it.
-  bool IsPlausible(const Wiring& wiring) const {
-    if (wiring.cause != WiringCause::kUnit) return true;
-    const auto distance = [&](float value) {
-      return std::abs(static_cast<double>(value) - model_.mean[wiring.i]) /
-             model_.deviation[wiring.i];
-    };
-    return std::max(distance(before_[wiring.i]), distance(after_[wiring.i])) > kImplausible;
-  }
-
- private:
-  static Scratch& ThreadScratch() {
-    thread_local Scratch scratch;
-    return scratch;
-  }
-
-  const WiringModel& model_;
-  const absl::Span<const float> before_, after_;
-  Scratch& scratch_;
-};
-
-WiringStep::Fit WiringStep::Explain(const Wiring* wiring) const {
-  const size_t obs = model_.size();
-  const bool is_delayed = wiring != nullptr && wiring->cause == WiringCause::kDelay;
-  const std::vector<float>& action = scratch_.actions[is_delayed ? 1 : 0];
-  const size_t terms = WiringModel::Terms(obs, action.size());
-  scratch_.numbers.resize(terms + 3 * obs);
-  const auto all = absl::MakeSpan(scratch_.numbers);
-  const auto z_before = all.subspan(0, obs);
-  const auto z_after = all.subspan(obs, obs);
-  double constant = 0.0;
-  const auto standardise = [&](absl::Span<const float> from, absl::Span<double> z) {
-    std::copy(from.begin(), from.end(), z.begin());
-    if (wiring != nullptr) {
-      if (wiring->cause == WiringCause::kExchanged) std::swap(z[wiring->i], z[wiring->j]);
-      if (wiring->cause == WiringCause::kSign) z[wiring->i] = -z[wiring->i];
-      if (wiring->cause == WiringCause::kUnit) z[wiring->i] *= kDegree;
-    }
-    for (size_t i = 0; i < obs; ++i) z[i] = (z[i] - model_.mean[i]) / model_.deviation[i];
-  };
-  standardise(before_, z_before);
-  standardise(after_, z_after);
-  if (wiring != nullptr && wiring->cause == WiringCause::kUnit) constant = kLogOfDegree;
-  const auto change = all.subspan(2 * obs, obs);
-  Fit fit = {.surprise = constant, .distance = model_.Distance(z_after), .standing = 0.0};
-  if (wiring == nullptr) {
-    std::fill(change.begin(), change.end(), 0.0);
-    fit.standing = model_.Surprise(z_before, z_after, change);
-  }
-  model_.Predict(z_before, action, all.subspan(3 * obs, terms), change);
-  fit.surprise += model_.Surprise(z_before, z_after, change);
-  return fit;
-}
-
-// Compares all hypotheses for a step.
-void Compare(const WiringModel& model, const WiringStep& step, WiringState* state) {
-  const WiringStep::Fit trained = step.Explain(nullptr);
+// Compares all hypotheses for a step, and gives up those that it contradicts.
+void Compare(const Policy& policy, WiringStep step, WiringState* state) {
+  const WiringModel& model = *policy.wiring;
+  const WiringStep::Fit trained = step.ExplainAsTrained();
   const double excess = trained.surprise - model.usual_surprise;
   double least = trained.surprise;
   for (WiringHypothesis& each : state->hypotheses) {
     const Wiring wiring = WiringOf(each.number, model.size());
-    if (wiring.cause == WiringCause::kDelay && !step.knows_action_before()) continue;
-    const WiringStep::Fit fit = step.Explain(&wiring);
+    const WiringStep::Fit fit = step.Explain(wiring, trained);
     least = std::min(least, fit.surprise);
-    const double farther = std::max(0.0, fit.distance - trained.distance);
+    const double farther = Excess(fit.spread, trained.spread);
     double gain = trained.surprise - fit.surprise;
     if (gain > 0.0 && !step.IsPlausible(wiring)) gain = 0.0;
     if (gain > 0.0) {
-      const double nearer = std::max(0.0, trained.distance - fit.distance);
+      const double nearer = Excess(trained.spread, fit.spread);
       gain = std::clamp(trained.standing - fit.surprise + kNearer * nearer, 0.0, gain);
     }
     each.total = static_cast<float>(static_cast<double>(each.total) + gain - farther);
@@ -205,6 +106,10 @@ void Compare(const WiringModel& model, const WiringStep& step, WiringState* stat
   state->unusual += std::clamp(least - model.usual_surprise, -kUnusualStep, kUnusualStep);
   state->unusual = std::clamp(state->unusual, 0.0, 2.0 * kUnusual);
   ++state->steps;
+  if (IsWiring(state->verdict)) return;  // so that another cause may follow
+  std::erase_if(state->hypotheses, [](const WiringHypothesis& each) {
+    return static_cast<double>(each.total) < kContradicted;
+  });
 }
 
 // Returns the verdict of the hypothesis that explains the steps best of those with about the most
@@ -240,18 +145,33 @@ void Judge(const Policy& policy, WiringState* state) {
       verdict.has_value() && verdict->cause == WiringCause::kDynamics && state->unusual > 0.0;
   if (verdict.has_value() && verdict->cause != WiringCause::kStuck && !is_dynamics) {
     verdict.reset();
-    return OpenWindow(policy, state);
+    return OpenWindow(policy, /*steps=*/0, state);
   }
   if (!verdict.has_value() && state->unusual >= kUnusual) {
     verdict = {.cause = WiringCause::kDynamics, .elements = {}, .evidence = state->unusual};
   }
-  std::erase_if(state->hypotheses, [](const WiringHypothesis& each) {
-    return static_cast<double>(each.total) < kContradicted;
-  });
-  const bool has_evidence = most > 0.0 || state->unusual > 0.0;
-  const bool is_undecided = state->steps < kWindow && !state->hypotheses.empty();
-  const bool goes_on = is_undecided || (has_evidence && state->steps < 2 * kWindow);
+  const bool goes_on = (most > 0.0 || state->unusual > 0.0) && state->steps < kWindow;
   if (!verdict.has_value() && !goes_on) CloseWindow(state);
+}
+
+// Opens a window, and compares the steps before the last one, if these surprise the wiring of the
+// training data.
+void Watch(const Policy& policy, int64_t step, const History& history,
+           absl::Span<const float> observation, WiringState* state) {
+  if (step % kPeriod > kWatched) state->unusual = 0.0;
+  if (step % kPeriod > kWatched || (state->unusual == 0.0 && step % kEvery != 0)) return;
+  const size_t last = history.size() - 1;
+  const double surprise = WiringStep(policy, history, last, observation).surprise();
+  const double reference = std::min(kReference * policy.wiring->usual_surprise, kMostReference);
+  state->unusual += std::min(surprise - reference, kMostExcess);
+  state->unusual = std::max(state->unusual, 0.0);
+  if (state->unusual < kSuspicious) return;
+  const size_t first = last - std::min(last, kReplayed);
+  const auto replayed = static_cast<int64_t>(last - first) + 1;
+  OpenWindow(policy, std::max(step % kPeriod - replayed, int64_t{0}), state);
+  for (size_t t = first; t < last; ++t) {
+    Compare(policy, WiringStep(policy, history, t, history.observation(t + 1)), state);
+  }
 }
 
 // Counts the steps in which an element has not changed.
@@ -265,7 +185,8 @@ void CountRuns(const WiringModel& model, absl::Span<const float> before,
     if (!runs.empty()) runs[i] = stands ? runs[i] + 1 : 0;
     runs_on |= stands;
     std::optional<WiringVerdict>& verdict = state->verdict;
-    if (stands && !verdict.has_value() && runs[i] >= StuckSteps(model, i)) {
+    const bool is_unexplained = !verdict.has_value() || verdict->cause == WiringCause::kDynamics;
+    if (stands && is_unexplained && runs[i] >= StuckSteps(model, i)) {
       verdict = {.cause = WiringCause::kStuck, .elements = {static_cast<int>(i)}};
     } else if (!stands && verdict.has_value() && verdict->cause == WiringCause::kStuck &&
                verdict->elements[0] == static_cast<int>(i)) {
@@ -282,12 +203,15 @@ bool CheckWiring(const Policy& policy, int64_t step, const History& history,
   const WiringModel& model = *policy.wiring;
   SPIKESERVE_DCHECK_EQ(observation.size(), model.size());
   const bool had_verdict = state->verdict.has_value();
-  if (history.empty()) state->runs.clear();
-  if (step % kPeriod == 0 && !state->is_open) OpenWindow(policy, state);
-  if (history.empty()) return false;
-  CountRuns(model, history.observation(history.size() - 1), observation, state);
+  if (history.empty()) {
+    state->runs.clear();
+    return false;
+  }
+  const size_t last = history.size() - 1;
+  CountRuns(model, history.observation(last), observation, state);
+  if (!state->is_open) Watch(policy, step, history, observation, state);
   if (state->is_open) {
-    Compare(model, WiringStep(policy, history, observation), state);
+    Compare(policy, WiringStep(policy, history, last, observation), state);
     Judge(policy, state);
   }
   return state->verdict.has_value() && !had_verdict;

@@ -5,11 +5,11 @@
 //                                   &session.wiring);
 //   if (begins) Log(WiringText(policy, *session.wiring.verdict));
 //
-// In the first steps of each episode, and every 1,000 steps, each hypothesis (two elements
-// exchanged, another sign, degrees, a delay) collects evidence while it explains the steps better
-// than the wiring of the training data does, and better than a robot that stands still. A step that
-// is not unusual in that wiring counts little. A hypothesis that the steps contradict is not
-// computed any more, so that a clean session costs little.
+// In the first 50 steps of an episode, and of every 1,000, a window opens if the wiring of the
+// training data does not explain them. In it each hypothesis (two elements exchanged, another sign,
+// degrees, a delay) collects evidence, from a few steps before on, while it explains the steps
+// better than the wiring of the training data does, and better than a robot that stands still. One
+// that the steps contradict is not computed any more.
 //
 // Free functions; safe to call from many threads on distinct states. The results have equal bits on
 // every processor.

@@ -40,6 +40,10 @@ absl::Status CheckNumbers(absl::string_view name, const std::vector<double>& num
   return absl::OkStatus();
 }
 
+void AddRow(double factor, const double* row, absl::Span<double> sums) {
+  for (size_t i = 0; i < sums.size(); ++i) sums[i] += factor * row[i];
+}
+
 }  // namespace
 
 void FillWiringTerms(absl::Span<const double> z, absl::Span<const float> action,
@@ -60,10 +64,60 @@ void WiringModel::Predict(absl::Span<const double> before, absl::Span<const floa
                           absl::Span<double> terms, absl::Span<double> change) const {
   FillWiringTerms(before, action, terms);
   std::fill(change.begin(), change.end(), 0.0);
-  const double* row = coefficients.data();
-  for (const double term : terms) {
-    for (size_t i = 0; i < change.size(); ++i) change[i] += term * row[i];
-    row += change.size();
+  constexpr size_t kTogether = 4;  // rows that are added in one pass over `change`
+  double factors[kTogether];
+  const double* rows[kTogether];
+  size_t collected = 0;
+  for (size_t k = 0; k < terms.size(); ++k) {
+    if (terms[k] == 0.0) continue;  // as most elements of an action that is one of several
+    factors[collected] = terms[k];
+    rows[collected] = coefficients.data() + k * change.size();
+    if (++collected < kTogether) continue;
+    collected = 0;
+    for (size_t i = 0; i < change.size(); ++i) {
+      change[i] = (((change[i] + factors[0] * rows[0][i]) + factors[1] * rows[1][i]) +
+                   factors[2] * rows[2][i]) +
+                  factors[3] * rows[3][i];
+    }
+  }
+  for (size_t k = 0; k < collected; ++k) AddRow(factors[k], rows[k], change);
+}
+
+void WiringModel::FillSlopes(absl::Span<const double> before, absl::Span<const float> action,
+                             absl::Span<double> slopes) const {
+  const size_t obs = size();
+  const auto of = [&](size_t element) { return slopes.subspan(element * obs, obs); };
+  const double* row = coefficients.data() + obs;
+  std::copy(row, row + obs * obs, slopes.begin());
+  row += (obs + action.size()) * obs;
+  for (size_t i = 0; i < obs; ++i) {
+    for (size_t j = i; j < obs; ++j, row += obs) {
+      AddRow(before[j], row, of(i));
+      AddRow(before[i], row, of(j));
+    }
+  }
+  for (size_t i = 0; i < obs; ++i) {
+    for (const float taken : action) {
+      if (taken != 0.0f) AddRow(static_cast<double>(taken), row, of(i));
+      row += obs;
+    }
+  }
+}
+
+void WiringModel::AddMoves(absl::Span<const double> slopes, absl::Span<const Move> moves,
+                           absl::Span<double> change) const {
+  const size_t obs = size();
+  const size_t squares = obs * (obs + 1) / 2;
+  const size_t act = (coefficients.size() / obs - squares - obs - 1) / (obs + 1);
+  for (size_t k = 0; k < moves.size(); ++k) {
+    const auto [i, by] = moves[k];
+    AddRow(by, slopes.data() + i * obs, change);
+    // The square of i is the first of its products, which stand behind those of lower elements.
+    const size_t square = 1 + obs + act + squares - (obs - i) * (obs - i + 1) / 2;
+    for (const Move& other : moves.subspan(k)) {
+      const size_t product = square + (other.element - i);
+      AddRow(by * other.by, coefficients.data() + product * obs, change);
+    }
   }
 }
 
@@ -82,13 +136,18 @@ double WiringModel::Surprise(absl::Span<const double> before, absl::Span<const d
     tails *= std::min(1.0 + error * error / (kFreedom * scale), kLargest);
     scales *= std::min(scale / variance[i], kLargest);
   }
-  return 0.5 * (kFreedom + 1.0) * portable::Log(tails) + 0.5 * portable::Log(scales);
+  static_assert(kFreedom == 4.0);
+  const double product = tails * tails * tails * tails * tails * scales;
+  if (product < 1e300) return 0.5 * portable::Log(product);
+  return 0.5 * ((kFreedom + 1.0) * portable::Log(tails) + portable::Log(scales));
 }
 
-double WiringModel::Distance(absl::Span<const double> z) const {
+double WiringModel::Spread(absl::Span<const double> z) const {
   double product = 1.0;
-  for (const double element : z) product *= std::min(1.0 + element * element / 9.0, kLargest);
-  return portable::Log(product);
+  for (const double element : z) {
+    product *= std::min(1.0 + element * element * (1.0 / 9.0), kLargest);
+  }
+  return product;
 }
 
 absl::Status WiringModel::Validate(int observation_size, int action_size) const {

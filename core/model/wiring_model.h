@@ -42,18 +42,34 @@ struct WiringModel {
     return 1 + obs + act + obs * (obs + 1) / 2 + obs * act;
   }
   size_t size() const { return mean.size(); }
+  double Standardise(double value, size_t element) const {
+    return (value - mean[element]) / deviation[element];
+  }
 
   // Writes the predicted change [obs] of the standardised observation `before` [obs] by `action`.
   // `terms` [Terms] is scratch memory.
   void Predict(absl::Span<const double> before, absl::Span<const float> action,
                absl::Span<double> terms, absl::Span<double> change) const;
+  // Writes the derivatives of what Predict() writes, `slopes` [obs, obs]: a row for each element of
+  // `before`.
+  void FillSlopes(absl::Span<const double> before, absl::Span<const float> action,
+                  absl::Span<double> slopes) const;
+  struct Move {
+    size_t element = 0;
+    double by = 0.0;
+  };
+  // Adds to a predicted `change` [obs] what follows from moving elements of its `before`, which is
+  // much less work than to predict again. `slopes` [obs, obs] are those of `change`. REQUIRES: the
+  // elements ascend.
+  void AddMoves(absl::Span<const double> slopes, absl::Span<const Move> moves,
+                absl::Span<double> change) const;
   // Returns the surprise of a step from `before` to `after` [obs], standardised, where `change` was
   // predicted: -ln of its density without the constant part.
   double Surprise(absl::Span<const double> before, absl::Span<const double> after,
                   absl::Span<const double> change) const;
-  // Returns how far the standardised observation `z` [obs] is from the training data: the sum of
-  // ln(1 + z_i^2 / 9).
-  double Distance(absl::Span<const double> z) const;
+  // Returns how far the standardised observation `z` [obs] is from the training data: the product
+  // of 1 + z_i^2 / 9.
+  double Spread(absl::Span<const double> z) const;
 
   // Returns INVALID_ARGUMENT, which names the member, unless all sizes and numbers are valid.
   absl::Status Validate(int observation_size, int action_size) const;

@@ -1,5 +1,5 @@
 // What the test of a session's wiring (wiring_check.h in core/agent) remembers between two steps.
-// Most of the time nothing: a state that is equal to WiringState() is not stored.
+// Nothing while the steps are usual: a state that is equal to WiringState() is not stored.
 //
 // Plain values; not thread-safe.
 #ifndef CORE_SESSION_WIRING_STATE_H_
@@ -38,7 +38,7 @@ struct WiringVerdict {
 
 // A wiring that may explain the observations better than that of the training data.
 struct WiringHypothesis {
-  uint16_t number = 0;    // of WiringOf() in wiring_check.cc
+  uint16_t number = 0;    // of WiringOf() in wiring_step.h
   float evidence = 0.0f;  // not negative
   float total = 0.0f;     // ln of the likelihood ratio since the window began
 
@@ -48,7 +48,7 @@ struct WiringHypothesis {
 struct WiringState {
   bool is_open = false;                      // a window is open, whose state follows
   int64_t steps = 0;                         // of the window
-  double unusual = 0.0;                      // evidence that the dynamics are others
+  double unusual = 0.0;                      // evidence for other dynamics, or for a window
   std::vector<WiringHypothesis> hypotheses;  // by number, without those that were given up
   std::vector<int64_t> runs;  // [obs], steps in which an element has not changed; empty: all are 0
   std::optional<WiringVerdict> verdict;

@@ -114,6 +114,7 @@ TEST_F(WiringCheckTest, NamesDegreesAndADeadElement) {
   WiringState state;
   Play(&state, 1, 60, [](Observation& x) { x[1] = 0.25f; });
   ASSERT_TRUE(state.verdict.has_value());
+  EXPECT_EQ(WiringText(policy_, *state.verdict), "observation[1] (v) has not changed for 50 steps");
 }
 
 TEST_F(WiringCheckTest, CleanSessionsGetNoVerdict) {
@@ -121,6 +122,28 @@ TEST_F(WiringCheckTest, CleanSessionsGetNoVerdict) {
     WiringState state;
     EXPECT_EQ(Play(&state, seed, 500, [](Observation&) {}), -1) << "seed " << seed;
   }
+}
+
+TEST_F(WiringCheckTest, NothingIsRememberedOfUsualSteps) {
+  for (uint64_t seed = 1000; seed < 1020; ++seed) {
+    WiringState state;
+    Play(&state, seed, 60, [](Observation&) {});
+    EXPECT_EQ(state, WiringState()) << "seed " << seed;
+  }
+}
+
+// As the releases before the watch stored it: a window is open from the first step on.
+TEST_F(WiringCheckTest, AnOpenWindowOfTheReleaseBeforeGoesOn) {
+  WiringState stored;
+  stored.is_open = true;
+  for (uint16_t number = 0; number < 15; ++number) stored.hypotheses.push_back({.number = number});
+  ASSERT_TRUE(CheckWiringState(policy_, stored).ok());
+  WiringState wrong = stored;
+  EXPECT_GE(Play(&wrong, 3, 51, [](Observation& x) { x[1] = -x[1]; }), 0);
+  EXPECT_EQ(WiringText(policy_, *wrong.verdict),
+            "observation[1] (v) looks as if it had the other sign");
+  EXPECT_EQ(Play(&stored, 3, 110, [](Observation&) {}), -1);
+  EXPECT_EQ(stored, WiringState());
 }
 
 TEST_F(WiringCheckTest, AStandstillGetsNoVerdictAboutTheWiring) {
