@@ -1,6 +1,7 @@
 """Robots that name their elements: another order simply works, and another name is refused."""
 
 import json
+import re
 
 import grpc
 import gymnasium
@@ -163,3 +164,9 @@ def test_spikectl_lists_the_features(server):
     assert "cartpole/2 at 50 Hz within 10 %\n  observation[0] cart_position m from -4.8 to 4.8 in track\n" in text
     listed = json.loads(server.spikectl("policies", "--features", "--json").stdout)
     assert all(policy["observation_features"] for policy in listed["policies"])
+
+
+def test_spikectl_explains_by_name(server):
+    text = server.spikectl("explain", "--env=CartPole-v1", "--steps=3").stdout
+    assert re.search(r"^observation cart_position \S+, cart_velocity \S+, pole_angle \S+, pole_angular_velocity \S+$", text, re.M)
+    assert re.search(r"^action (0 push_left|1 push_right)$", text, re.M)
