@@ -100,11 +100,13 @@ void AddSessionFlags(Command program, ServerOptions* options) {
 void AddAdvancedFlags(Command program, ServerOptions* options) {
   program.Flags("Advanced: policies and sessions")
       .Add("max_policy_bytes", "N", &options->max_policy_bytes,
-           "Most bytes of promoted versions, which tenants divide")
+           "Most bytes of promoted and pushed versions, which tenants divide")
+      .Add("max_pushed_versions", "N", &options->max_pushed_versions,
+           "Most pushed versions of a policy; the oldest unused make room")
       .AddSwitch("allow_unrecorded_changes", &options->allow_unrecorded_changes,
                  "Let operators change things while --audit_log cannot be written")
       .AddSwitch("withhold_policies", &options->withhold_policies,
-                 "Do not send policy files to robots (ExportSession)")
+                 "Do not send policy files (ExportSession, PullPolicy)")
       .AddSwitch("allow_no_policies", &options->allow_no_policies,
                  "Start although no policy can be served")
       .Add("default_version", EnumKind<DefaultRule>(), &options->default_version,

@@ -29,9 +29,11 @@ absl::Status CheckReach(absl::string_view flag, const std::string& listen,
 }
 
 absl::Status CheckCounts(const ServerOptions& options) {
-  for (const auto& [flag, value] : {std::pair("--max_sessions", options.max_sessions),
-                                    std::pair("--max_recorded_bytes", options.max_recorded_bytes),
-                                    std::pair("--max_policy_bytes", options.max_policy_bytes)}) {
+  for (const auto& [flag, value] :
+       {std::pair("--max_sessions", options.max_sessions),
+        std::pair("--max_recorded_bytes", options.max_recorded_bytes),
+        std::pair("--max_policy_bytes", options.max_policy_bytes),
+        std::pair("--max_pushed_versions", options.max_pushed_versions)}) {
     if (value >= 1) continue;
     return absl::InvalidArgumentError(
         absl::StrCat(flag, ": expected at least 1, received ", value));

@@ -49,7 +49,9 @@ struct ServerOptions {
   std::string wiring = "count";  // what follows from a verdict about it, see ParseWiringRules
   std::string record_dir;        // where sessions are recorded that ask for it; empty: nowhere
   int64_t max_recorded_bytes = int64_t{64} << 30;  // in `record_dir`; one tenant has half of them
-  int64_t max_policy_bytes = int64_t{64} << 30;  // in `policies`, likewise; promotions add to them
+  int64_t max_policy_bytes = int64_t{64} << 30;    // in `policies`, likewise; what is promoted or
+                                                   // pushed adds to them
+  int64_t max_pushed_versions = 100;               // of a policy
   StoreOptions store;  // where sessions are kept so that they survive the server
   Durability durability = Durability::kAsync;  // of stored sessions that ask for none
 

@@ -244,6 +244,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                  .admin = &admin_handler_,
                  .heads = &head_handler_,
                  .rollouts = &rollout_handler_,
+                 .versions = &version_handler_,
                  .audit = &audit_,
                  .inference = &inference_handler_,
                  .health = &health_,
@@ -256,6 +257,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       list_worker_(kListsWaiting),
       admin_worker_(kOperatorCallsWaiting),
       head_handler_(registry_.get(), &store_, &policy_folder_),
+      version_handler_(registry_.get(), &store_, &policy_folder_, options.max_pushed_versions),
       inference_handler_(
           registry_.get(), &session_gate_, &handler_, &clock_, options.session_ttl,
           journals_ != nullptr && journals_->IsShared() && !options.allow_unconfirmed_sequences

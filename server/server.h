@@ -134,6 +134,7 @@ class Server {
   BackgroundWorker list_worker_;
   BackgroundWorker admin_worker_;
   const HeadHandler head_handler_;
+  const VersionHandler version_handler_;
   const InferenceHandler inference_handler_;
   std::atomic<bool> stopping_ = false;
   // State of FollowReplicas(), which one thread calls at a time.

@@ -1,12 +1,9 @@
 #include "spikeserve/local_engine.h"
 
-#include <openssl/sha.h>
-
 #include <filesystem>
 #include <utility>
 
 #include "absl/base/thread_annotations.h"
-#include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
 #include "core/action/action_space.h"
@@ -16,6 +13,7 @@
 #include "core/base/clock.h"
 #include "core/base/file.h"
 #include "core/base/status_macros.h"
+#include "core/digest/sha256.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/journal/journal_entry.h"
 #include "core/journal/session_export.h"
@@ -23,13 +21,6 @@
 
 namespace spikeserve {
 namespace {
-
-std::string Sha256(absl::string_view bytes) {
-  unsigned char digest[SHA256_DIGEST_LENGTH];
-  SHA256(reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size(), digest);
-  return absl::BytesToHexString(
-      absl::string_view(reinterpret_cast<const char*>(digest), sizeof digest));
-}
 
 // Returns the path of the policy file of a session.
 std::string PathFor(const std::string& path, const v1::ExportSessionResponse& exported) {
@@ -81,7 +72,7 @@ absl::Status LocalEngine::Player::Load(const v1::ExportSessionResponse& exported
     return absl::FailedPreconditionError(
         "local: expected the policy file from the server, received none; it may withhold it");
   }
-  const std::string digest = Sha256(content);
+  const std::string digest = Sha256Of(content);
   if (digest != exported.policy_sha256()) {
     return absl::FailedPreconditionError(
         absl::StrCat("local: expected the policy file with SHA-256 ", exported.policy_sha256(),

@@ -1,5 +1,5 @@
-// The actions of `spikectl admin` about shared heads and roll-outs. Each one makes one call, prints
-// the answer, and returns the error of the call.
+// The actions of operators about shared heads, roll-outs and the files of versions. Each one calls
+// one server, and returns what is to be printed, or the error of the call.
 #ifndef CLIENT_SPIKECTL_ADMIN_ACTIONS_H_
 #define CLIENT_SPIKECTL_ADMIN_ACTIONS_H_
 
@@ -22,6 +22,13 @@ absl::StatusOr<Answer> ShowRollouts(const AdminFlags& flags);
 
 // Shows who changed what.
 absl::StatusOr<Answer> ShowHistory(const AdminFlags& flags);
+
+// Sends --file as a version, and starts its roll-out if --rollout is set.
+absl::StatusOr<Answer> PushVersion(const AdminFlags& flags);
+// Writes the file of a version, and its signature if it has one.
+absl::StatusOr<Answer> PullVersion(const AdminFlags& flags);
+// Removes a version that was pushed.
+absl::StatusOr<Answer> RemoveVersion(const AdminFlags& flags);
 
 }  // namespace spikeserve
 

@@ -25,11 +25,14 @@ struct AdminFlags {
   const ServerFlags* server = nullptr;
   std::string policy;
   int64_t version = 0;
-  std::string tenant;               // whose head; empty: the caller's tenant
-  std::string label;                // a label of a version, such as stable
-  std::vector<std::string> shares;  // VERSION:PERCENT: shares of the new sessions
-  std::optional<int64_t> shadow;    // the version that shadows the others; 0: none
-  bool make_default = false;        // also makes a loaded version the default
+  std::string file;                  // policy file to push, or to write
+  std::string signature;             // file of its signature; empty: FILE.sig if there is one
+  std::vector<std::string> rollout;  // percentages of the roll-out of a pushed version
+  std::string tenant;                // whose head or share; empty: the caller's tenant
+  std::string label;                 // a label of a version, such as stable
+  std::vector<std::string> shares;   // VERSION:PERCENT: shares of the new sessions
+  std::optional<int64_t> shadow;     // the version that shadows the others; 0: none
+  bool make_default = false;         // also makes a loaded version the default
   std::vector<std::string> steps = {"1", "10", "50", "100"};  // percentages of a roll-out
   absl::Duration hold = absl::Minutes(10);                    // time that each step is held
   int64_t min_episodes = 20;                                  // of the new version in each step

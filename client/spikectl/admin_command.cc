@@ -319,15 +319,39 @@ void AddPromote(FlagGroup& group, AdminFlags* flags) {
   AddMakeDefault(group, flags);
 }
 
-void AddRollout(FlagGroup& group, AdminFlags* flags) {
-  AddVersion(group, flags);
-  group.AddList("steps", "PERCENT,...", &flags->steps, "Shares of the new version")
-      .Add("hold", "DURATION", &flags->hold, "Time that each step is held")
+// What a roll-out has besides its steps.
+void AddRolloutLimits(FlagGroup& group, AdminFlags* flags) {
+  group.Add("hold", "DURATION", &flags->hold, "Time that each step is held")
       .Add("min_episodes", "N", &flags->min_episodes,
            "Episodes of the new version in each step, at least")
       .AddList("abort_if", "MEASURE:MARGIN%,...", &flags->abort_if,
-               "Ends the roll-out if worse by more")
-      .AddSwitch("abort", &flags->abort, "End the running roll-out");
+               "Ends the roll-out if worse by more");
+}
+
+void AddRollout(FlagGroup& group, AdminFlags* flags) {
+  AddVersion(group, flags);
+  group.AddList("steps", "PERCENT,...", &flags->steps, "Shares of the new version");
+  AddRolloutLimits(group, flags);
+  group.AddSwitch("abort", &flags->abort, "End the running roll-out");
+}
+
+void AddPush(FlagGroup& group, AdminFlags* flags) {
+  group.AddArgument("file", "FILE", &flags->file, "Policy file to send");
+  AddPolicy(group, flags);
+  group.Add("version", "N", &flags->version, "Version, which is new; 0: the next one")
+      .Add("signature", "FILE", &flags->signature, "Signature; default: that of FILE.sig, if any")
+      .Add("tenant", "NAME", &flags->tenant, "Tenant that it counts to; default: the token's")
+      .AddList("rollout", "PERCENT,...", &flags->rollout,
+               "Steps of a roll-out that begins at once, such as 5,50,100");
+  AddRolloutLimits(group, flags);
+  AddMakeDefault(group, flags);
+}
+
+void AddPull(FlagGroup& group, AdminFlags* flags) {
+  group.AddArgument("file", "FILE", &flags->file, "Policy file to write");
+  AddPolicy(group, flags);
+  group.Add("version", "N", &flags->version, "Version; 0: the default version")
+      .Add("signature", "FILE", &flags->signature, "Signature to write; default: FILE.sig");
 }
 
 void AddHistory(FlagGroup& group, AdminFlags* flags) {
@@ -379,6 +403,13 @@ constexpr AdminAction kActions[] = {
     {"resume_learning", "Resumes learning", false, AddFilter, ResumeLearning},
 };
 
+// The actions that are commands of their own.
+constexpr AdminAction kVersionActions[] = {
+    {"push", "Sends a version to all servers, and may roll it out", true, AddPush, PushVersion},
+    {"pull", "Writes the file of a version", true, AddPull, PullVersion},
+    {"rm", "Removes a version that was pushed", true, AddVersion, RemoveVersion},
+};
+
 // Names of earlier releases.
 struct OldName {
   const char* name;
@@ -422,6 +453,9 @@ Command AddAction(Command admin, const AdminAction& action, const char* name,
 }  // namespace
 
 void AddAdminCommands(Command program, const ServerFlags& server) {
+  for (const AdminAction& action : kVersionActions) {
+    AddAction(program, action, action.name, "", server);
+  }
   const Command admin = program.AddCommand("admin", "Administers the server, or each of several");
   for (const AdminAction& action : kActions) {
     AddAction(admin, action, action.name, "", server);

@@ -41,7 +41,7 @@ void AddStoreCommands(Command program, const ServerFlags& server);
 // Writes a policy file as C for a microcontroller, without a server.
 void AddEmitCommand(Command program, const ServerFlags& server);
 
-// Adds the commands for operators as subcommands of `admin`.
+// Adds the commands for operators: those that move files, and the others as subcommands of `admin`.
 void AddAdminCommands(Command program, const ServerFlags& server);
 
 }  // namespace spikeserve

@@ -48,7 +48,7 @@ absl::StatusOr<v1::StartRolloutRequest> StartRequest(const AdminFlags& flags) {
   auto request = VersionRequest<v1::StartRolloutRequest>(flags);
   for (const std::string& text : flags.steps) {
     int32_t percent = 0;
-    if (!absl::SimpleAtoi(text, &percent)) {
+    if (!absl::SimpleAtoi(absl::StripSuffix(text, "%"), &percent)) {
       return absl::InvalidArgumentError(absl::StrCat(
           "--steps: expected percentages such as 1,10,50,100, received \"", text, "\""));
     }

@@ -25,6 +25,17 @@ CLI::callback_t LastValue(const std::string& name,
 FlagGroup::FlagGroup(CLI::App* app, std::string heading)
     : app_(app), heading_(std::move(heading)) {}
 
+FlagGroup& FlagGroup::AddArgument(const std::string& name, const std::string& kind,
+                                  std::string* value, const std::string& help) {
+  const auto parse = [value](const std::string& text) { return ParseFlagValue(text, value); };
+  app_->add_option("--" + name + "," + name, LastValue(name, parse), help)
+      ->type_name(kind)
+      ->group(heading_)
+      ->default_str(*value)
+      ->take_last();
+  return *this;
+}
+
 FlagGroup& FlagGroup::AddList(const std::string& name, const std::string& kind,
                               std::vector<std::string>* values, const std::string& help) {
   const auto store = [values](const CLI::results_t& results) {

@@ -42,6 +42,10 @@ class FlagGroup {
         [value](const std::string& text) { return ParseFlagValue(text, value); }, help);
   }
 
+  // As Add, for a value that may also be given without --name=.
+  FlagGroup& AddArgument(const std::string& name, const std::string& kind, std::string* value,
+                         const std::string& help);
+
   // Adds --name=VALUE,VALUE,... If the flag is given twice, the values of both are used.
   FlagGroup& AddList(const std::string& name, const std::string& kind,
                      std::vector<std::string>* values, const std::string& help);

@@ -1,7 +1,5 @@
 #include "core/emit/emit_c.h"
 
-#include <openssl/sha.h>
-
 #include <algorithm>
 #include <bit>
 #include <cstdlib>
@@ -10,6 +8,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/status_macros.h"
+#include "core/digest/sha256.h"
 #include "core/emit/fixed_sources.h"
 #include "core/emit/policy_tables.h"
 #include "core/emit/table_text.h"
@@ -100,12 +99,6 @@ absl::Status Check(const Policy& policy, const EmitOptions& options, int64_t sta
                      options.most_state, "; a shorter context needs less"));
   }
   return absl::OkStatus();
-}
-
-std::string Sha256Of(absl::string_view bytes) {
-  unsigned char digest[SHA256_DIGEST_LENGTH];
-  SHA256(reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size(), digest);
-  return absl::BytesToHexString({reinterpret_cast<const char*>(digest), sizeof(digest)});
 }
 
 std::string Banner(const Policy& policy, const EmitOptions& options) {

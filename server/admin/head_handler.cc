@@ -1,9 +1,7 @@
 #include "server/admin/head_handler.h"
 
 #include <cstdint>
-#include <filesystem>
 #include <string>
-#include <system_error>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -13,9 +11,8 @@
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/learner.h"
 #include "nlohmann/json.hpp"
-#include "server/admin/traffic.h"
+#include "server/admin/version_handler.h"
 #include "server/policies/policy_repository.h"
-#include "server/policies/version_writer.h"
 
 namespace spikeserve {
 namespace {
@@ -62,15 +59,6 @@ Policy Promoted(const ServedPolicy& served, const FleetHead::Snapshot& snapshot)
   return policy;
 }
 
-// Returns the tenant whose head a request means.
-template <typename Request>
-absl::StatusOr<std::string> TenantOf(const Credential& caller, const Request& request) {
-  const std::string& tenant = request.tenant().empty() ? caller.tenant()->name() : request.tenant();
-  if (caller.CanRead(tenant)) return tenant;
-  return absl::PermissionDeniedError(
-      absl::StrCat("tenant: expected that of the token, received ", Quoted(request.tenant())));
-}
-
 // Returns the head of a tenant. Before the tenant has learned, this is a head like that of the
 // policy, which no session learns.
 std::shared_ptr<FleetHead> HeadOf(const ServedPolicy& served, const std::string& tenant) {
@@ -90,7 +78,7 @@ absl::Status HeadHandler::GetHead(CallContext& context, const v1::GetHeadRequest
                                   v1::GetHeadResponse* response) const {
   ASSIGN_OR_RETURN(const auto served,
                    registry_->catalog()->Find(request.policy(), request.version()));
-  ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request));
+  ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request.tenant()));
   const Policy& policy = served->policy();
   CatchUp(*served).IgnoreError();
   const auto snapshot = HeadOf(*served, tenant)->Read();
@@ -125,10 +113,9 @@ absl::Status HeadHandler::GetHead(CallContext& context, const v1::GetHeadRequest
 absl::Status HeadHandler::PromoteHead(CallContext& context, const v1::PromoteHeadRequest& request,
                                       v1::PromoteHeadResponse* response) const {
   RETURN_IF_ERROR(registry_->CheckCanSign());
-  absl::MutexLock lock(&promote_mutex_);
   ASSIGN_OR_RETURN(const auto served,
                    registry_->catalog()->Find(request.policy(), request.version()));
-  ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request));
+  ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request.tenant()));
   RETURN_IF_ERROR(CatchUp(*served));
   const auto snapshot = HeadOf(*served, tenant)->Read();
   if (snapshot->drift == 0.0) {
@@ -137,47 +124,13 @@ absl::Status HeadHandler::PromoteHead(CallContext& context, const v1::PromoteHea
                      served->version, ", whose shared head equals that of its file"));
   }
   ASSIGN_OR_RETURN(const auto files, registry_->FormatVersion(Promoted(*served, *snapshot)));
-  folder_->Measure();
-  const auto place =
-      folder_->Take(tenant, static_cast<int64_t>(files.policy.size() + files.signature.size()));
-  if (place == nullptr) {
-    return absl::ResourceExhaustedError(
-        absl::StrCat("--max_policy_bytes: expected room for a version in the share of tenant ",
-                     Quoted(tenant), ", which may have as many bytes in ", folder_->directory(),
-                     " as are free; remove versions that are not needed"));
-  }
-  if (registry_->shares_settings()) {
-    RETURN_IF_ERROR(Share(served->name, files, request, response));
-    folder_->Keep(*place);
-    return absl::OkStatus();
-  }
-  ASSIGN_OR_RETURN(const auto version,
-                   WriteNewVersion(registry_->directory(), served->name, files));
-  const std::string path = PolicyFilePath(registry_->directory(), version);
-  auto loaded = ChangeTraffic(*registry_, version.policy, response->mutable_traffic(), [&] {
-    return registry_->LoadVersion(version, request.make_default()).status();
-  });
-  if (!loaded.ok()) {
-    std::error_code ignored;
-    std::filesystem::remove_all(std::filesystem::path(path).parent_path(), ignored);
-    return loaded;
-  }
-  folder_->Keep(*place);
+  ASSIGN_OR_RETURN(
+      const auto version,
+      AddVersion(registry_, folder_, tenant,
+                 {.policy = served->name, .files = files, .make_default = request.make_default()},
+                 response->mutable_traffic()));
   response->set_version(version.version);
-  response->set_path(path);
-  return absl::OkStatus();
-}
-
-absl::Status HeadHandler::Share(const std::string& policy, const VersionFiles& files,
-                                const v1::PromoteHeadRequest& request,
-                                v1::PromoteHeadResponse* response) const {
-  absl::StatusOr<PolicyVersion> version;
-  RETURN_IF_ERROR(ChangeTraffic(*registry_, policy, response->mutable_traffic(), [&] {
-    version = registry_->ShareVersion(policy, files, request.make_default());
-    return version.status();
-  }));
-  response->set_version(version->version);
-  response->set_path(PolicyFilePath(registry_->directory(), *version));
+  response->set_path(PolicyFilePath(registry_->directory(), version));
   return absl::OkStatus();
 }
 
@@ -185,7 +138,7 @@ absl::Status HeadHandler::RollbackHead(CallContext& context, const v1::RollbackH
                                        v1::RollbackHeadResponse* response) const {
   ASSIGN_OR_RETURN(const auto served,
                    registry_->catalog()->Find(request.policy(), request.version()));
-  ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request));
+  ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request.tenant()));
   if (served->log == nullptr) {
     response->set_drift(HeadOf(*served, tenant)->Rollback()->drift);
     return absl::OkStatus();

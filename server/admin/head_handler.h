@@ -8,9 +8,7 @@
 
 #include <string>
 
-#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
-#include "absl/synchronization/mutex.h"
 #include "core/open_sessions/session_store.h"
 #include "server/agent/call_context.h"
 #include "server/base/shared_folder.h"
@@ -42,11 +40,6 @@ class HeadHandler {
                               v1::ResumeLearningResponse* response) const;
 
  private:
-  // Adds a version on all servers that share settings.
-  absl::Status Share(const std::string& policy, const VersionFiles& files,
-                     const v1::PromoteHeadRequest& request,
-                     v1::PromoteHeadResponse* response) const;
-
   // Pauses or resumes learning of a policy, or of all policies if `policy` is empty: in the
   // settings and in the logs of the heads.
   absl::Status SetPaused(const std::string& policy, bool paused) const;
@@ -54,7 +47,6 @@ class HeadHandler {
   PolicyRegistry* const registry_;
   SessionStore* const store_;
   SharedFolder* const folder_;
-  mutable absl::Mutex promote_mutex_;  // keeps two promotions from choosing the same version number
 };
 
 }  // namespace spikeserve

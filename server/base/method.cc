@@ -94,6 +94,7 @@ void Append(const ServiceDescriptor& service, std::vector<Method>& methods) {
                        .name = method.name(),
                        .path = absl::StrCat("/", service.full_name(), "/", method.name()),
                        .streams = method.client_streaming() || method.server_streaming(),
+                       .gathers = method.client_streaming() && !method.server_streaming(),
                        .access = rules.access,
                        .cost = rules.cost,
                        .index = methods.size()});
@@ -125,7 +126,7 @@ const Method& MethodOf(const google::protobuf::Descriptor& request) {
   const auto* service = request.file()->service(0);
   for (int i = 0; i < service->method_count(); ++i) {
     const MethodDescriptor& method = *service->method(i);
-    if (method.input_type() == &request && !method.client_streaming()) {
+    if (method.input_type() == &request && !method.server_streaming()) {
       return MethodNamed(method.name());
     }
   }

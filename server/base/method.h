@@ -39,6 +39,7 @@ struct Method {
   const std::string name;     // "Act"
   const std::string path;     // "/spikeserve.v1.PolicyService/Act"
   const bool streams;         // requests or responses
+  const bool gathers;         // the messages of the client are one request
   const Access access;
   const Cost cost;
   const size_t index;  // in AllMethods()
@@ -52,7 +53,7 @@ absl::Span<const Method> AllMethods();
 // REQUIRES: there is one.
 const Method& MethodNamed(absl::string_view name);
 
-// Returns the unary method whose requests are of a type. Thread-safe.
+// Returns the method with one response whose requests are of a type. Thread-safe.
 //
 // REQUIRES: there is exactly one.
 const Method& MethodOf(const google::protobuf::Descriptor& request);

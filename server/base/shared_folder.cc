@@ -18,6 +18,12 @@ void SharedFolder::Keep(SharedPlaces::Place& place) {
   Measure();
 }
 
+void SharedFolder::Remove(const std::string& tenant, int64_t bytes) {
+  places_.Give(tenant, bytes);
+  absl::MutexLock lock(&mutex_);
+  report_(bytes_ -= bytes, max_bytes_);
+}
+
 void SharedFolder::Measure() {
   absl::MutexLock lock(&mutex_);
   const absl::Duration now = clock_.Now();

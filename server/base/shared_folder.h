@@ -49,6 +49,9 @@ class SharedFolder {
   // The file was written. Measures the folder if a minute has passed.
   void Keep(SharedPlaces::Place& place) ABSL_LOCKS_EXCLUDED(mutex_);
 
+  // A file of `bytes` was removed, in the place of which `tenant` may write others.
+  void Remove(const std::string& tenant, int64_t bytes) ABSL_LOCKS_EXCLUDED(mutex_);
+
   // Measures the folder if a minute has passed.
   void Measure() ABSL_LOCKS_EXCLUDED(mutex_);
 

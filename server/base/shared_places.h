@@ -34,6 +34,9 @@ class SharedPlaces {
   // Takes `number` places. Returns null if `group` would hold more than are free.
   std::shared_ptr<Place> Take(const std::string& group, int64_t number = 1);
 
+  // Gives back `number` places that were kept.
+  void Give(const std::string& group, int64_t number);
+
   // Sets how many are free, and what the groups hold in proportion, to all that they hold together.
   // For places that are kept, such as bytes on a disk, once others have changed them.
   void Reset(int64_t free, int64_t held);
@@ -81,6 +84,12 @@ inline std::shared_ptr<SharedPlaces::Place> SharedPlaces::Take(const std::string
     counts_->taken[group] += number;
   }
   return std::make_shared<Place>(counts_, group, number);
+}
+
+inline void SharedPlaces::Give(const std::string& group, int64_t number) {
+  absl::MutexLock lock(&counts_->mutex);
+  counts_->free += number;
+  if ((counts_->taken[group] -= number) <= 0) counts_->taken.erase(group);
 }
 
 inline void SharedPlaces::Reset(int64_t free, int64_t held) {

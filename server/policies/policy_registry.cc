@@ -89,10 +89,15 @@ absl::Status PolicyRegistry::KeepDefaults(const PolicyCatalog& catalog) {
 }
 
 absl::StatusOr<std::string> PolicyRegistry::ReadVersionFile(const PolicyVersion& version) const {
+  ASSIGN_OR_RETURN(auto files, ReadFiles(version));
+  return std::move(files.policy);
+}
+
+absl::StatusOr<VersionFiles> PolicyRegistry::ReadFiles(const PolicyVersion& version) const {
   if (options_.withhold_files) {
     return absl::PermissionDeniedError("policy: files are withheld (--withhold_policies)");
   }
-  return ReadFile(PolicyFilePath(options_.directory, version));
+  return ReadVersionFiles(PolicyFilePath(options_.directory, version), /*with_signature=*/true);
 }
 
 bool PolicyRegistry::HasUnloaded() {

@@ -53,6 +53,14 @@ constexpr std::array<EnumName<DefaultRule>, 2> EnumNames(DefaultRule) {
   return {{{DefaultRule::kStay, "stay"}, {DefaultRule::kHighest, "highest"}}};
 }
 
+// A version that a server makes or is sent.
+struct NewVersion {
+  std::string policy;
+  int64_t version = 0;  // 0: one above every version that the policy has or had
+  VersionFiles files;
+  bool make_default = false;
+};
+
 struct RegistryOptions {
   std::string directory;           // of the policies
   std::string settings_path = "";  // empty: settings are not saved
@@ -85,6 +93,8 @@ class PolicyRegistry {
   // Returns the content of a version's file, for the robots that play it, and PERMISSION_DENIED if
   // files are withheld. The file may have been replaced since the version was loaded.
   absl::StatusOr<std::string> ReadVersionFile(const PolicyVersion& version) const;
+  // As above, with the signature.
+  absl::StatusOr<VersionFiles> ReadFiles(const PolicyVersion& version) const;
 
   // Returns true if operators have unloaded versions that are not loaded again.
   bool HasUnloaded();
@@ -107,10 +117,22 @@ class PolicyRegistry {
   // need one. INVALID_ARGUMENT if the policy is not valid, and the error of CheckCanSign().
   absl::StatusOr<VersionFiles> FormatVersion(const Policy& policy) const;
 
-  // Makes `files` a new version of the policy `name` on all servers that share settings, and loads
-  // it here. If `make_default`, it also becomes the default. REQUIRES: shares_settings().
-  absl::StatusOr<PolicyVersion> ShareVersion(const std::string& name, const VersionFiles& files,
-                                             bool make_default);
+  // Returns INVALID_ARGUMENT unless the name is valid and TryVersion() accepts the files, whose
+  // signature, if versions need one, has to be that of the statement of their version.
+  absl::Status CheckPushed(const NewVersion& added) const;
+
+  // Writes a version, on all servers that share settings, and serves it. ALREADY_EXISTS if the
+  // policy has or had this version, and the errors of LoadVersion(); then nothing is left behind.
+  absl::StatusOr<PolicyVersion> AddVersion(const NewVersion& added);
+
+  // Returns the versions of a policy that were pushed, ascending.
+  std::vector<PolicyVersion> PushedVersions(const std::string& policy) const;
+
+  // Removes a version that was pushed, or promoted on servers that share settings, on all of these.
+  // Its number is not used again. Returns how many bytes its files had here; NOT_FOUND if there is
+  // no such version, and FAILED_PRECONDITION if a setting uses it as in Unload(), or an operator
+  // has written its file.
+  absl::StatusOr<int64_t> RemoveStored(const PolicyVersion& version);
 
   // Updates the catalog from the directory: loads new and changed files, and unloads versions whose
   // files were removed, unless a setting uses them. If a changed file is refused, the version that
@@ -192,11 +214,15 @@ class PolicyRegistry {
   // Puts the settings of other servers into force.
   absl::Status Adopt(const SharedSettings::Document& document)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
-  // Writes the files of promoted versions that this server does not have. Logs what fails.
-  void FetchPromoted() ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
-  // Reads the files of a promoted version from the shared ones. INVALID_ARGUMENT if they are not
-  // what they should be.
-  absl::StatusOr<VersionFiles> FetchFiles(const std::string& sha256);
+  // Writes the files of stored versions that this server does not have, and removes those of
+  // versions that another server has removed since the settings were `before`. Logs what fails.
+  void FetchStored(const Settings& before) ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  // Reads the files of a stored version from the shared ones. INVALID_ARGUMENT if they are not what
+  // they should be.
+  absl::StatusOr<VersionFiles> FetchFiles(const PolicyVersion& version, const std::string& sha256);
+  // Writes the files of a version to the shared ones.
+  absl::Status PutFiles(const PolicyVersion& version, const VersionFiles& files,
+                        const std::string& sha256);
 
   // Each is one attempt of the public method of its name.
   absl::StatusOr<ReloadReport> ReloadOnce() ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
@@ -211,9 +237,17 @@ class PolicyRegistry {
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
   absl::Status PauseOnce(const std::string& policy, bool paused)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
-  absl::StatusOr<PolicyVersion> ShareOnce(const std::string& name, const std::string& sha256,
-                                          bool make_default)
+  absl::StatusOr<PolicyVersion> AddOnce(const NewVersion& added)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  absl::Status ShareOnce(const NewVersion& added, const PolicyVersion& version)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  absl::Status RemoveOnce(const PolicyVersion& version)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+
+  // Returns true if the policy has this version, or a former one had its number.
+  bool IsTaken(const PolicyVersion& version) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  // Returns the number above every one for which IsTaken().
+  int64_t NextNumber(const std::string& policy) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
   // Pauses and resumes learning as the settings say.
   void SwitchLearning() ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);

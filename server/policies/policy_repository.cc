@@ -1,6 +1,5 @@
 #include "server/policies/policy_repository.h"
 
-#include <openssl/sha.h>
 #include <sys/stat.h>
 
 #include <algorithm>
@@ -12,13 +11,13 @@
 #include "absl/algorithm/container.h"
 #include "absl/functional/function_ref.h"
 #include "absl/strings/ascii.h"
-#include "absl/strings/escaping.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
+#include "core/digest/sha256.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/learning/fleet_head.h"
 #include "core/model/policy_file.h"
@@ -48,7 +47,7 @@ absl::StatusOr<std::vector<fs::path>> ListFolders(const fs::path& directory) {
 
 // Makes one decision, so that all data that a decision touches is in memory before the first
 // request. Returns INVALID_ARGUMENT if the result is not finite.
-absl::Status WarmUp(const Engine& engine, const std::string& path) {
+absl::Status WarmUp(const Engine& engine) {
   const Policy& policy = engine.policy();
   const std::vector<float> observation(static_cast<size_t>(policy.observation_size()), 0.0f);
   Engine::Output output;
@@ -59,8 +58,7 @@ absl::Status WarmUp(const Engine& engine, const std::string& path) {
   if (absl::c_all_of(output.readout, is_finite) && absl::c_all_of(choice.logits, is_finite)) {
     return absl::OkStatus();
   }
-  return absl::InvalidArgumentError(
-      absl::StrCat(path, ": expected a finite first decision, received NaN or infinity"));
+  return absl::InvalidArgumentError("expected a finite first decision, received NaN or infinity");
 }
 
 constexpr char kFileName[] = "policy.safetensors";
@@ -181,11 +179,17 @@ std::string PolicyFilePath(const std::string& directory, const PolicyVersion& ve
       .string();
 }
 
-std::string Sha256Of(absl::string_view bytes) {
-  unsigned char digest[SHA256_DIGEST_LENGTH];
-  SHA256(reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size(), digest);
-  return absl::BytesToHexString(
-      absl::string_view(reinterpret_cast<const char*>(digest), sizeof(digest)));
+absl::StatusOr<std::shared_ptr<const Engine>> TryVersion(const PolicyVersion& version,
+                                                         const VersionFiles& files,
+                                                         const PolicySignatures* signatures) {
+  if (signatures != nullptr) {
+    const auto statement = StatementOf(version.policy, version.version, Sha256Of(files.policy));
+    RETURN_IF_ERROR(signatures->Verify(files.signature, {statement, files.policy}));
+  }
+  ASSIGN_OR_RETURN(auto policy, ParsePolicyFile(files.policy));
+  std::shared_ptr<const Engine> engine = MakeEngine(std::move(policy));
+  RETURN_IF_ERROR(WarmUp(*engine));
+  return engine;
 }
 
 absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
@@ -197,14 +201,14 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
     RETURN_IF_ERROR(CheckWithin(directory, file));
   }
   // The bytes that are verified are those that are parsed: the file may change at any time.
-  ASSIGN_OR_RETURN(const auto files, ReadVersionFiles(path, signatures));
-  auto policy = ParsePolicyFile(files.policy);
-  if (!policy.ok()) return Annotate(policy.status(), path);
+  ASSIGN_OR_RETURN(const auto files, ReadVersionFiles(path, signatures != nullptr));
+  auto engine = TryVersion(version, files, signatures);
+  if (!engine.ok()) return Annotate(engine.status(), path);
   auto served = std::make_shared<ServedPolicy>();
   served->name = version.policy;
   served->version = version.version;
   served->sha256 = Sha256Of(files.policy);
-  served->engine = MakeEngine(*std::move(policy));
+  served->engine = *std::move(engine);
   const std::shared_ptr<const Policy> shared(served->engine, &served->policy());
   served->learning = std::move(learning);
   if (open_log != nullptr) served->log = open_log(*served);
@@ -212,7 +216,6 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
       served->log != nullptr ? served->log->heads() : std::make_shared<TenantHeads>(shared);
   served->share_heads = share_heads;
   served->heads->Of("");  // exists before a session learns it
-  RETURN_IF_ERROR(WarmUp(*served->engine, path));
   served->observer = new_observer(served->name, served->version, served->policy());
   return served;
 }

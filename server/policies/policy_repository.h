@@ -18,6 +18,7 @@
 #include "absl/status/statusor.h"
 #include "core/agent/head_log.h"
 #include "core/agent/served_policy.h"
+#include "core/engine/engine.h"
 #include "server/policies/policy_signatures.h"
 
 namespace spikeserve {
@@ -68,16 +69,19 @@ bool IsPlainName(const std::string& name);
 
 std::string PolicyFilePath(const std::string& directory, const PolicyVersion& version);
 
-// Returns the SHA-256 of bytes in hexadecimal.
-std::string Sha256Of(absl::string_view bytes);
-
 // Makes the observer of one policy version.
 using NewObserver = std::function<std::shared_ptr<SessionObserver>(
     const std::string& name, int64_t version, const Policy& policy)>;
 
-// Reads a version and makes one decision with it, so that all data that a decision touches is in
-// memory. Returns the errors of ReadVersionFiles and ParsePolicyFile, and INVALID_ARGUMENT if the
-// decision is not finite; messages start with the path. `signatures`: see ReadVersionFiles.
+// Verifies the signature of a version unless `signatures` is null, parses it, and makes one
+// decision with it, so that all data that a decision touches is in memory. Returns the errors of
+// PolicySignatures::Verify and ParsePolicyFile, and INVALID_ARGUMENT if the decision is not finite.
+absl::StatusOr<std::shared_ptr<const Engine>> TryVersion(const PolicyVersion& version,
+                                                         const VersionFiles& files,
+                                                         const PolicySignatures* signatures);
+
+// Reads a version and tries it. Returns the errors of ReadVersionFiles and TryVersion; messages
+// start with the path. `signatures`: see TryVersion.
 // `learning` pauses this version together with the others that share the switch. `share_heads`: the
 // fleet sessions of all tenants learn one head; otherwise each tenant has its own. `open_log` opens
 // the log that changes the heads; null: they are those of this process alone.

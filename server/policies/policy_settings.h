@@ -65,8 +65,11 @@ absl::Status ReadJson(absl::string_view field, const nlohmann::json& json,
 
 struct Settings {
   std::map<std::string, PolicySettings> policies;
-  std::set<PolicyVersion> unloaded;  // not loaded until an operator loads them
-  // The SHA-256 of the files of promoted versions, in hexadecimal; with shared settings only.
+  // Not loaded until an operator loads them. Stored versions that were removed are here, too, so
+  // that no server that has missed it serves them, and not `promoted`.
+  std::set<PolicyVersion> unloaded;
+  // The SHA-256 of the files of stored versions, which were promoted or pushed, in hexadecimal;
+  // with shared settings only.
   std::map<PolicyVersion, std::string> promoted;
 };
 

@@ -23,8 +23,6 @@
 namespace spikeserve {
 namespace {
 
-constexpr size_t kSignatureBytes = 64;
-
 using Key = std::shared_ptr<evp_pkey_st>;
 
 const unsigned char* Data(absl::string_view bytes) {
@@ -109,13 +107,13 @@ absl::StatusOr<Key> ReadPrivateKey(const std::string& path) {
   return key;
 }
 
-bool IsSignedBy(const Key& key, const VersionFiles& files) {
+bool IsSignedBy(const Key& key, absl::string_view signature, absl::string_view text) {
   const std::unique_ptr<EVP_MD_CTX, decltype(&EVP_MD_CTX_free)> context(EVP_MD_CTX_new(),
                                                                         &EVP_MD_CTX_free);
   const bool valid =
       EVP_DigestVerifyInit(context.get(), nullptr, nullptr, nullptr, key.get()) == 1 &&
-      EVP_DigestVerify(context.get(), Data(files.signature), files.signature.size(),
-                       Data(files.policy), files.policy.size()) == 1;
+      EVP_DigestVerify(context.get(), Data(signature), signature.size(), Data(text), text.size()) ==
+          1;
   ERR_clear_error();
   return valid;
 }
@@ -163,21 +161,23 @@ absl::StatusOr<std::shared_ptr<const PolicySignatures>> PolicySignatures::Read(
       new PolicySignatures(*std::move(trusted), std::move(signing)));
 }
 
-absl::Status PolicySignatures::Verify(const VersionFiles& files) const {
-  if (files.signature.empty()) {
+absl::Status PolicySignatures::Verify(absl::string_view signature,
+                                      std::initializer_list<absl::string_view> texts) const {
+  if (signature.empty()) {
     return absl::InvalidArgumentError(
         "expected a signature in policy.safetensors.sig, because of --trusted_keys, received none");
   }
-  if (files.signature.size() != kSignatureBytes) {
-    const std::string received = files.signature.size() > kSignatureBytes
-                                     ? "more"
-                                     : absl::StrCat(files.signature.size(), " bytes");
+  if (signature.size() != kSignatureBytes) {
+    const std::string received =
+        signature.size() > kSignatureBytes ? "more" : absl::StrCat(signature.size(), " bytes");
     return absl::InvalidArgumentError(
         absl::StrCat("policy.safetensors.sig: expected the ", kSignatureBytes,
                      " bytes of an Ed25519 signature, received ", received));
   }
-  const bool valid = std::any_of(trusted_.begin(), trusted_.end(),
-                                 [&](const Key& key) { return IsSignedBy(key, files); });
+  const bool valid = std::any_of(trusted_.begin(), trusted_.end(), [&](const Key& key) {
+    return std::any_of(texts.begin(), texts.end(),
+                       [&](absl::string_view text) { return IsSignedBy(key, signature, text); });
+  });
   if (valid) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat(
       "policy.safetensors.sig: expected the signature of this policy file by one of the ",
@@ -212,14 +212,16 @@ std::string SignaturePath(const std::string& policy_path) {
   return absl::StrCat(policy_path, ".sig");
 }
 
-absl::StatusOr<VersionFiles> ReadVersionFiles(const std::string& policy_path,
-                                              const PolicySignatures* signatures) {
+std::string StatementOf(absl::string_view policy, int64_t version, absl::string_view sha256) {
+  return absl::StrCat("spikeserve policy ", policy, " ", version, " ", sha256, "\n");
+}
+
+absl::StatusOr<VersionFiles> ReadVersionFiles(const std::string& policy_path, bool with_signature) {
   auto policy = ReadSafetensorsFile(policy_path);
   if (!policy.ok()) return Annotate(policy.status(), policy_path);
   VersionFiles files = {.policy = *std::move(policy), .signature = {}};
-  if (signatures == nullptr) return files;
+  if (!with_signature) return files;
   ASSIGN_OR_RETURN(files.signature, ReadSignature(SignaturePath(policy_path)));
-  if (auto status = signatures->Verify(files); !status.ok()) return Annotate(status, policy_path);
   return files;
 }
 

@@ -1,8 +1,9 @@
 // Signs policy files, and verifies their signatures, so that a server serves only the policies of
 // people whom its operator trusts.
 //
-// A signature is the 64 bytes of Ed25519 (RFC 8032) for the content of a policy file. It lies in a
-// file beside it, whose name ends in ".sig", as OpenSSL writes it:
+// A signature is the 64 bytes of Ed25519 (RFC 8032) for the content of a policy file, or for its
+// statement (StatementOf), which also names the policy and the version. It lies in a file beside
+// the policy file, whose name ends in ".sig", as OpenSSL writes it:
 //
 //   openssl pkeyutl -sign -rawin -inkey private.pem -in policy.safetensors -out
 //     policy.safetensors.sig
@@ -11,6 +12,9 @@
 #ifndef SERVER_POLICIES_POLICY_SIGNATURES_H_
 #define SERVER_POLICIES_POLICY_SIGNATURES_H_
 
+#include <cstddef>
+#include <cstdint>
+#include <initializer_list>
 #include <memory>
 #include <string>
 #include <utility>
@@ -24,11 +28,17 @@ struct evp_pkey_st;
 
 namespace spikeserve {
 
+inline constexpr size_t kSignatureBytes = 64;
+
 // The files of a version.
 struct VersionFiles {
   std::string policy;     // the content of policy.safetensors
-  std::string signature;  // of `policy`; empty: the version is not signed
+  std::string signature;  // of `policy` or its statement; empty: the version is not signed
+  bool pushed = false;    // see version_writer.h
 };
+
+// Returns the text whose signature holds for one version of one policy alone.
+std::string StatementOf(absl::string_view policy, int64_t version, absl::string_view sha256);
 
 class PolicySignatures {
  public:
@@ -38,8 +48,9 @@ class PolicySignatures {
   static absl::StatusOr<std::shared_ptr<const PolicySignatures>> Read(
       const std::string& trusted_keys, const std::string& signing_key);
 
-  // Returns INVALID_ARGUMENT unless one of the trusted keys has signed `files.policy`.
-  absl::Status Verify(const VersionFiles& files) const;
+  // Returns INVALID_ARGUMENT unless one of the trusted keys has made `signature` of one of `texts`.
+  absl::Status Verify(absl::string_view signature,
+                      std::initializer_list<absl::string_view> texts) const;
 
   // Returns FAILED_PRECONDITION without a signing key.
   absl::Status CheckCanSign() const;
@@ -60,11 +71,10 @@ class PolicySignatures {
 // Returns the path of the signature of a policy file.
 std::string SignaturePath(const std::string& policy_path);
 
-// Reads a policy file and its signature, both once. Requires a valid signature unless `signatures`
-// is null; then the signature is empty if there is none. Returns NOT_FOUND if there is no policy
-// file, and INVALID_ARGUMENT otherwise; messages start with the path.
-absl::StatusOr<VersionFiles> ReadVersionFiles(const std::string& policy_path,
-                                              const PolicySignatures* signatures);
+// Reads a policy file once, and its signature `with_signature`, which is empty if there is none and
+// not verified. Returns NOT_FOUND if there is no policy file, and INVALID_ARGUMENT if a file cannot
+// be read; messages start with the path.
+absl::StatusOr<VersionFiles> ReadVersionFiles(const std::string& policy_path, bool with_signature);
 
 }  // namespace spikeserve
 

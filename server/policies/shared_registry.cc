@@ -1,15 +1,12 @@
-// How a PolicyRegistry shares settings and promoted versions with other servers.
-#include <algorithm>
+// How a PolicyRegistry shares settings with other servers.
 #include <string>
 #include <utility>
 
 #include "absl/algorithm/container.h"
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
-#include "core/base/file.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
-#include "core/contract/dcheck.h"
 #include "server/base/log.h"
 #include "server/policies/policy_registry.h"
 #include "server/policies/policy_settings.h"
@@ -20,13 +17,6 @@ namespace {
 
 // How often a change is tried while other servers change the settings, too.
 constexpr int kMostAttempts = 20;
-
-absl::Status CheckSha256(absl::string_view bytes, absl::string_view expected) {
-  const std::string received = Sha256Of(bytes);
-  if (received == expected) return absl::OkStatus();
-  return absl::FailedPreconditionError(
-      absl::StrCat("expected SHA-256 ", expected, ", received ", received));
-}
 
 }  // namespace
 
@@ -51,7 +41,14 @@ absl::Status PolicyRegistry::Refresh() {
     if (i == kMostAttempts) {
       return absl::UnavailableError("settings: the store has no settings and takes none");
     }
-    // The store is new, or has lost the settings.
+    // The store is new, or has lost the settings, and the files that belong to them.
+    for (const auto& [version, sha256] : settings_.promoted) {
+      auto files = ReadVersionFiles(PolicyFilePath(options_.directory, version),
+                                    /*with_signature=*/true);
+      if (!files.ok()) continue;
+      files->pushed = IsPushed(options_.directory, version);
+      RETURN_IF_ERROR(PutFiles(version, *files, sha256));
+    }
     const SharedSettings::Document first = {.revision = 1, .json = ToJson(settings_)};
     const auto status = options_.shared->Write(first);
     if (status.ok()) {
@@ -79,12 +76,12 @@ absl::Status PolicyRegistry::Refresh() {
 absl::Status PolicyRegistry::Adopt(const SharedSettings::Document& document) {
   auto settings = ParseSettings(document.json);
   if (!settings.ok()) return Annotate(settings.status(), "shared settings");
-  settings_ = *std::move(settings);
+  const Settings before = std::exchange(settings_, *std::move(settings));
   revision_ = document.revision;
   if (auto status = SaveFile(settings_); !status.ok()) {
     LogError("shared settings not saved", {{"error", status.message()}});
   }
-  FetchPromoted();
+  FetchStored(before);
   ASSIGN_OR_RETURN(auto folders, ListPolicyFolders(options_.directory));
   ReloadReport report;
   PolicyCatalog catalog = *this->catalog();
@@ -107,84 +104,6 @@ absl::Status PolicyRegistry::Adopt(const SharedSettings::Document& document) {
   SwitchLearning();
   Publish(std::move(catalog));
   return absl::OkStatus();
-}
-
-void PolicyRegistry::FetchPromoted() {
-  for (const auto& [version, sha256] : settings_.promoted) {
-    const std::string path = PolicyFilePath(options_.directory, version);
-    absl::Status status;
-    if (StampOf(path).size >= 0) {
-      const auto found = ReadFile(path);
-      if (found.ok()) status = Annotate(CheckSha256(*found, sha256), path);
-    } else {
-      const auto files = FetchFiles(sha256);
-      status = Annotate(files.status(), path);
-      if (status.ok()) status = WriteVersion(options_.directory, version, *files);
-    }
-    if (!status.ok()) {
-      LogError("promoted version not taken over",
-               {{"policy", version.policy}, {"error", status.message()}});
-    }
-  }
-}
-
-absl::StatusOr<VersionFiles> PolicyRegistry::FetchFiles(const std::string& sha256) {
-  ASSIGN_OR_RETURN(auto policy, options_.shared->GetFile(sha256));
-  RETURN_IF_ERROR(CheckSha256(policy, sha256));
-  VersionFiles files = {.policy = std::move(policy), .signature = {}};
-  auto signature = options_.shared->GetFile(SignaturePath(sha256));
-  if (signature.ok()) {
-    files.signature = *std::move(signature);
-  } else if (!absl::IsNotFound(signature.status())) {
-    return signature.status();
-  }
-  if (options_.signatures == nullptr) return files;
-  auto status = options_.signatures->Verify(files);
-  if (!status.ok()) return Annotate(status, "promoted version in the session store");
-  return files;
-}
-
-absl::StatusOr<PolicyVersion> PolicyRegistry::ShareVersion(const std::string& name,
-                                                           const VersionFiles& files,
-                                                           bool make_default) {
-  SPIKESERVE_DCHECK(shares_settings());
-  const std::string sha256 = Sha256Of(files.policy);
-  absl::MutexLock change(&change_mutex_);
-  if (!files.signature.empty()) {
-    RETURN_IF_ERROR(options_.shared->PutFile(SignaturePath(sha256), files.signature));
-  }
-  RETURN_IF_ERROR(options_.shared->PutFile(sha256, files.policy));
-  absl::StatusOr<PolicyVersion> version;
-  RETURN_IF_ERROR(WithLatest([&] {
-    change_mutex_.AssertHeld();
-    version = ShareOnce(name, sha256, make_default);
-    return version.status();
-  }));
-  return version;
-}
-
-absl::StatusOr<PolicyVersion> PolicyRegistry::ShareOnce(const std::string& name,
-                                                        const std::string& sha256,
-                                                        bool make_default) {
-  Settings settings = settings_;
-  PolicyVersion version = {.policy = name, .version = NextVersion(options_.directory, name)};
-  for (const auto& [known, ignored] : settings.promoted) {
-    if (known.policy == name) version.version = std::max(version.version, known.version + 1);
-  }
-  settings.promoted[version] = sha256;
-  if (make_default) {
-    PolicySettings& changed = settings.policies[name];
-    RETURN_IF_ERROR(CheckNoRollout(changed));
-    changed.default_version = version.version;
-    changed.default_follows_highest = false;
-  }
-  RETURN_IF_ERROR(Save(settings));
-  // From here on as on every other server.
-  if (auto status = Adopt({.revision = revision_, .json = ToJson(settings)}); !status.ok()) {
-    return status;
-  }
-  if (auto served = catalog()->Find(name, version.version); !served.ok()) return served.status();
-  return version;
 }
 
 }  // namespace spikeserve

@@ -1,5 +1,5 @@
-// Where replicas keep what they share of the settings of operators, and the files of promoted
-// versions.
+// Where replicas keep what they share of the settings of operators, and the files of versions that
+// were promoted or pushed.
 //
 // Implementations are thread-safe. All methods block, and return UNAVAILABLE if the store cannot be
 // reached.
@@ -40,9 +40,10 @@ class SharedSettings {
   // if the store has another revision.
   virtual absl::Status Write(const Document& document) = 0;
 
-  // Stores a file under a name: the SHA-256 of a policy file in hexadecimal, and the same with
-  // ".sig" for its signature.
+  // Stores a file under a name that begins with the SHA-256 of a policy file in hexadecimal.
   virtual absl::Status PutFile(const std::string& name, const std::string& bytes) = 0;
+  // Removes it, if the store has it.
+  virtual absl::Status RemoveFile(const std::string& name) = 0;
   // Returns NOT_FOUND if the store does not have the file.
   virtual absl::StatusOr<std::string> GetFile(const std::string& name) = 0;
 

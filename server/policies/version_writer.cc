@@ -13,7 +13,6 @@
 #include <system_error>
 #include <vector>
 
-#include "absl/functional/function_ref.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
@@ -27,6 +26,7 @@ namespace fs = std::filesystem;
 
 constexpr char kUnfinished[] = ".unfinished-";
 constexpr char kPolicyFile[] = "policy.safetensors";
+constexpr char kPushedFile[] = "pushed";
 constexpr std::chrono::minutes kTemporaryFileAge(10);
 
 // A folder that is open. With Lock() it tells other processes that it is in use, until it is closed
@@ -62,42 +62,10 @@ std::vector<fs::directory_entry> Entries(const fs::path& folder) {
   return entries;
 }
 
-int64_t NextVersion(const fs::path& policy_folder) {
-  int64_t highest = 0;
-  for (const fs::directory_entry& entry : Entries(policy_folder)) {
-    const auto version = ParseVersion(entry.path());
-    if (version.ok()) highest = std::max(highest, *version);
-  }
-  return highest + 1;
-}
-
-// Writes the files of a version into a hidden folder of the policy and renames it to the number
-// that `number` returns then.
-absl::Status WriteAndRename(const std::string& directory, const std::string& name,
-                            const VersionFiles& files, absl::FunctionRef<int64_t()> number) {
-  const fs::path policy_folder = fs::path(directory) / name;
-  RETURN_IF_ERROR(CheckWithin(directory, policy_folder));
+absl::StatusOr<std::string> MakeHiddenFolder(const fs::path& policy_folder) {
   std::string folder = (policy_folder / absl::StrCat(kUnfinished, "XXXXXX")).string();
   if (mkdtemp(folder.data()) == nullptr) return SystemError(folder, "create the folder");
-  const OpenFolder in_use(folder);
-  in_use.Lock();
-  const std::string path = (fs::path(folder) / kPolicyFile).string();
-  auto status = WriteFileAtomically(path, {files.policy});
-  if (status.ok() && !files.signature.empty()) {
-    status = WriteFileAtomically(SignaturePath(path), {files.signature});
-  }
-  std::error_code ignored;
-  fs::permissions(folder, fs::perms(0755), ignored);  // mkdtemp lets only the owner read it
-  const fs::path target = policy_folder / absl::StrCat(number());
-  if (status.ok() && rename(folder.c_str(), target.c_str()) != 0) {
-    status = SystemError(target, "create the folder");
-  }
-  if (!status.ok()) {
-    fs::remove_all(folder, ignored);
-    return status;
-  }
-  if (!OpenFolder(policy_folder).Flush()) return SystemError(policy_folder, "flush the directory");
-  return absl::OkStatus();
+  return folder;
 }
 
 bool IsOld(const fs::path& path) {
@@ -119,24 +87,75 @@ void SweepVersion(const fs::path& folder) {
 
 }  // namespace
 
-int64_t NextVersion(const std::string& directory, const std::string& name) {
-  return NextVersion(fs::path(directory) / name);
-}
-
 absl::Status WriteVersion(const std::string& directory, const PolicyVersion& version,
                           const VersionFiles& files) {
   const fs::path policy_folder = fs::path(directory) / version.policy;
+  RETURN_IF_ERROR(CheckWithin(directory, policy_folder));
   std::error_code ignored;
   fs::create_directories(policy_folder, ignored);
-  return WriteAndRename(directory, version.policy, files, [&] { return version.version; });
+  ASSIGN_OR_RETURN(const std::string folder, MakeHiddenFolder(policy_folder));
+  const OpenFolder in_use(folder);
+  in_use.Lock();
+  const std::string path = (fs::path(folder) / kPolicyFile).string();
+  auto status = WriteFileAtomically(path, {files.policy});
+  if (status.ok() && !files.signature.empty()) {
+    status = WriteFileAtomically(SignaturePath(path), {files.signature});
+  }
+  if (status.ok() && files.pushed) {
+    status = WriteFileAtomically((fs::path(folder) / kPushedFile).string(), {});
+  }
+  fs::permissions(folder, fs::perms(0755), ignored);  // mkdtemp lets only the owner read it
+  const fs::path target = policy_folder / absl::StrCat(version.version);
+  if (status.ok() && rename(folder.c_str(), target.c_str()) != 0) {
+    status = SystemError(target, "create the folder");
+  }
+  if (!status.ok()) {
+    fs::remove_all(folder, ignored);
+    rmdir(policy_folder.c_str());  // fails unless the folder is empty
+    return status;
+  }
+  if (!OpenFolder(policy_folder).Flush()) return SystemError(policy_folder, "flush the directory");
+  return absl::OkStatus();
 }
 
-absl::StatusOr<PolicyVersion> WriteNewVersion(const std::string& directory, const std::string& name,
-                                              const VersionFiles& files) {
-  PolicyVersion written = {.policy = name, .version = 0};
-  RETURN_IF_ERROR(WriteAndRename(directory, name, files,
-                                 [&] { return written.version = NextVersion(directory, name); }));
-  return written;
+absl::StatusOr<int64_t> RemoveVersion(const std::string& directory, const PolicyVersion& version) {
+  const fs::path policy_folder = fs::path(directory) / version.policy;
+  const fs::path folder = policy_folder / absl::StrCat(version.version);
+  RETURN_IF_ERROR(CheckWithin(directory, folder));
+  int64_t bytes = 0;
+  for (const fs::directory_entry& file : Entries(folder)) {
+    std::error_code error;
+    const auto size = file.file_size(error);
+    if (!error) bytes += static_cast<int64_t>(size);
+  }
+  // The folder takes the place of an empty hidden one, which the next start sweeps if need be.
+  ASSIGN_OR_RETURN(const std::string hidden, MakeHiddenFolder(policy_folder));
+  if (rename(folder.c_str(), hidden.c_str()) != 0) {
+    auto status = SystemError(folder, "remove the folder");
+    rmdir(hidden.c_str());
+    return status;
+  }
+  std::error_code ignored;
+  fs::remove_all(hidden, ignored);
+  if (rmdir(policy_folder.c_str()) != 0) OpenFolder(policy_folder).Flush();
+  return bytes;
+}
+
+bool IsPushed(const std::string& directory, const PolicyVersion& version) {
+  const fs::path file = fs::path(PolicyFilePath(directory, version)).replace_filename(kPushedFile);
+  std::error_code error;
+  return fs::exists(file, error) && CheckWithin(directory, file).ok();
+}
+
+std::vector<int64_t> VersionsOf(const std::string& directory, const std::string& name) {
+  std::vector<int64_t> versions;
+  for (const fs::directory_entry& entry : Entries(fs::path(directory) / name)) {
+    if (const auto version = ParseVersion(entry.path()); version.ok()) {
+      versions.push_back(*version);
+    }
+  }
+  std::sort(versions.begin(), versions.end());
+  return versions;
 }
 
 void SweepUnfinishedVersions(const std::string& directory) {

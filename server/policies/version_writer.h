@@ -1,12 +1,17 @@
-// Adds versions to the policy directory, so that a version is either there completely or not at
-// all.
+// Adds versions to the policy directory, and removes them, so that a version is either there
+// completely or not at all.
+//
+// An empty file `pushed` in the folder of a version says that a server has written it for
+// PushPolicy.
 //
 // Free functions without shared state; safe to call from many threads, and while other servers use
 // the same directory.
 #ifndef SERVER_POLICIES_VERSION_WRITER_H_
 #define SERVER_POLICIES_VERSION_WRITER_H_
 
+#include <cstdint>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -15,21 +20,22 @@
 
 namespace spikeserve {
 
-// Writes `files` as a new version of the policy `name` and returns it. Its number is one above
-// every version folder of the policy, also of those without a file. The files are written to a
-// hidden folder, flushed to the disk and then renamed. On an error nothing is left behind.
-absl::StatusOr<PolicyVersion> WriteNewVersion(const std::string& directory, const std::string& name,
-                                              const VersionFiles& files);
-
-// Writes a version in the same way. Returns the error of the system if it exists.
+// Writes the files of a version to a hidden folder, flushes them to the disk and renames the
+// folder. Returns the error of the system, and leaves nothing behind, also if the version exists.
 absl::Status WriteVersion(const std::string& directory, const PolicyVersion& version,
                           const VersionFiles& files);
 
-// Returns the number one above every version folder of the policy `name`.
-int64_t NextVersion(const std::string& directory, const std::string& name);
+// Removes a version. Returns how many bytes its files had, or the error of the system.
+absl::StatusOr<int64_t> RemoveVersion(const std::string& directory, const PolicyVersion& version);
+
+// Returns true if a version was pushed.
+bool IsPushed(const std::string& directory, const PolicyVersion& version);
+
+// Returns the versions of the policy `name` that have a folder, also one without a file, ascending.
+std::vector<int64_t> VersionsOf(const std::string& directory, const std::string& name);
 
 // Removes what killed processes have left in the policy directory: the hidden folders of
-// WriteNewVersion() that no process writes to, temporary files of policies that are older than ten
+// WriteVersion() that no process writes to, temporary files of policies that are older than ten
 // minutes, and empty version folders. What cannot be removed stays.
 void SweepUnfinishedVersions(const std::string& directory);
 

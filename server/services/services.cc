@@ -1,5 +1,6 @@
 #include "server/services/services.h"
 
+#include <type_traits>
 #include <utility>
 
 #include "absl/status/status.h"
@@ -83,8 +84,12 @@ void Services::AddRecorded(const H* handler, HandlerMethod<H, Request, Response>
       is_operators ? handlers_.admin_worker : handlers_.worker,
       [audit = handlers_.audit, &method, handler, answer](
           CallContext& context, const Request& request, Response* response) {
-        return audit->RunAndRecord(method, context, request,
-                                   [&] { return (handler->*answer)(context, request, response); });
+        const auto change = [&] { return (handler->*answer)(context, request, response); };
+        if constexpr (std::is_same_v<Request, v1::PushPolicyRequest>) {
+          return audit->RunAndRecord(method, context, WithoutData(request), change);
+        } else {
+          return audit->RunAndRecord(method, context, request, change);
+        }
       },
       /*is_recorded=*/true);
 }
@@ -123,6 +128,10 @@ void Services::AddPolicyAdmin() {
   AddAdmin(admin, &AdminHandler::ListHistory);
   AddAdmin(admin, &AdminHandler::ListSessions);
   AddAdmin(admin, &AdminHandler::Drain);
+  const VersionHandler* versions = handlers_.versions;
+  AddAdmin(versions, &VersionHandler::PushPolicy);
+  AddAdmin(versions, &VersionHandler::PullPolicy);
+  AddAdmin(versions, &VersionHandler::RemovePolicy);
   const RolloutHandler* rollouts = handlers_.rollouts;
   AddAdmin(rollouts, &RolloutHandler::StartRollout);
   AddAdmin(rollouts, &RolloutHandler::AbortRollout);

@@ -11,6 +11,7 @@
 #include "server/admin/audit.h"
 #include "server/admin/head_handler.h"
 #include "server/admin/rollout_handler.h"
+#include "server/admin/version_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
 #include "server/base/method.h"
@@ -29,6 +30,7 @@ struct Handlers {
   const AdminHandler* admin;
   const HeadHandler* heads;
   const RolloutHandler* rollouts;
+  const VersionHandler* versions;
   const Audit* audit;
   const InferenceHandler* inference;
   HealthService* health;

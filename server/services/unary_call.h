@@ -1,4 +1,5 @@
-// A call with one request and one response.
+// A call with one request and one response. The request of a method that streams requests alone is
+// what its messages are when they are merged.
 //
 // Confined to the thread of the call's loop.
 #ifndef SERVER_SERVICES_UNARY_CALL_H_
@@ -14,6 +15,8 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
+#include "absl/time/time.h"
 #include "server/access/admission.h"
 #include "server/agent/session_gate.h"
 #include "server/messages/convert.h"
@@ -46,6 +49,11 @@ template <typename Request, typename Response>
 class UnaryCall : public ServiceCall, public GatedRequest {
  public:
   using ServiceCall::ServiceCall;
+
+  void OnClosed() override {
+    if (method().gathers) loop().Cancel(gathering_);
+    ServiceCall::OnClosed();
+  }
 
  protected:
   // Answers the request. Calls Leave() or End() now or later.
@@ -137,41 +145,78 @@ class UnaryCall : public ServiceCall, public GatedRequest {
 
  private:
   void HandleMessage(absl::string_view message) final {
-    start_ = context().clock->Now();
-    request_bytes_ = message.size();
-    if (std::exchange(received_, true)) {
+    if (is_refused_) return;
+    if (received_ && !method().gathers) {
       return Finish(absl::InternalError("message: expected one request, received a second one"));
     }
-    call_context().span = StartSpan(call()->head().trace);
+    if (!received_) Begin();
+    request_bytes_ += message.size();
     auto status =
         CheckSize(caller(), static_cast<int64_t>(message.size()), context().max_message_bytes);
-    if (status.ok()) status = ParseRequest(message, messages_.request());
-    if (status.ok()) status = HoldMessages();
-    if (!status.ok()) return End(status);
+    if (status.ok() && std::exchange(received_, true)) {
+      Request more;
+      status = ParseRequest(message, &more);
+      messages_.request()->MergeFrom(more);
+    } else if (status.ok()) {
+      status = ParseRequest(message, messages_.request());
+    }
+    // The arena does not count the content of its strings.
+    const auto gathered = method().gathers ? static_cast<int64_t>(request_bytes_) : 0;
+    if (status.ok()) status = HoldMessages(gathered);
+    if (!status.ok()) {
+      is_refused_ = true;
+      return End(status);
+    }
+    if (!method().gathers) Proceed();
+  }
+
+  void HandleHalfClose() final {
+    if (!received_) {
+      Finish(absl::InternalError("message: expected one request, received none"));
+    } else if (method().gathers && !is_refused_) {
+      loop().Cancel(gathering_);
+      Proceed();
+    }
+  }
+
+  void Begin() {
+    start_ = context().clock->Now();
+    call_context().span = StartSpan(call()->head().trace);
+    if (!method().gathers) return;
+    gathering_ = loop().After(kGatheringTime, [this] {
+      is_refused_ = true;
+      Finish(absl::DeadlineExceededError(absl::StrCat("message: expected the whole request within ",
+                                                      absl::FormatDuration(kGatheringTime),
+                                                      ", received a part")));
+    });
+  }
+
+  void Proceed() {
     call_context().caller = &caller();
     call_context().has_paid = call()->head().admitted != nullptr;
     context().sessions->Enter(&call_context());
     Handle();
   }
 
-  void HandleHalfClose() final {
-    if (!received_) {
-      Finish(absl::InternalError("message: expected one request, received none"));
-    }
-  }
-
   void HandleTooLong(size_t length, const absl::Status& error) final {
+    if (is_refused_) return;
     start_ = context().clock->Now();
     request_bytes_ = length;
     received_ = true;
+    is_refused_ = true;
     End(error);
   }
 
+  // In which the messages of a streamed request have to arrive.
+  static constexpr absl::Duration kGatheringTime = absl::Minutes(2);
+
   CallMessages<Request, Response> messages_;
   absl::Duration start_;
+  EventLoop::Timer gathering_;
   size_t request_bytes_ = 0;
   bool received_ = false;
-  bool checked_ = false;  // the response is finite
+  bool is_refused_ = false;  // before all of the request was received
+  bool checked_ = false;     // the response is finite
 };
 
 }  // namespace spikeserve

@@ -27,7 +27,8 @@ redis.call('ZADD', KEYS[1], now, ARGV[1])
 redis.call('ZREMRANGEBYSCORE', KEYS[1], '-inf', now - ARGV[2])
 return redis.call('ZRANGE', KEYS[1], 0, -1))";
 
-// Notes the files of a server, and forgets those of servers that are not alive. Which file a
+// Notes the files of a server, and forgets those that it has no more and those of servers that are
+// not alive. Which file a
 // version is, is what the first server that is alive has noted. Returns the number of changes so
 // far, and the versions of which another server has another file. KEYS: hash. ARGV: server, servers
 // that are alive, lines of version and SHA-256.
@@ -36,7 +37,9 @@ local alive = {}
 for server in string.gmatch(ARGV[2], '%S+') do alive[server] = true end
 local different = {}
 local changed = false
+local mine = {}
 for version, file in string.gmatch(ARGV[3], '(%S+) (%S+)\n') do
+  mine[version] = true
   local found = redis.call('HGET', KEYS[1], version) or ''
   local server, other = string.match(found, '(%S+) (%S+)')
   if server and server ~= ARGV[1] and alive[server] then
@@ -47,10 +50,14 @@ for version, file in string.gmatch(ARGV[3], '(%S+) (%S+)\n') do
   end
 end
 redis.call('HSET', KEYS[1], 'server:' .. ARGV[1], ARGV[3])
-for _, field in ipairs(redis.call('HKEYS', KEYS[1])) do
-  local server = string.match(field, '^server:(.*)$')
-  if server and server ~= ARGV[1] and not alive[server] then
-    redis.call('HDEL', KEYS[1], field)
+local fields = redis.call('HGETALL', KEYS[1])
+for i = 1, #fields, 2 do
+  local server = string.match(fields[i], '^server:(.*)$')
+  local dead = server and server ~= ARGV[1] and not alive[server]
+  local owner = not server and not mine[fields[i]] and string.match(fields[i + 1], '^(%S+) ')
+  local dropped = owner and (owner == ARGV[1] or not alive[owner])
+  if dead or dropped then
+    redis.call('HDEL', KEYS[1], fields[i])
     changed = true  -- one that was taken for dead notes its files again
   end
 end
@@ -143,6 +150,10 @@ absl::Status RedisShared::Write(const Document& document) {
 
 absl::Status RedisShared::PutFile(const std::string& name, const std::string& bytes) {
   return Run(/*writes=*/true, {"SET", FileKey(name), bytes}).status();
+}
+
+absl::Status RedisShared::RemoveFile(const std::string& name) {
+  return Run(/*writes=*/true, {"DEL", FileKey(name)}).status();
 }
 
 absl::StatusOr<std::string> RedisShared::GetFile(const std::string& name) {

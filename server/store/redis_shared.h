@@ -1,8 +1,9 @@
-// What servers share in Redis beside sessions: the settings of operators, the files of promoted
-// versions, which servers are alive, and what each reports about itself.
+// What servers share in Redis beside sessions: the settings of operators, the files of promoted and
+// pushed versions, which servers are alive, and what each reports about itself.
 //
 // - cfg, a hash: revision and settings.
 // - pf:<SHA-256>: the file of a promoted version; pf:<SHA-256>.sig: its signature.
+// - pf:<SHA-256>.<policy>.<version>: a pushed version (server/policies/stored_versions.cc).
 // - pf:versions, a hash: of each policy version, the server that had it first and the SHA-256 of
 // its
 //   file; and the number of changes.
@@ -42,6 +43,7 @@ class RedisShared final : public SharedSettings {
   absl::StatusOr<Document> Read() override;
   absl::Status Write(const Document& document) override;
   absl::Status PutFile(const std::string& name, const std::string& bytes) override;
+  absl::Status RemoveFile(const std::string& name) override;
   absl::StatusOr<std::string> GetFile(const std::string& name) override;
   absl::StatusOr<ComparedFiles> CompareFiles(const std::vector<VersionFile>& files,
                                              const std::vector<std::string>& alive) override;

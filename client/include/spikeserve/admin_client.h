@@ -54,6 +54,10 @@ class AdminClient {
     return response;
   }
 
+  // Sends the file of a version. `request` has everything but `data`.
+  absl::StatusOr<v1::PushPolicyResponse> Push(v1::PushPolicyRequest request,
+                                              const std::string& file);
+
  private:
   explicit AdminClient(std::unique_ptr<Client> client) : client_(std::move(client)) {}
 

@@ -314,10 +314,11 @@ def test_promoted_versions_of_other_servers(keys, folder, tmp_path):
 def test_the_page(tmp_path):
     """The commands of the page work as printed."""
     with Shell(tmp_path) as shell:
-        *_, refused, signed = shell.run("signing.md")
+        *_, refused, signed, pushed = shell.run("signing.md")
     assert "expected a signature in policy.safetensors.sig" in refused
     assert signed.startswith("loaded 1, unloaded 0\n")
     assert signed.endswith("Signature Verified Successfully\n")
+    assert pushed.startswith("pushed cartpole/3")
 
 
 def test_codes_of_loading(keys, folder):
