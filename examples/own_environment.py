@@ -25,16 +25,20 @@ class Cart(gymnasium.Env):
 
     observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float32)
     action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
+    reach, motor = 1.0, 0.2  # largest distance from the middle at the start; change of velocity in a step at full force
 
     def reset(self, seed=None, options=None):
         super().reset(seed=seed)
-        self.state = np.array([self.np_random.uniform(-1, 1), 0.0, self.np_random.uniform(-1, 1)])
+        self.state = self.reach * np.array([self.np_random.uniform(-1, 1), 0.0, self.np_random.uniform(-1, 1)])
         return self.state.astype(np.float32), {}
 
     def step(self, force):
-        self.state[1] += 0.2 * np.clip(force[0], -1, 1)
+        self.state[1] += self.motor * np.clip(force[0], -1, 1)
         self.state[0] += 0.05 * self.state[1]
         return self.state.astype(np.float32), -abs(self.state[2] - self.state[0]), False, False, {}
+
+
+gymnasium.register("Cart-v0", entry_point=Cart, max_episode_steps=100)
 
 
 def expert(observation):
@@ -43,7 +47,6 @@ def expert(observation):
 
 
 def main(folder):
-    gymnasium.register("Cart-v0", entry_point=Cart, max_episode_steps=100)
     result = spikeserve.imitate("Cart-v0", expert, folder, options=QUICK)
     print(f"expert {result.expert_figures.mean:.1f}, policy {result.figures.mean:.1f}")
     command = ["spikeserve", f"--policies={folder}/policies", "--listen=127.0.0.1:0", "--http_listen="]

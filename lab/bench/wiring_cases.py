@@ -2,6 +2,7 @@
 
     spikeserve --policies=deploy/policies &
     python lab/bench/wiring_cases.py
+    PYTHONPATH=examples python lab/bench/wiring_cases.py --policies=cart=own_environment:Cart-v0
 
 Every exchange of two elements and every sign is a case, in three tables: the cases, their sums, and robots that are wired
 right: `clean`, with 1.5 times the noise of the start, and with another mass, force or wind. A case matters if it changes
@@ -83,9 +84,11 @@ def make(policy, kind):
         options = {"reset_noise_scale": 7.5e-3}
     environment = gymnasium.make(TASKS[policy], **options)
     inner = environment.unwrapped
+    if kind == "noise" and hasattr(inner, "reach"):
+        inner.reach *= 1.5
     if kind == "physics":
         environment.reset(seed=0)
-        for name, value in (("force_mag", 7.0), ("LINK_MASS_1", 1.3), ("m", 1.2), ("force", 0.0012)):
+        for name, value in (("force_mag", 7.0), ("LINK_MASS_1", 1.3), ("m", 1.2), ("force", 0.0012), ("motor", 0.14)):
             if hasattr(inner, name):
                 setattr(inner, name, value)
         if hasattr(inner, "model"):
@@ -178,13 +181,14 @@ def right_row(client, policy, kind, arguments):
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--server", default="127.0.0.1:50051")
-    parser.add_argument("--policies", default=",".join(TASKS))
+    parser.add_argument("--policies", default=",".join(TASKS), help="NAME, or NAME=ENVIRONMENT for one of your own")
     parser.add_argument("--starts", type=int, default=100, help="of each case")
     parser.add_argument("--returns", type=int, default=10, help="whole episodes of each case")
     parser.add_argument("--steps", type=int, default=100_000, help="of the robots that are wired right")
     parser.add_argument("--seed", type=int, default=500_000)
     arguments = parser.parse_args()
-    policies = arguments.policies.split(",")
+    TASKS.update(each.split("=") for each in arguments.policies.split(",") if "=" in each)
+    policies = [each.partition("=")[0] for each in arguments.policies.split(",")]
     print("| policy | case | refused | return | matters | verdicts | right |\n| --- | --- | --- | ---: | --- | ---: | ---: |")
     with spikeserve.Client(arguments.server) as client:
         made = {policy: [make(policy, "clean") for _ in range(ROWS)] for policy in policies}
