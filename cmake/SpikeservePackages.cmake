@@ -41,7 +41,7 @@ install(TARGETS spikeserve_client spikeserve_robot spikeserve_stubs spikeserve_p
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 
 # The engine on a robot, one archive of the rooms that it links, so that none of them is a library of the package.
-set(rooms action agent base contract dataset dense_engine engine engine_factory journal learning local_engine math model reference_engine session
+set(rooms action agent base contract dataset dense_engine digest engine engine_factory journal learning local_engine math model reference_engine session
   spiking_engine)
 list(TRANSFORM rooms REPLACE "(.+)" "$<TARGET_OBJECTS:spikeserve_\\1>" OUTPUT_VARIABLE objects)
 add_library(spikeserve_installed_engine STATIC ${objects})

@@ -100,6 +100,7 @@ def compile_robot(root, output):
     ]
     compiler = shlex.split(os.environ.get("CXX", "c++"))
     flags = ["-std=c++20", "-O2", "-DNDEBUG", "-fPIC", "-fvisibility=hidden", "-Wall", "-Wextra"]
+    flags.append("-fno-strict-aliasing")  # as nanobind's own build compiles it
     flags += shlex.split(os.environ.get("CXXFLAGS", ""))
     flags += [f"-I{root}", *(f"-isystem{path}" for path in systems)]
 

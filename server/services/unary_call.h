@@ -149,16 +149,17 @@ class UnaryCall : public ServiceCall, public GatedRequest {
     if (received_ && !method().gathers) {
       return Finish(absl::InternalError("message: expected one request, received a second one"));
     }
-    if (!received_) Begin();
+    const bool is_first = !std::exchange(received_, true);
+    if (is_first) Begin();
     request_bytes_ += message.size();
     auto status =
         CheckSize(caller(), static_cast<int64_t>(message.size()), context().max_message_bytes);
-    if (status.ok() && std::exchange(received_, true)) {
+    if (status.ok() && is_first) {
+      status = ParseRequest(message, messages_.request());
+    } else if (status.ok()) {
       Request more;
       status = ParseRequest(message, &more);
       messages_.request()->MergeFrom(more);
-    } else if (status.ok()) {
-      status = ParseRequest(message, messages_.request());
     }
     // The arena does not count the content of its strings.
     const auto gathered = method().gathers ? static_cast<int64_t>(request_bytes_) : 0;

@@ -154,8 +154,8 @@ TEST_F(SpikectlTest, ExplainsASessionOfSomebodyElse) {
 TEST_F(SpikectlTest, SaysInOneLineWhatIsWrong) {
   ExpectOneLineError(
       Spikectl("fly"),
-      "command: expected one of policies, health, run, explain, adapt, replay, admin, "
-      "store, emit-c, policy, doctor, received \"fly\"");
+      "command: expected one of policies, health, run, explain, adapt, replay, push, pull, rm, "
+      "admin, store, emit-c, policy, doctor, received \"fly\"");
   ExpectOneLineError(Spikectl("run", {"land"}), "expected flags alone, received \"land\"");
   ExpectOneLineError(Spikectl("run", {"--env=Pong-v0"}), "\"Pong-v0\"");
   ExpectOneLineError(Spikectl("run", {"--episodes=0"}),
