@@ -222,8 +222,7 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
   ASSIGN_OR_RETURN(const auto entry, gate_->Find(context, request.session_id()));
   RETURN_IF_ERROR(CheckMayPlay(*context.caller, *entry));
   absl::MutexLock lock(&entry->mutex);
-  const AgentSession& agent = entry->agent;
-  if (entry->journal != nullptr) entry->journal->WriteAgainIfMissing(agent.session());
+  if (entry->journal != nullptr) entry->journal->WriteAgainIfMissing(entry->agent.session());
   Step step;
   ToStep(request, *entry, &step);
   Span merge = SessionGate::StartMerge(context.span, *entry);
@@ -241,9 +240,9 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
     AddConfirmation(*entry, /*has_decided=*/!step.result.is_retry, &context.commits);
   }
   if (context.commits.empty()) {
-    SessionGate::Trace(context.span, *entry, agent.contribution());
+    SessionGate::Trace(context.span, *entry, entry->agent.contribution());
   } else {
-    context.commits.back().contribution = agent.contribution();
+    context.commits.back().contribution = entry->agent.contribution();
   }
   ToProto(step, *entry, response);
   return absl::OkStatus();
