@@ -27,6 +27,14 @@ double Deviation(const std::vector<float>& values) {
 }
 
 // Checks the values themselves, so that every machine and every later version draws the same ones.
+TEST(ModelConfig, DefaultsAreThePapersAndValid) {
+  const ModelConfig config;
+  EXPECT_TRUE(config.Validate().ok());
+  EXPECT_EQ(config.head_size(), 32);
+  EXPECT_EQ(config.attention_inputs(), 132);
+  EXPECT_EQ(config.merged_size(), 32);
+}
+
 TEST(RandomPolicy, DrawsTheSameNumbersEverywhere) {
   ModelConfig config = SmallConfig();
   config.heads = 4;
