@@ -1,3 +1,6 @@
+#include <algorithm>
+#include <cstdint>
+#include <iterator>
 #include <string>
 #include <utility>
 
@@ -8,11 +11,15 @@
 #include "core/base/file.h"
 #include "core/base/status_macros.h"
 #include "core/digest/sha256.h"
+#include "core/model/safetensors.h"
 
 namespace spikeserve {
 namespace {
 
 using nlohmann::ordered_json;
+
+constexpr int64_t kPulledBytes = int64_t{1} << 20;  // of PullPolicyResponse.data
+constexpr auto kMostFileBytes = static_cast<int64_t>(kMaxSafetensorsFileBytes);
 
 absl::Status CheckFile(const AdminFlags& flags) {
   if (!flags.file.empty()) return absl::OkStatus();
@@ -28,6 +35,18 @@ absl::StatusOr<std::string> ReadSignature(const AdminFlags& flags) {
   auto signature = ReadFile(SignatureFile(flags));
   if (absl::IsNotFound(signature.status()) && flags.signature.empty()) return "";
   return signature;
+}
+
+// Refuses an answer after which a server could send parts for ever.
+absl::Status CheckPart(const v1::PullPolicyResponse& part, int64_t offset) {
+  if (part.size() < offset || part.size() > kMostFileBytes) {
+    return absl::DataLossError(absl::StrCat("size: expected ", offset, " to ", kMostFileBytes,
+                                            " bytes, received ", part.size()));
+  }
+  const int64_t expected = std::min(part.size() - offset, kPulledBytes);
+  if (std::ssize(part.data()) == expected) return absl::OkStatus();
+  return absl::DataLossError(
+      absl::StrCat("data: expected ", expected, " bytes, received ", part.data().size()));
 }
 
 }  // namespace
@@ -74,10 +93,11 @@ absl::StatusOr<Answer> PullVersion(const AdminFlags& flags) {
   v1::PullPolicyResponse part;
   do {
     ASSIGN_OR_RETURN(part, admin->Call(&AdminStub::PullPolicy, request));
+    RETURN_IF_ERROR(CheckPart(part, request.offset()));
     file += part.data();
     request.set_version(part.version());
     request.set_offset(request.offset() + static_cast<int64_t>(part.data().size()));
-  } while (!part.data().empty() && request.offset() < part.size());
+  } while (request.offset() < part.size());
   if (const std::string sha256 = Sha256Of(file); sha256 != part.sha256()) {
     return absl::DataLossError(absl::StrCat("sha256: expected ", part.sha256(), ", received ",
                                             sha256, "; the file may just have been replaced"));

@@ -35,7 +35,7 @@ class SharedPlaces {
   std::shared_ptr<Place> Take(const std::string& group, int64_t number = 1);
 
   // Gives back `number` places that were kept.
-  void Give(const std::string& group, int64_t number);
+  void Give(const std::string& group, int64_t number) { counts_->Give(group, number); }
 
   // Sets how many are free, and what the groups hold in proportion, to all that they hold together.
   // For places that are kept, such as bytes on a disk, once others have changed them.
@@ -46,6 +46,12 @@ class SharedPlaces {
     absl::Mutex mutex;
     int64_t free ABSL_GUARDED_BY(mutex) = 0;
     absl::flat_hash_map<std::string, int64_t> taken ABSL_GUARDED_BY(mutex);  // by group
+
+    void Give(const std::string& group, int64_t number) ABSL_LOCKS_EXCLUDED(mutex) {
+      absl::MutexLock lock(&mutex);
+      free += number;
+      if ((taken[group] -= number) <= 0) taken.erase(group);
+    }
   };
 
   const std::shared_ptr<Counts> counts_;
@@ -56,10 +62,7 @@ class SharedPlaces::Place {
   Place(std::shared_ptr<Counts> counts, std::string group, int64_t number)
       : counts_(std::move(counts)), group_(std::move(group)), number_(number) {}
   ~Place() {
-    if (number_ == 0) return;
-    absl::MutexLock lock(&counts_->mutex);
-    counts_->free += number_;
-    if ((counts_->taken[group_] -= number_) <= 0) counts_->taken.erase(group_);
+    if (number_ > 0) counts_->Give(group_, number_);
   }
   Place(const Place&) = delete;
   Place& operator=(const Place&) = delete;
@@ -84,12 +87,6 @@ inline std::shared_ptr<SharedPlaces::Place> SharedPlaces::Take(const std::string
     counts_->taken[group] += number;
   }
   return std::make_shared<Place>(counts_, group, number);
-}
-
-inline void SharedPlaces::Give(const std::string& group, int64_t number) {
-  absl::MutexLock lock(&counts_->mutex);
-  counts_->free += number;
-  if ((counts_->taken[group] -= number) <= 0) counts_->taken.erase(group);
 }
 
 inline void SharedPlaces::Reset(int64_t free, int64_t held) {

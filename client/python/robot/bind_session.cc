@@ -54,8 +54,6 @@ class MaybeAction {
 
 Now NowOf(Nanoseconds steady, Nanoseconds robot) { return {Time(steady), Time(robot)}; }
 
-double SecondsOf(Time time) { return std::chrono::duration<double>(time).count(); }
-
 // Returns bytes that NumPy reads, and the caller may change.
 nb::object BytesOf(std::span<const float> values) {
   return nb::steal(PyByteArray_FromStringAndSize(reinterpret_cast<const char*>(values.data()),

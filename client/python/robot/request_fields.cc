@@ -1,6 +1,5 @@
 #include "client/python/robot/request_fields.h"
 
-#include <chrono>
 #include <span>
 
 namespace spikeserve::robot {
@@ -25,8 +24,6 @@ nb::dict ActionFields(const ActionView& action, const ActionShape& shape) {
   }
   return fields;
 }
-
-double SecondsOf(Time time) { return std::chrono::duration<double>(time).count(); }
 
 nb::dict ReportFields(const Report& report) {
   nb::dict fields;

@@ -7,9 +7,13 @@
 
 #include <nanobind/nanobind.h>
 
+#include <chrono>
+
 #include "core/robot/robot_session.h"
 
 namespace spikeserve::robot {
+
+inline double SecondsOf(Time time) { return std::chrono::duration<double>(time).count(); }
 
 // Returns the fields of an ActRequest without the session's id and `valid_until`.
 nanobind::dict FieldsOf(const StepLog& log, const Request& request);

@@ -90,6 +90,8 @@ COMMANDS = [
     ["admin", "label", *POLICY, "--label=a"],
     ["admin", "unlabel", POLICY[0], "--label=a"],
     *(["admin", action, POLICY[0]] for action in ("rollout", "head", "promote_head", "reset_head", "pause_learning")),
+    ["pull", "pulled.safetensors", *POLICY],
+    ["rm", *POLICY],
     *(["admin", action] for action in ("rollouts", "history", "reload", "sessions", "drain")),
 ]
 

@@ -85,6 +85,24 @@ def test_an_explanation_without_faults_is_printed():
     assert "layer 0 head 1 attends most to: G_1 1.000" in done.stdout.decode()
 
 
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        ({"size": 1 << 40, "data": b"x" * (1 << 20)}, "size: expected 0 to 4294967296 bytes, received 1099511627776"),
+        ({"size": -1}, "size: expected 0 to 4294967296 bytes, received -1"),
+        ({"size": 1 << 32, "data": b"x"}, "data: expected 1048576 bytes, received 1"),
+        ({"size": 10}, "data: expected 10 bytes, received 0"),
+    ],
+)
+def test_a_file_without_end_is_not_pulled(answer, reason, tmp_path):
+    pulled = message_class("PullPolicyResponse")(version=1, **answer)
+    with hostile_server(ADMIN_SERVICE, "PullPolicy", lambda _: pulled) as address:
+        done = spikectl(address, "pull", str(tmp_path / "pulled"), "--policy=x", "--version=1")
+    assert done.returncode == 1
+    assert reason in done.stderr.decode()
+    assert not list(tmp_path.iterdir())
+
+
 def check_harmless(output):
     """Asserts that a terminal shows these bytes, of ESCAPES, and obeys none."""
     text = check_shown(output)
