@@ -42,9 +42,10 @@ test: build
 test-all: setup test
 	ctest --preset release-rest
 
-# Builds the unit and integration tests in C++ with clang, its thread analysis, and checks of what headers require, and runs them.
+# Builds the server, its clients and the unit tests with clang, its thread analysis, and checks of what headers require, and
+# runs the unit and integration tests.
 checked:
-	$(SETUP) server build clang
+	$(SETUP) server build clang tests
 	cmake --preset checked $(if $(VERBOSE),,--log-level=WARNING)
 	cmake --build --preset checked
 	ctest --preset checked

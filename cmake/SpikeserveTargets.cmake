@@ -100,9 +100,9 @@ function(spikeserve_limit_time seconds)
   set_tests_properties(${ARGN} PROPERTIES TIMEOUT ${limit})
 endfunction()
 
-add_custom_target(cpp_tests)  # the unit and integration tests in C++
+add_custom_target(cpp_tests)  # the unit tests in C++, and the programs that tests with the label integration start
 
-# spikeserve_test(NAME LABEL unit|parity|integration|slow [UNITS] SOURCES file... [DEPENDS target...]): adds a GoogleTest
+# spikeserve_test(NAME LABEL unit|parity|slow [UNITS] SOURCES file... [DEPENDS target...]): adds a GoogleTest
 # program and a ctest test that runs it whole: a process for each TEST takes longer than most TESTs. UNITS: compiles the
 # sources in units.
 function(spikeserve_test name)
@@ -114,7 +114,7 @@ function(spikeserve_test name)
   add_executable(${name} ${units} ${SPIKESERVE_PROGRAM_SOURCES})
   set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/tests)
   target_link_libraries(${name} PRIVATE spikeserve_options ${ARG_DEPENDS} spikeserve_test_main)
-  if(ARG_LABEL MATCHES "unit|integration")
+  if(ARG_LABEL STREQUAL "unit")
     add_dependencies(cpp_tests ${name})
   endif()
   # One thread: those of two programs that compute at once wait for each other in spin loops, many times as long as the work.

@@ -7,8 +7,10 @@ import json
 import os
 import pathlib
 import shlex
+import shutil
 import signal
 import subprocess
+import tempfile
 
 import grpc
 from google.protobuf import descriptor_pool, message_factory
@@ -25,6 +27,15 @@ TEST_TIME = int(os.environ.get("TEST_TIME", "1"))
 DEADLINE_SECONDS = 30 * TEST_TIME
 POLICY = "spikeserve.v1.PolicyService"
 ADMIN = "spikeserve.v1.PolicyAdmin"
+
+
+def add_version(policies, name, version=1, source=SHIPPED_POLICIES / "cartpole/1"):
+    """Copies a version, in one step, as another one below the folder `policies`. Returns its file."""
+    folder = policies / name / str(version)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=policies.parent) as new:
+        pathlib.Path(shutil.copytree(source, f"{new}/{version}")).rename(folder)
+    return folder / "policy.safetensors"
 
 
 class Server:

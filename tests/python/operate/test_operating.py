@@ -7,6 +7,7 @@ import shutil
 
 import grpc
 import pytest
+import serving
 from overflowing_policy import FAR, add_overflowing
 from security import OBSERVATION, code_of, entry, until
 from serving import SHIPPED_POLICIES, page_of, refusal_at_start, run, running_server
@@ -23,11 +24,8 @@ def policies(tmp_path):
 
 
 def add_version(directory, version):
-    """Adds a copy of the shipped policy, in one step, as a version of cartpole."""
-    new = directory.parent / "new"
-    shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", new)
-    (directory / "cartpole").mkdir(parents=True, exist_ok=True)
-    new.rename(directory / "cartpole" / str(version))
+    """Adds a copy of the shipped policy as a version of cartpole."""
+    serving.add_version(directory, "cartpole", version)
 
 
 class Operated:

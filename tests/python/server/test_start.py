@@ -1,0 +1,42 @@
+"""A server that cannot start says in one line which flag is wrong, and what it expects."""
+
+import pytest
+from serving import refusal_at_start, run
+
+DURATION = "expected a duration such as 250ms, 10s or 1.5m"
+RECORDINGS = "--record_dir: expected a directory in which the server can create folders, received"
+
+
+@pytest.mark.parametrize(
+    ("flag", "message"),
+    [
+        ("--policies=/nonexistent", "--policies: /nonexistent: No such file"),
+        ("--listen=50051", '--listen: expected HOST:PORT, received "50051"'),
+        ("--listen=127.0.0.1:70000", "--listen: expected HOST:PORT"),
+        ("--http_listen=,:1", "--http_listen: expected HOST:PORT"),
+        ("--session_ttl=0s", "--session_ttl: expected at least 1ms"),
+        ("--session_ttl=soon", f'--session_ttl: {DURATION}, received "soon"'),
+        ("--compact_after=0s", "--compact_after: expected at least 1ms"),
+        ("--max_sessions=0", "--max_sessions: expected at least 1"),
+        ("--max_message_bytes=0", "--max_message_bytes: expected 1 to"),
+        ("--drain_timeout=-1s", "--drain_timeout: expected"),
+        ("extra", 'expected flags alone, received "extra"'),
+        ("--unknown=1", "--unknown: expected a flag of spikeserve"),
+        # Not even a superuser can create folders in /proc.
+        ("--record_dir=/proc", f"{RECORDINGS} /proc"),
+        ("--record_dir=/proc/recordings", f"{RECORDINGS} /proc/recordings"),
+    ],
+)
+def test_a_wrong_flag_is_named_in_one_line(flag, message):
+    errors = refusal_at_start(flag)
+    assert message in errors
+    assert errors.count("\n") == 1, errors
+
+
+def test_policies_are_needed():
+    assert "--policies: expected a directory, received none" in run("spikeserve", status=1).stderr
+
+
+def test_a_taken_port_is_named(server):
+    for flag, address in (("--listen", server.grpc), ("--http_listen", server.http)):
+        assert f"{flag}: cannot listen on {address}" in refusal_at_start(f"{flag}={address}")
