@@ -1,10 +1,9 @@
 """What a stranger without a token, or another tenant, sends leaves the server's memory and its neighbours as they were."""
 
-import json
 import re
 
 import pytest
-from security import TOKENS, make_authority, make_certificate
+from server_fixtures import certificates, tokens  # noqa: F401
 from serving import running_server
 
 from tests.attacks import frames, http2_attacks
@@ -18,21 +17,6 @@ IDLE_SECONDS = 0.2
 LINES_A_SECOND = 10  # of one kind
 PEAK_LIMIT = 150 * MEGABYTE
 RETURN_LIMIT = 20 * MEGABYTE
-
-
-@pytest.fixture(scope="module")
-def certificates(tmp_path_factory):
-    path = tmp_path_factory.mktemp("certificates")
-    make_authority(path, "ca")
-    make_certificate(path, "server", "ca")
-    return path
-
-
-@pytest.fixture(scope="module")
-def tokens(tmp_path_factory):
-    path = tmp_path_factory.mktemp("tokens") / "tokens.json"
-    path.write_text(json.dumps(TOKENS))
-    return path
 
 
 @pytest.mark.parametrize("name", ATTACKS)

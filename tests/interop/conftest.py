@@ -1,28 +1,10 @@
 """Fixtures that several clients use. PYTHONPATH names tests/python and this folder."""
 
-import json
-
 import grpc
 import pytest
-from security import TOKENS, credentials, make_authority, make_certificate, tls_flags
+from security import credentials, tls_flags
+from server_fixtures import addresses, certificates, server, tokens  # noqa: F401
 from serving import running_server
-
-
-@pytest.fixture(scope="session")
-def certificates(tmp_path_factory):
-    """Makes a certificate authority that signs a server and a client certificate. Returns the folder."""
-    path = tmp_path_factory.mktemp("certificates")
-    make_authority(path, "ca")
-    for name in ("server", "client"):
-        make_certificate(path, name, "ca")
-    return path
-
-
-@pytest.fixture(scope="module")
-def server():
-    """Starts a server with the shipped policies and yields it as a Server."""
-    with running_server() as addresses:
-        yield addresses
 
 
 @pytest.fixture(scope="module")
@@ -51,12 +33,3 @@ def channel(server):
 def tls_credentials(certificates):
     """Channel credentials with the authority of `certificates`."""
     return credentials(certificates)
-
-
-@pytest.fixture(scope="module")
-def tokens_server(tmp_path_factory):
-    """As `server`, with the tokens of security.TOKENS."""
-    path = tmp_path_factory.mktemp("tokens") / "tokens.json"
-    path.write_text(json.dumps(TOKENS))
-    with running_server(flags=[f"--tokens={path}"]) as addresses:
-        yield addresses

@@ -1,6 +1,5 @@
 """Fixtures that several test files use."""
 
-import json
 import pathlib
 import re
 
@@ -8,8 +7,9 @@ import grpc
 import pytest
 from links import Link
 from redis_servers import DURABLE, PASSWORD, Redis, stopping
-from security import POLICY, TOKENS, make_authority, make_certificate
+from security import POLICY
 from serving import Service, running_server
+from server_fixtures import addresses, certificates, server, tokens  # noqa: F401
 
 
 @pytest.fixture(scope="module")
@@ -17,13 +17,6 @@ def address():
     """Starts a server with the shipped policies and yields its gRPC address."""
     with running_server() as addresses:
         yield addresses.grpc
-
-
-@pytest.fixture(scope="module")
-def server():
-    """Starts a server with the shipped policies and yields it as a Server."""
-    with running_server() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")
@@ -71,31 +64,6 @@ def browser():
 
     with chromium() as started:
         yield started
-
-
-@pytest.fixture(scope="module")
-def tokens(tmp_path_factory):
-    """Writes security.TOKENS to a file and returns its path."""
-    path = tmp_path_factory.mktemp("tokens") / "tokens.json"
-    path.write_text(json.dumps(TOKENS))
-    return path
-
-
-@pytest.fixture(scope="module")
-def addresses(tokens):
-    """Starts a server that requires tokens and yields it as a Server."""
-    with running_server(flags=[f"--tokens={tokens}"]) as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def certificates(tmp_path_factory):
-    """Makes a certificate authority that signs a server and a client certificate. Returns the folder."""
-    path = tmp_path_factory.mktemp("certificates")
-    make_authority(path, "ca")
-    for name in ("server", "client"):
-        make_certificate(path, name, "ca")
-    return path
 
 
 @pytest.fixture(scope="module")

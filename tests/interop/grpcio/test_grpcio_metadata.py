@@ -1,10 +1,10 @@
-"""The newest grpcio: status codes and texts, metadata and compression."""
+"""The newest grpcio: status codes and texts, and metadata."""
 
 import shutil
 
 import grpc
 import pytest
-from contract import call, message_class, v1
+from contract import call, v1
 from security import POLICY, code_of, fails_with
 from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, running_server
 
@@ -69,38 +69,12 @@ def test_metadata_of_any_kind_is_accepted(channel):
     assert finished.code() == grpc.StatusCode.OK
 
 
-def test_binary_trailers_arrive(tokens_server):
-    with grpc.insecure_channel(tokens_server.grpc) as channel:
-        call_open = call(channel, f"/{POLICY}/OpenSession")
-        request = v1("OpenSessionRequest", policy="cartpole")
-        metadata = [("authorization", "Bearer small")]
-        for _ in range(2):
-            call_open(request, metadata=metadata, timeout=DEADLINE_SECONDS)
-        with fails_with(grpc.StatusCode.RESOURCE_EXHAUSTED) as refused:
-            call_open(request, metadata=metadata, timeout=DEADLINE_SECONDS)
-    trailers = dict(refused.value.trailing_metadata())
-    status = message_class("google.rpc.Status").FromString(trailers["grpc-status-details-bin"])
-    assert status.code == grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
-    assert status.message == refused.value.details()
-    (detail,) = status.details
-    assert detail.Is(message_class("google.rpc.RetryInfo").DESCRIPTOR)
-
-
 def test_metadata_that_is_too_large_ends_its_call_alone(channel):
     with fails_with(grpc.StatusCode.RESOURCE_EXHAUSTED):
         call(channel, LIST)(
             v1("ListPoliciesRequest"), metadata=[("x-text", "x" * 20_000)], timeout=DEADLINE_SECONDS
         )
     assert call(channel, LIST)(v1("ListPoliciesRequest"), timeout=DEADLINE_SECONDS).policies
-
-
-def test_compressed_requests(channel):
-    # A request of several bytes: gRPC sends shorter ones uncompressed.
-    request = v1("OpenSessionRequest", policy="cartpole", routing_key="x" * 256)
-    compressed = call(channel, f"/{POLICY}/OpenSession")
-    assert compressed(request, compression=grpc.Compression.Gzip, timeout=DEADLINE_SECONDS).session_id
-    with fails_with(grpc.StatusCode.UNIMPLEMENTED, "identity"):
-        compressed(request, compression=grpc.Compression.Deflate, timeout=DEADLINE_SECONDS)
 
 
 def test_a_response_is_not_compressed_without_need(channel):

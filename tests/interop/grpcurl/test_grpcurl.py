@@ -85,20 +85,20 @@ def test_a_status_message_with_any_character(tmp_path):
     assert error["message"] == f"{policies}/cartpole/9/policy.safetensors: expected a file that can be read"
 
 
-def test_the_details_of_a_status_are_decoded(tokens_server):
+def test_the_details_of_a_status_are_decoded(addresses):
     flags = ["-plaintext", "-H", "authorization: Bearer small", "-d", '{"policy": "cartpole"}']
     for _ in range(2):
-        answer_of(grpcurl(tokens_server.grpc, f"{POLICY}/OpenSession", flags=flags))
-    refused = grpcurl(tokens_server.grpc, f"{POLICY}/OpenSession", flags=[*flags, "-format-error"])
+        answer_of(grpcurl(addresses.grpc, f"{POLICY}/OpenSession", flags=flags))
+    refused = grpcurl(addresses.grpc, f"{POLICY}/OpenSession", flags=[*flags, "-format-error"])
     (detail,) = json.loads(refused.stderr)["details"]
     assert detail["@type"].endswith("google.rpc.RetryInfo")
 
 
-def test_metadata_is_read(tokens_server):
-    refused = grpcurl(tokens_server.grpc, f"{POLICY}/ListPolicies")
+def test_metadata_is_read(addresses):
+    refused = grpcurl(addresses.grpc, f"{POLICY}/ListPolicies")
     assert refused.returncode == STATUS_BASE + UNAUTHENTICATED
     flags = ["-plaintext", "-H", "authorization: Bearer agent", "-H", "x-bytes-bin: /////w=="]
-    assert answer_of(grpcurl(tokens_server.grpc, f"{POLICY}/ListPolicies", flags=flags))
+    assert answer_of(grpcurl(addresses.grpc, f"{POLICY}/ListPolicies", flags=flags))
 
 
 def test_a_watch_ends_at_its_deadline(server):

@@ -194,8 +194,8 @@ def test_an_end_after_the_last_message_as_an_empty_frame(client):
 
 
 @pytest.mark.parametrize("ends_at_once", [True, False])
-def test_a_refused_call_keeps_its_status(tokens_server, ends_at_once):
-    with Http2Client(tokens_server.grpc) as client:
+def test_a_refused_call_keeps_its_status(addresses, ends_at_once):
+    with Http2Client(addresses.grpc) as client:
         stream = client.begin(headers(LIST))
         client.send(stream, framed(EMPTY), end=ends_at_once)
         if not ends_at_once:

@@ -1,6 +1,6 @@
 """What a decision costs Redis, in processor time, with other ways to append an entry.
 
-    python -m tests.chaos.redis_cost [--appendfsync=everysec] [--rounds=5]
+    build/venv/bin/python lab/bench/store_cost.py [--appendfsync=everysec] [--rounds=5]
 
 Sends the commands of servers for 256 sessions in pipelines of 64, a snapshot every 16 decisions included, to a Redis server
 of its own, and divides the processor time that it says it has used by the decisions:
@@ -16,7 +16,7 @@ import statistics
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "python"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests/python"))
 
 from redis_servers import Redis, read_reply  # noqa: E402
 

@@ -1,10 +1,10 @@
 """Measures how long the first answer takes after another replica has claimed a session from Redis.
 
-usage: python -m tests.chaos.claims [--claims=N]
+usage: build/venv/bin/python lab/bench/store_claims.py [--claims=N]
 
 One client sends the decisions of a session to two replicas in turn, so that each is answered by a replica that has to claim
 the session first. Prints the times as the client sees them, and those of decisions at the owner. Needs the variable
-SPIKESERVE_PROGRAM.
+SPIKESERVE_PROGRAM, and the client in PYTHONPATH.
 """
 
 import argparse
@@ -16,8 +16,8 @@ import time
 ROOT = pathlib.Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "tests" / "python")]
 
-import spikeserve
-from replicated import observation, options_of, reward, running_fleet
+import spikeserve  # noqa: E402
+from replicated import observation, options_of, reward, running_fleet  # noqa: E402
 
 
 def times_of(clients, decisions):
@@ -38,7 +38,7 @@ def report(name, seconds):
 
 
 def main():
-    parser = argparse.ArgumentParser(prog="tests.chaos.claims")
+    parser = argparse.ArgumentParser(prog="store_claims.py")
     parser.add_argument("--claims", type=int, default=2000)
     arguments = parser.parse_args()
     with (

@@ -1,6 +1,6 @@
 """Restarts three replicas in turn under streams of the C++ client, and prints how long sessions waited.
 
-usage: python -m tests.chaos.restarts [--streams=N] [--rate=N] [--seconds=N] [--durability=LEVEL]
+usage: build/venv/bin/python lab/bench/store_restarts.py [--streams=N] [--rate=N] [--seconds=N] [--durability=LEVEL]
 
 `spikeload` plays one session on each stream. It measures, for each session, the longest time from when a request was
 due to its decision. Needs the variables SPIKESERVE_PROGRAM and SPIKELOAD_PROGRAM. Exits with status 1 if an error reached
@@ -29,7 +29,7 @@ def sessions_of(replica):
 
 
 def main():
-    parser = argparse.ArgumentParser(prog="tests.chaos.restarts")
+    parser = argparse.ArgumentParser(prog="store_restarts.py")
     parser.add_argument("--streams", type=int, default=512)
     parser.add_argument("--rate", type=float, default=2.0, help="decisions a second of a session")
     parser.add_argument("--seconds", type=int, default=20, help="that the sessions play")
