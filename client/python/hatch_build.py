@@ -16,7 +16,12 @@ import tempfile
 from grpc_tools import protoc
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-PROTOS = ["spikeserve/v1/policy_service.proto", "spikeserve/v1/policy_admin.proto"]
+PROTOS = [
+    "google/rpc/status.proto",
+    "google/rpc/error_details.proto",
+    "spikeserve/v1/policy_service.proto",
+    "spikeserve/v1/policy_admin.proto",
+]
 DESCRIPTOR = "spikeserve/contract.binpb"
 # A cross-built module has the suffix of another machine.
 SUFFIX = os.environ.get("SETUPTOOLS_EXT_SUFFIX") or sysconfig.get_config_var("EXT_SUFFIX")

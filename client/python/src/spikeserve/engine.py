@@ -7,25 +7,11 @@ The decisions equal those of the server, bit for bit. The package needs neither 
 client: a robot without them imports `spikeserve_engine`, which has the same names.
 """
 
+from typing import TYPE_CHECKING, Any
+
 try:
-    from spikeserve_engine import (
-        Attention,
-        Batch,
-        Box,
-        Decision,
-        Discrete,
-        Engine,
-        EpisodeSummary,
-        Explanation,
-        Learning,
-        LearningSummary,
-        RoutingGates,
-        Session,
-        SessionState,
-        SpikeRaster,
-        Stats,
-        Token,
-    )
+    import spikeserve_engine
+    from spikeserve_engine import *  # noqa: F403
 except ModuleNotFoundError as error:
     if error.name != "spikeserve_engine":
         raise
@@ -35,21 +21,8 @@ except ModuleNotFoundError as error:
         "dist/spikeserve_engine-*.whl"
     ) from error
 
-__all__ = [
-    "Attention",
-    "Batch",
-    "Box",
-    "Decision",
-    "Discrete",
-    "Engine",
-    "EpisodeSummary",
-    "Explanation",
-    "Learning",
-    "LearningSummary",
-    "RoutingGates",
-    "Session",
-    "SessionState",
-    "SpikeRaster",
-    "Stats",
-    "Token",
-]
+__all__ = spikeserve_engine.__all__
+
+if TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any: ...

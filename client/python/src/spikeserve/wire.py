@@ -1,4 +1,4 @@
-"""The messages and calls of the services of `spikeserve.v1`.
+"""The messages and calls of the services of `spikeserve.v1`, and the messages of `google.rpc`.
 
 This module makes them at import time from the compiled wire contract. Generated code would need a
 protobuf runtime at least as new as its compiler, which may conflict with other packages of an
@@ -12,7 +12,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf import (
+    any_pb2,
+    descriptor_pb2,
+    descriptor_pool,
+    duration_pb2,
+    message_factory,
+)
 
 PACKAGE = "spikeserve.v1"
 SERVICE = f"{PACKAGE}.PolicyService"
@@ -31,9 +37,8 @@ def _load_files() -> descriptor_pb2.FileDescriptorSet:
 
 def _make_pool(files: descriptor_pb2.FileDescriptorSet) -> descriptor_pool.DescriptorPool:
     pool = descriptor_pool.DescriptorPool()
-    options = descriptor_pb2.FileDescriptorProto()
-    descriptor_pb2.DESCRIPTOR.CopyToProto(options)
-    pool.Add(options)  # the contract extends the options of methods
+    for imported in (descriptor_pb2, any_pb2, duration_pb2):  # which the contract uses
+        pool.AddSerializedFile(imported.DESCRIPTOR.serialized_pb)
     for file in files.file:
         pool.Add(file)
     return pool
@@ -42,8 +47,7 @@ def _make_pool(files: descriptor_pb2.FileDescriptorSet) -> descriptor_pool.Descr
 def _make_classes(files: descriptor_pb2.FileDescriptorSet) -> dict[str, Message]:
     # At once: two threads that ask for a class for the first time may get two that do not fit.
     pool = _make_pool(files)
-    of_package = [file for file in files.file if file.package == PACKAGE]
-    names = [f"{PACKAGE}.{message.name}" for file in of_package for message in file.message_type]
+    names = [f"{file.package}.{kind.name}" for file in files.file for kind in file.message_type]
     classes = map(message_factory.GetMessageClass, map(pool.FindMessageTypeByName, names))
     return dict(zip(names, classes, strict=True))
 
@@ -52,9 +56,9 @@ _FILES = _load_files()
 _CLASSES = _make_classes(_FILES)
 
 
-def message_class(name: str) -> Message:
+def message_class(name: str, package: str = PACKAGE) -> Message:
     """Returns the class of the message `name` of the package, for example `ActRequest`."""
-    return _CLASSES[f"{PACKAGE}.{name}"]
+    return _CLASSES[f"{package}.{name}"]
 
 
 @dataclass(frozen=True)
