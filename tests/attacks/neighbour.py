@@ -1,19 +1,15 @@
-"""An agent of another tenant, in a process of its own: plays without pause, and prints its latencies.
+"""An agent of another tenant, in a process of its own: plays without pause, and tells its latencies.
 
-A probe of the health page runs beside it. Each line that it reads from stdin is the name of what begins now, which may
-come again. In the end it prints one line of JSON: for each name the quantiles of the latencies in seconds and how many
-calls failed, and "health" with those of the page.
-
-usage: python3 -m tests.attacks.neighbour HOST:PORT|ws://HOST:PORT HTTP_HOST:PORT [CA_FILE]
+A probe of the health page runs beside it. What the process receives is the name of what begins now, which may come again.
+In the end it sends, for each name, the quantiles of the latencies in seconds and how many calls failed, and "health"
+with those of the page. The address is HOST:PORT, or ws://HOST:PORT of a gateway.
 """
 
 import collections
 import http.client
-import json
 import pathlib
 import ssl
 import statistics
-import sys
 import threading
 import time
 
@@ -118,11 +114,10 @@ class Player:
         self.latencies.add(time.perf_counter() - start, failed)
 
 
-def main():
-    """Plays until stdin ends."""
-    address, http_address, *ca_file = sys.argv[1:]
-    player = Player(address, ca_file[0] if ca_file else None)
-    probe = Probe(http_address, bool(ca_file))
+def play(connection, address, http_address, ca_file=None):
+    """Plays until `connection`, of multiprocessing, has sent the names of all periods and None."""
+    player = Player(address, ca_file)
+    probe = Probe(http_address, ca_file is not None)
     stopped = threading.Event()
 
     def repeat(work, pause):
@@ -136,19 +131,14 @@ def main():
     ]
     for thread in threads:
         thread.start()
-    print("ready", flush=True)
+    connection.send("ready")
     names = []
-    for line in sys.stdin:
-        names.append(line.strip())
-        player.latencies.period = probe.latencies.period = names[-1]
+    for name in iter(connection.recv, None):
+        names.append(name)
+        player.latencies.period = probe.latencies.period = name
     stopped.set()
     for thread in threads:
         thread.join()
-    figures = {
-        name: player.latencies.figures(name) | {"health": probe.latencies.figures(name)} for name in names
-    }
-    print(json.dumps(figures), flush=True)
-
-
-if __name__ == "__main__":
-    main()
+    connection.send(
+        {name: player.latencies.figures(name) | {"health": probe.latencies.figures(name)} for name in names}
+    )

@@ -1,13 +1,12 @@
 """Starts a server, attacks it, and records what became of the server and of a neighbour."""
 
 import collections
+import concurrent.futures
 import contextlib
 import dataclasses
-import json
+import multiprocessing
 import pathlib
 import shutil
-import subprocess
-import sys
 import tempfile
 import time
 
@@ -15,10 +14,13 @@ from gateways import running_gateway
 from security import tls_flags
 from serving import SHIPPED_POLICIES, running_server
 
+from tests.attacks import catalogue, neighbour
 from tests.attacks.client import seconds_until_served
 from tests.attacks.process import MEGABYTE, MemoryWatch, Process
 
-ROOT = pathlib.Path(__file__).parents[2]
+# Attackers and neighbours are forked from a process that has imported what they need.
+FORKS = multiprocessing.get_context("forkserver")
+FORKS.set_forkserver_preload([catalogue.__name__, neighbour.__name__])
 KILL_BYTES = 1024 * MEGABYTE  # above idle
 SERVED_SECONDS = 5
 RETURN_SECONDS = 10  # in which memory has to be given back
@@ -45,30 +47,24 @@ class Observation:
 
 
 class Neighbour:
-    """The process of tests/attacks/neighbour.py."""
+    """A process that runs tests/attacks/neighbour.py."""
 
-    def __init__(self, arguments):
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.attacks.neighbour", *arguments],
-            cwd=ROOT,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
-        assert self._process.stdout.readline() == "ready\n", "the neighbour was not served"
+    def __init__(self, *addresses):
+        self._connection, theirs = FORKS.Pipe()
+        self._process = FORKS.Process(target=neighbour.play, args=(theirs, *addresses), daemon=True)
+        self._process.start()
+        theirs.close()  # so that the end of the process ends the connection
+        assert self._connection.recv() == "ready"
 
     def begin(self, period):
         """Begins a period, or goes on with one."""
-        self._process.stdin.write(f"{period}\n")
-        self._process.stdin.flush()
+        self._connection.send(period)
 
     def stop(self):
         """Ends the process. Returns the figures by period."""
-        self._process.stdin.close()
-        figures = json.loads(self._process.stdout.readline())
-        self._process.wait(timeout=30)
-        self._process.stdout.close()
+        self._connection.send(None)
+        figures = self._connection.recv()
+        self._process.join(timeout=30)
         return figures
 
 
@@ -76,7 +72,7 @@ class Gateway:
     """A gateway: it has one port, which answers robots and health checks."""
 
     def __init__(self, address):
-        self.grpc = address
+        self.grpc = str(address)  # without what running_gateway() has added
         self.http = address.removeprefix("ws://")
         self.process = address.process
 
@@ -115,18 +111,16 @@ def many_versions(folder, count):
     return policies
 
 
+def _attack(name, address, seconds, *count):
+    return dataclasses.asdict(catalogue.ATTACKS[name].run(address, seconds, *count))
+
+
 def run_attack(name, address, seconds, count):
     """Runs an attack in another process. Returns what it sent."""
-    arguments = [name, address, str(seconds), *([str(count)] if count else [])]
-    finished = subprocess.run(
-        [sys.executable, "-m", "tests.attacks.attacker", *arguments],
-        cwd=ROOT,
-        check=True,
-        stdout=subprocess.PIPE,
-        text=True,
-        timeout=seconds + 30,
-    )
-    return json.loads(finished.stdout)
+    host, _, port = address.rpartition(":")
+    arguments = (name, (host, int(port)), seconds, *([count] if count else []))
+    with concurrent.futures.ProcessPoolExecutor(1, FORKS) as process:
+        return process.submit(_attack, *arguments).result(timeout=seconds + 30)
 
 
 def memory_after(process, idle, limit):
@@ -158,7 +152,7 @@ def observe(attack, tokens, certificates, rounds, return_limit, count=None):
         ]
         process = Process(addresses.process.pid)
         authority = [f"{certificates}/ca.pem"] if attack.tls else []
-        neighbour = Neighbour([addresses.grpc, addresses.http, *authority])
+        rival = Neighbour(addresses.grpc, addresses.http, *authority)
         sent = collections.Counter()
         processor = took = 0.0
         served_after = None
@@ -169,22 +163,22 @@ def observe(attack, tokens, certificates, rounds, return_limit, count=None):
 
         idle = None
         for _ in range(rounds.count):
-            neighbour.begin("calm")
+            rival.begin("calm")
             time.sleep(rounds.calm_seconds)
             for other in others:
-                neighbour.begin("elsewhere")
+                rival.begin("elsewhere")
                 run(other)
             if idle is None:
                 idle = process.memory()
                 process.reset_peak()
             with MemoryWatch(process, idle + KILL_BYTES), contextlib.suppress(OSError):
                 began, used = time.monotonic(), process.processor_seconds()
-                neighbour.begin("during")
+                rival.begin("during")
                 sent.update(run(addresses))
                 took += time.monotonic() - began
                 processor += process.processor_seconds() - used
             served_after = seconds_until_served(addresses.grpc, attack.tls, SERVED_SECONDS)
-            neighbour.begin("between")
+            rival.begin("between")
             time.sleep(rounds.calm_seconds / 2)  # what the attack has left behind is done
         try:
             peak = process.peak() - idle
@@ -192,7 +186,7 @@ def observe(attack, tokens, certificates, rounds, return_limit, count=None):
             alive = addresses.process.poll() is None
         except OSError:
             peak, after, alive = KILL_BYTES, KILL_BYTES, False
-        figures = neighbour.stop()
+        figures = rival.stop()
     return Observation(
         attack.name,
         took,
