@@ -10,6 +10,7 @@ import sysconfig
 import tarfile
 
 import pytest
+from package_overlay import use_in_overlay
 from serving import SHIPPED_POLICIES, run
 
 ROOT = pathlib.Path(__file__).parents[3]
@@ -78,6 +79,40 @@ def test_twine_is_content(dist):
 
 def test_lintian_is_content(dist):
     run("lintian", "--fail-on", "error", *dist.glob("*.deb"))
+
+
+def paths_in(dist, name):
+    """Returns the paths in a Debian package, without the leading slash."""
+    [package] = dist.glob(f"{name}_*.deb")
+    return re.findall(r" \./(\S*)", run("dpkg-deb", "-c", package).stdout)
+
+
+@pytest.mark.parametrize(("package", "program"), [("spikeserve", "spikeserve"), ("spikeserve-tools", "spikectl")])
+def test_a_program_has_its_manual_page_and_completions(dist, package, program):
+    assert {
+        f"usr/share/man/man1/{program}.1.gz",
+        f"usr/share/bash-completion/completions/{program}",
+        f"usr/share/zsh/vendor-completions/_{program}",
+        f"usr/share/fish/vendor_completions.d/{program}.fish",
+    } <= set(paths_in(dist, package))
+
+
+def test_the_package_holds_no_path_of_the_machine_that_built_it(dist):
+    paths = paths_in(dist, "spikeserve")
+    assert all(path.startswith("usr/") or path in ("", "usr/") for path in paths), paths
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="installing packages needs root")
+def test_the_server_installs_starts_answers_and_goes(dist, tmp_path):
+    finished = use_in_overlay(dist, tmp_path)
+    lines = finished.stdout.splitlines()
+    assert lines[0] == "user spikeserve:/var/lib/spikeserve"
+    assert "unit verified" in lines
+    assert int(lines[2]) >= 1, "a policy named cartpole is served"
+    assert lines[3:5] == ["decisions 3"] * 2, "the session of before the upgrade goes on"
+    assert lines[5:] == ["zsh completes by _spikectl", "explain", "stopped cleanly", "user gone"], (
+        finished.stdout + finished.stderr
+    )
 
 
 def test_the_notes_are_those_of_the_changelog(dist):

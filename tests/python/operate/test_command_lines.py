@@ -1,5 +1,7 @@
 """Runs the programs as an operator does: flags from the environment and from files, help, manual pages, completion."""
 
+import concurrent.futures
+import functools
 import os
 import pathlib
 import pty
@@ -33,11 +35,17 @@ def run(program, *arguments, **variables):
     )
 
 
+@functools.cache
+def help_of(program, *path):
+    """Returns the finished --help of a command, which runs once: a program with libtorch takes a second to start."""
+    return run(program, *path, "--help")
+
+
 def commands(program):
     """Returns the arguments that name each command of a program, [] for the program itself."""
     found = [[]]
     for path in found:
-        listed = run(program, *path, "--help").stdout.partition("\nCommands:\n")[2].partition("\n\n")[0]
+        listed = help_of(program, *path).stdout.partition("\nCommands:\n")[2].partition("\n\n")[0]
         found += [[*path, line.split()[0]] for line in listed.splitlines()]
     return found
 
@@ -100,12 +108,13 @@ def test_the_server_names_the_variable_or_the_file_of_a_wrong_value(tmp_path):
 def test_the_clients_take_the_server_from_the_environment_and_a_file(program, arguments, tmp_path):
     config = tmp_path / "client.ini"
     config.write_text("server = 127.0.0.1:1\n")
-    variables = {f"{program.upper()}_CONFIG": str(config)}
-    unreachable = "no server could be reached at "
-    assert unreachable + "127.0.0.1:1" in run(program, *arguments, **variables).stderr
-    variables[f"{program.upper()}_SERVER"] = "127.0.0.1:2"
-    assert unreachable + "127.0.0.1:2" in run(program, *arguments, **variables).stderr
-    assert unreachable + "127.0.0.1:3" in run(program, *arguments, "--server=127.0.0.1:3", **variables).stderr
+    from_file = {f"{program.upper()}_CONFIG": str(config)}
+    from_variable = from_file | {f"{program.upper()}_SERVER": "127.0.0.1:2"}
+    runs = [(1, (), from_file), (2, (), from_variable), (3, ("--server=127.0.0.1:3",), from_variable)]
+    with concurrent.futures.ThreadPoolExecutor() as threads:  # each waits for its server
+        failed = [threads.submit(run, program, *arguments, *flags, **variables) for _, flags, variables in runs]
+        for (port, *_), each in zip(runs, failed, strict=True):
+            assert f"no server could be reached at 127.0.0.1:{port}" in each.result().stderr
 
 
 def test_a_section_of_a_file_holds_the_flags_of_a_command(tmp_path):
@@ -138,7 +147,7 @@ def test_every_program_has_one_version(program):
 
 @pytest.mark.parametrize(("program", "path"), COMMANDS, ids=lambda value: " ".join(value) if value else "-")
 def test_help_fits_the_screen(program, path):
-    printed = run(program, *path, "--help")
+    printed = help_of(program, *path)
     assert printed.returncode == 0
     lines = printed.stdout.splitlines()
     assert max(map(len, lines)) <= 100
@@ -156,7 +165,7 @@ def test_the_manual_page_is_well_formed_and_complete(program):
     text = re.sub(".\b", "", text)
     for _, path in (entry for entry in COMMANDS if entry[0] == program):
         assert " ".join([program, *path]) in text
-        for flag in re.findall(r"^  (--\w+)", run(program, *path, "--help").stdout, re.MULTILINE):
+        for flag in re.findall(r"^  (--\w+)", help_of(program, *path).stdout, re.MULTILINE):
             assert flag in text
 
 

@@ -1,25 +1,14 @@
-"""Installs the Debian packages of the server and the tools, starts the server as its unit does, plays,
-upgrades and removes it.
+"""Installs the Debian packages of the server and the tools, starts the server as its unit does, plays, upgrades and removes it.
 
-The test works in an overlay of this machine's files in its own mount namespace, so it does not change the machine. It
+All of it happens in an overlay of this machine's files in a mount namespace of its own, so it does not change the machine. It
 needs root.
 """
 
-import os
 import pathlib
-import re
-import shutil
 import sys
 import textwrap
 
-import pytest
 from serving import run
-
-BUILD = pathlib.Path(os.environ["SPIKESERVE_BUILD_DIR"])
-VERSION = os.environ["SPIKESERVE_VERSION"]
-DEADLINE_SECONDS = 500
-
-pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="installing packages needs root")
 
 # Runs in the overlay. Prints lines that the test checks, and stops at the first command that fails.
 INSIDE = textwrap.dedent(
@@ -100,50 +89,9 @@ OUTSIDE = textwrap.dedent(
 )
 
 
-@pytest.fixture(scope="module")
-def packages():
-    """Returns the folder with the packages that cpack makes from the build."""
-    shutil.rmtree(BUILD / "packages", ignore_errors=True)
-    run("cpack", "-G", "DEB", cwd=BUILD)
-    return BUILD / "packages"
-
-
-def test_every_component_is_a_package_of_the_one_version(packages):
-    names = {path.name.split("_")[0] for path in packages.glob(f"*_{VERSION}_*.deb")}
-    assert {"spikeserve", "libspikeserve-dev", "spikeserve-tools"} <= names
-
-
-def paths_in(packages, name):
-    """Returns the paths in a package, without the leading slash."""
-    [package] = packages.glob(f"{name}_*.deb")
-    return re.findall(r" \./(\S*)", run("dpkg-deb", "-c", package).stdout)
-
-
-@pytest.mark.parametrize(("package", "program"), [("spikeserve", "spikeserve"), ("spikeserve-tools", "spikectl")])
-def test_a_program_has_its_manual_page_and_completions(packages, package, program):
-    assert {
-        f"usr/share/man/man1/{program}.1.gz",
-        f"usr/share/bash-completion/completions/{program}",
-        f"usr/share/zsh/vendor-completions/_{program}",
-        f"usr/share/fish/vendor_completions.d/{program}.fish",
-    } <= set(paths_in(packages, package))
-
-
-def test_the_package_holds_no_path_of_the_machine_that_built_it(packages):
-    paths = paths_in(packages, "spikeserve")
-    assert all(path.startswith("usr/") or path in ("", "usr/") for path in paths), paths
-
-
-def test_the_server_installs_starts_answers_and_goes(packages, tmp_path):
-    finished = run(
-        *("unshare", "--mount", "bash", "-c", OUTSIDE, "bash", tmp_path, packages, INSIDE),
+def use_in_overlay(packages, folder):
+    """Runs INSIDE with the packages of a folder. Returns the finished process. `folder` is an empty one."""
+    return run(
+        *("unshare", "--mount", "bash", "-c", OUTSIDE, "bash", folder, packages, INSIDE),
         *(sys.executable, ROBOT, pathlib.Path(__file__).parents[1])
-    )
-    lines = finished.stdout.splitlines()
-    assert lines[0] == "user spikeserve:/var/lib/spikeserve"
-    assert "unit verified" in lines
-    assert int(lines[2]) >= 1, "a policy named cartpole is served"
-    assert lines[3:5] == ["decisions 3"] * 2, "the session of before the upgrade goes on"
-    assert lines[5:] == ["zsh completes by _spikectl", "explain", "stopped cleanly", "user gone"], (
-        finished.stdout + finished.stderr
     )
