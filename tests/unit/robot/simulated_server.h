@@ -78,16 +78,20 @@ class SimulatedServer {
   void Store(size_t count);
   // Loses what is not in the store.
   void Kill();
+  // Takes a step of another robot with the session's id. Returns whether it is the first one.
+  bool Intrude();
 
   const ServedSession& session() const { return session_; }
 
  private:
   Answer Expected() const;
   Answer Finish(bool has_ended);
+  bool Differs(const Message& message) const;
   bool Append(const Message& message);
 
   const bool is_stored_;
   uint64_t opened_ = 0;
+  bool is_intruded_ = false;
   ServedSession session_;
   ServedSession stored_;
   std::deque<ServedSession> waiting_;
