@@ -4,6 +4,8 @@
 # | component | Debian package          | content                                                          |
 # | server    | spikeserve              | spikeserve, its systemd unit and user, the shipped policies      |
 # | client    | libspikeserve-dev       | the C++ client: headers, static libraries, CMake package, .pc    |
+# | robot     | libspikeserve-robot0    | libspikeserve_robot.so.0, the robot's end for C                  |
+# | robot_dev | libspikeserve-robot-dev | its header, its link and its .pc                                 |
 # | tools     | spikeserve-tools        | spikectl and spikeload                                           |
 # | train     | spikeserve-train        | spiketrain                                                       |
 include(GNUInstallDirs)
@@ -14,7 +16,7 @@ install(DIRECTORY deploy/policies DESTINATION ${CMAKE_INSTALL_DATADIR}/spikeserv
 install(TARGETS spikectl spikeload RUNTIME COMPONENT tools)
 spikeserve_install_texts(server spikeserve)
 spikeserve_install_texts(tools spikectl spikeload)
-set(components server client tools)
+set(components server client robot robot_dev tools)
 if(SPIKESERVE_BUILD_TRAIN)
   install(TARGETS spiketrain RUNTIME COMPONENT train)
   spikeserve_install_texts(train spiketrain)
@@ -35,7 +37,8 @@ install(CODE "
 set_target_properties(spikeserve_client PROPERTIES EXPORT_NAME client)
 set_target_properties(spikeserve_proto PROPERTIES EXPORT_NAME proto)
 set_target_properties(spikeserve_stubs PROPERTIES EXPORT_NAME stubs)
-set_target_properties(spikeserve_robot PROPERTIES EXPORT_NAME robot)
+# Not libspikeserve_robot, which is the shared library for C.
+set_target_properties(spikeserve_robot PROPERTIES EXPORT_NAME robot OUTPUT_NAME spikeserve_robot_session)
 install(TARGETS spikeserve_client spikeserve_robot spikeserve_stubs spikeserve_proto EXPORT spikeserveTargets
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT client
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
@@ -69,6 +72,12 @@ file(RELATIVE_PATH SPIKESERVE_PC_PREFIX /${CMAKE_INSTALL_LIBDIR}/pkgconfig /)
 configure_file(cmake/package/spikeserve.pc.in ${CMAKE_BINARY_DIR}/spikeserve.pc @ONLY)
 install(FILES ${CMAKE_BINARY_DIR}/spikeserve.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig COMPONENT client)
 
+# The robot's end for C.
+install(TARGETS spikeserve_c_robot LIBRARY COMPONENT robot NAMELINK_COMPONENT robot_dev)
+install(FILES client/c/spikeserve_robot.h DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT robot_dev)
+configure_file(cmake/package/spikeserve_robot.pc.in ${CMAKE_BINARY_DIR}/spikeserve_robot.pc @ONLY)
+install(FILES ${CMAKE_BINARY_DIR}/spikeserve_robot.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig COMPONENT robot_dev)
+
 # Installs Debian's changelog of a package, compressed. Its time is that of the packages, SOURCE_DATE_EPOCH if it is set.
 function(spikeserve_install_changelog component package)
   install(CODE "
@@ -85,6 +94,8 @@ endfunction()
 
 set(package_server spikeserve)
 set(package_client libspikeserve-dev)
+set(package_robot libspikeserve-robot0)
+set(package_robot_dev libspikeserve-robot-dev)
 set(package_tools spikeserve-tools)
 set(package_train spikeserve-train)
 foreach(component ${components})
@@ -112,6 +123,11 @@ policies in /usr/share/spikeserve/policies.")
 set(CPACK_COMPONENT_CLIENT_DESCRIPTION "C++ client library of spikeserve
 Contains headers, static libraries, a CMake package and a file for pkg-config.
 The engine on a robot also needs libhwy-dev and libssl-dev.")
+set(CPACK_COMPONENT_ROBOT_DESCRIPTION "robot's end of a session of spikeserve
+Gives each control step of a robot an action in time, whatever its link to the
+server does.")
+set(CPACK_COMPONENT_ROBOT_DEV_DESCRIPTION "robot's end of a session of spikeserve, for C
+Contains the header and a file for pkg-config.")
 set(CPACK_COMPONENT_TOOLS_DESCRIPTION "command-line client and load generator of spikeserve
 The program spikectl plays, watches and administers policies of a server. The
 program spikeload measures a server under the load of many sessions.")
@@ -121,6 +137,12 @@ them, and evaluates policies.")
 set(CPACK_DEBIAN_CLIENT_PACKAGE_SECTION libdevel)
 set(CPACK_DEBIAN_CLIENT_PACKAGE_DEPENDS "libgrpc++-dev, libprotobuf-dev, libabsl-dev")
 set(CPACK_DEBIAN_CLIENT_PACKAGE_RECOMMENDS "libhwy-dev, libssl-dev")
+set(CPACK_DEBIAN_PACKAGE_GENERATE_SHLIBS ON)
+set(CPACK_DEBIAN_PACKAGE_GENERATE_SHLIBS_POLICY ">=")
+set(CPACK_DEBIAN_ROBOT_PACKAGE_SECTION libs)
+set(CPACK_DEBIAN_ROBOT_PACKAGE_CONTROL_EXTRA ${PROJECT_SOURCE_DIR}/deploy/debian/triggers)
+set(CPACK_DEBIAN_ROBOT_DEV_PACKAGE_SECTION libdevel)
+set(CPACK_DEBIAN_ROBOT_DEV_PACKAGE_DEPENDS "libspikeserve-robot0 (= ${PROJECT_VERSION})")
 set(CPACK_DEBIAN_SERVER_PACKAGE_DEPENDS adduser)
 set(CPACK_DEBIAN_SERVER_PACKAGE_CONTROL_EXTRA
   ${PROJECT_SOURCE_DIR}/deploy/debian/postinst ${PROJECT_SOURCE_DIR}/deploy/debian/prerm

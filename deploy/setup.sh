@@ -8,7 +8,7 @@
 # | build   | libraries of the tests and the training, and the Python environment of the tests, BUILD_DIR/venv    |
 # | clang   | clang and its tools, for the presets checked and fuzz, and for `make format`                        |
 # | tests   | programs that tests run: Redis, Prometheus, shells                                                |
-# | full    | programs that only `make test-all` runs: a browser, proxies, Go, a virtual machine                  |
+# | full    | programs that only `make test-all` runs: a browser, proxies, Go, Rust, a virtual machine            |
 # | chips   | snnTorch, NeuroBench and NIR, in BUILD_DIR/chips                                                    |
 # | interop | clients of gRPC in other languages, in BUILD_DIR/interop                                            |
 # | arm64   | cross compiler, emulator, and what makes the arm64 libraries of deploy/arm64_root.sh                |
@@ -39,7 +39,7 @@ packages_build=(
 )
 packages_clang=(clang libclang-rt-dev clang-format clang-tidy)
 packages_tests=(prometheus redis-server mandoc zsh fish lmdb-utils iproute2)
-packages_full=(haproxy nghttp2-client nginx chromium chromium-driver golang-go user-mode-linux e2fsprogs spin)
+packages_full=(haproxy nghttp2-client nginx chromium chromium-driver golang-go rustc cargo user-mode-linux e2fsprogs spin)
 packages_chips=(python3-torch)  # Debian's PyTorch, which has no CUDA
 packages_interop=(golang-go)
 packages_arm64=(g++-aarch64-linux-gnu qemu-user-static mmdebstrap)

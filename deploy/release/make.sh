@@ -86,8 +86,16 @@ python_packages() {
     { cat "$work/wheels.log" >&2; return 1; }
 }
 
+# What Rust and Go add to the Debian packages of the robot's end.
+robot_sources() {
+  say "crate and Go module"
+  git archive --prefix="spikeserve-robot-$version/" HEAD:client/rust | gzip -9n >"$out/spikeserve-robot-$version.crate"
+  git archive --format=zip --prefix="spikeserve-robot-go-$version/" -o "$out/spikeserve-robot-go-$version.zip" HEAD:client/go
+}
+
 for build in "${builds[@]}"; do debian_packages "$build"; done
 python_packages
+robot_sources
 say "source archive, notes, SBOM and checksums"
 git archive --prefix="spikeserve-$version/" HEAD | gzip -9n >"$out/spikeserve-$version.src.tar.gz"
 /usr/bin/python3 deploy/release/notes.py CHANGELOG.md "$version" >"$out/RELEASE_NOTES.md"

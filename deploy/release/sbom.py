@@ -24,7 +24,12 @@ from library_cves import linked_libraries, output, package_of  # noqa: E402
 COMPILED_IN = (
     "libgrpc++-dev libgrpc-dev libhwy-dev nlohmann-json3-dev libcli11-dev libeigen3-dev libboost1.74-dev libspdlog-dev"
 ).split()
-PROGRAMS = {"spikeserve": "spikeserve", "spikeserve-tools": "spikectl", "spikeserve-train": "spiketrain"}
+PROGRAMS = {
+    "spikeserve": "spikeserve",
+    "spikeserve-tools": "spikectl",
+    "spikeserve-train": "spiketrain",
+    "libspikeserve-robot0": "../lib/libspikeserve_robot.so",
+}
 
 
 def identifier(*parts):

@@ -43,7 +43,10 @@ def names(folder, pattern):
 
 def test_a_release_has_everything(dist):
     packages = [name.split("_")[0] for name in names(dist, "*.deb")]
-    assert {"spikeserve", "spikeserve-tools", "libspikeserve-dev"} <= set(packages)
+    robot = {"libspikeserve-robot0", "libspikeserve-robot-dev"}
+    assert {"spikeserve", "spikeserve-tools", "libspikeserve-dev"} | robot <= set(packages)
+    others = [f"spikeserve-robot-{VERSION}.crate", f"spikeserve-robot-go-{VERSION}.zip"]
+    assert names(dist, "*.crate") + names(dist, "*.zip") == others
     tag = f"cp{OWN_VERSION.replace('.', '')}"
     [client, engine, train] = names(dist, "*.whl")
     for name, wheel in (("spikeserve", client), ("spikeserve_engine", engine)):

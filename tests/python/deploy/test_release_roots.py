@@ -14,6 +14,7 @@ PROGRAMS = {
     "spikeserve-tools": "spikectl --version && spikeload --version",
     "spikeserve-train": "spiketrain --version",
     "libspikeserve-dev": "test -e /usr/include/spikeserve/client.h",
+    "libspikeserve-robot0": "ldconfig -p | grep -q libspikeserve_robot.so.0",
 }
 
 pytestmark = [

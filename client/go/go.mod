@@ -1,0 +1,3 @@
+module spikeserve.invalid/robot
+
+go 1.19
