@@ -35,20 +35,18 @@ class SmallRegistry {
     registry_ = *std::move(registry);
   }
 
-  // Writes a policy file to the directory. The registry does not load it before it is told to.
+  PolicyRegistry* get() { return registry_.get(); }
+  Metrics& metrics() { return metrics_; }
+
+ private:
   void WriteVersion(const std::string& name, int64_t version) {
-    const auto folder = path() / name / std::to_string(version);
+    const auto folder = directory_.path() / name / std::to_string(version);
     std::filesystem::create_directories(folder);
     const Policy policy =
         RandomPolicy(SmallConfig(), kObservationSize, ActionSpace::Discrete(2), /*seed=*/1);
     EXPECT_TRUE(WritePolicyFile(policy, (folder / "policy.safetensors").string()).ok());
   }
 
-  std::filesystem::path path() const { return directory_.path(); }
-  PolicyRegistry* get() { return registry_.get(); }
-  Metrics& metrics() { return metrics_; }
-
- private:
   TemporaryDirectory directory_;
   Metrics metrics_;
   std::unique_ptr<PolicyRegistry> registry_;

@@ -42,8 +42,8 @@ class Learner:
         ended = self.policy.EndEpisode(session_id=session_id, reward=reward(steps), **end)
         return answers, ended
 
-    def teach(self, episodes=3):
-        session_id = self.open(seed=1, learning=FLEET, **SAMPLING)
+    def teach(self, episodes=3, **opening):
+        session_id = self.open(seed=1, learning=FLEET, **SAMPLING, **opening)
         for _ in range(episodes):
             self.play(session_id, terminated=True)
 
@@ -104,6 +104,19 @@ def test_after_a_rollback_the_old_answers_return_bit_for_bit(serve):
         assert head.drift == 0 and head.updates == 0 and head.rollbacks == 1
 
     serve(roll_back)
+
+
+def test_a_promotion_takes_a_new_number_and_a_rollback_is_of_one_version(folder, serve):
+    def promote(server):
+        server.teach()
+        (folder / "cartpole/7").mkdir()  # has no policy file, and is not served
+        assert [server.admin.PromoteHead(policy="cartpole", version=1).version for _ in range(2)] == [8, 9]
+        server.teach(version=9)
+        assert server.admin.RollbackHead(policy="cartpole", version=1).drift > 0
+        heads = [server.admin.GetHead(policy="cartpole", version=version) for version in (1, 8, 9)]
+        assert [(head.drift > 0, head.rollbacks) for head in heads] == [(False, 1), (False, 0), (True, 0)]
+
+    serve(promote)
 
 
 @pytest.mark.parametrize("scope", ["SESSION", "FLEET"])
@@ -243,6 +256,7 @@ def test_what_would_do_nothing_or_harm_is_refused(serve, fields, message):
 def test_what_was_not_learned_is_not_promoted(serve):
     def promote(server):
         assert code_of(server.admin.PromoteHead, policy="cartpole") == grpc.StatusCode.FAILED_PRECONDITION
+        assert code_of(server.admin.PromoteHead, policy="cartpole", version=5) == grpc.StatusCode.NOT_FOUND
         for call in [server.admin.GetHead, server.admin.RollbackHead, server.admin.PauseLearning]:
             assert code_of(call, policy="nobody") == grpc.StatusCode.NOT_FOUND
 

@@ -141,6 +141,10 @@ def test_a_version_that_is_in_use_stays(server, policies):
         unload(server, 1)
     server.admin.SetDefaultVersion(policy="robot", version=0)
     assert opened(server) == 2
+    divide(server, {}, shadow_version=1)
+    with fails_with(PRECONDITION, "the shadow"):
+        unload(server, 1)
+    divide(server, {})
     label(server, "stable", 1)
     with fails_with(PRECONDITION, "label stable"):
         unload(server, 1)
@@ -185,19 +189,39 @@ def test_labels_name_versions(server):
 
 
 def test_traffic_is_divided_by_key(server):
-    divide(server, {1: 80, 2: 20})
+    divide(server, {2: 20, 1: 80})
     keys = [f"robot-{i}" for i in range(500)]
     routes = {key: opened(server, routing_key=key) for key in keys}
     for key in keys[:20]:
         assert opened(server, routing_key=key) == routes[key]
     # The hash determines these counts, so that they are the same in every run.
     assert collections.Counter(routes.values())[1] == pytest.approx(400, abs=40)
+    divide(server, {2: 40, 1: 60})  # a share that grows keeps the keys that it had
+    assert {opened(server, routing_key=key) for key in keys if routes[key] == 2} == {2}
+    divide(server, {1: 100})
+    label(server, "canary", 2)
+    assert opened(server, version=2) == opened(server, version_label="canary") == 2
     with fails_with(INVALID, "add up to 100, received 110"):
         divide(server, {1: 80, 2: 30})
     with fails_with(NOT_FOUND, "received 9"):
         divide(server, {1: 80, 9: 20})
     divide(server, {})
     assert opened(server) == 2
+
+
+def test_a_key_falls_into_shares_of_two_policies_independently(server, policies):
+    for version in (1, 2):
+        add_version(policies, "other", version, policies / "robot/1")
+    server.admin.ReloadPolicies()
+    shares = [{"version": version, "percent": 50} for version in (1, 2)]
+    for policy in ("robot", "other"):
+        server.admin.SetTraffic(policy=policy, shares=shares)
+
+    def version_of(policy, key):
+        return server.agent.OpenSession(policy=policy, routing_key=key).version
+
+    equal = sum(version_of("robot", f"{i}") == version_of("other", f"{i}") for i in range(300))
+    assert equal == pytest.approx(150, abs=50)
 
 
 def test_a_shadow_sees_the_traffic_and_answers_nobody(server, policies):
@@ -209,14 +233,19 @@ def test_a_shadow_sees_the_traffic_and_answers_nobody(server, policies):
     equal = session_of(server, version=2)
     divide(server, {}, shadow_version=1)
     other = session_of(server, version=2)
+    shadow = session_of(server, version=1)  # a version does not shadow itself
+    add_version(policies, "robot", 4, policies / "pendulum/1")
+    load(server, 4)
+    server.agent.Act(session_id=session_of(server, version=4), observation=[0.1] * 3)  # other spaces than the shadow's
     episodes, steps = 2, 25
     for _ in range(episodes):
         for step in range(steps):
+            act(server, shadow, step)
             expected = act(server, plain, step)
             assert act(server, equal, step) == expected
             act(server, equal, step)  # a retry is not shadowed again
             assert act(server, other, step) == expected
-        for session in (plain, equal, other):
+        for session in (plain, equal, other, shadow):
             end(server, session)
     played = episodes * steps
     decisions, spikes = "spikeserve_shadow_decisions_total", "spikeserve_shadow_spikes_total"
@@ -226,7 +255,7 @@ def test_a_shadow_sees_the_traffic_and_answers_nobody(server, policies):
     assert metric(server, decisions, shadow_version="1", agreement="differ") > 0
     served, shadow = (metric(server, spikes, shadow_version="3", side=side) for side in ("served", "shadow"))
     assert served == shadow
-    assert metric(server, "spikeserve_decisions_total") == 3 * played
+    assert metric(server, "spikeserve_decisions_total") == 4 * played + 1
     assert not any(series(server, "spikeserve_shadow_dropped_total"))
 
 
@@ -415,6 +444,8 @@ def test_a_pause_outlives_the_server(policies, settings):
         server.admin.ResumeLearning()
     with serving_with(settings, policies) as server:
         assert not any(paused(server))
+        server.admin.PauseLearning()
+        assert all(paused(server))
 
 
 MISTAKES = [

@@ -213,16 +213,3 @@ def test_an_empty_batch_counts(servers):
     with pytest.raises(grpc.RpcError, match="decisions_per_second"):
         for _ in range(3):
             batch(requests=[])
-
-
-def test_a_rate_of_an_unknown_class_is_refused(tmp_path):
-    tokens = tmp_path / "tokens.json"
-    tokens.write_text(json.dumps({"tenants": {"a": {"calls_per_second": {"slow": 1}}}}))
-    log = tmp_path / "log"
-    with (
-        log.open("w") as file,
-        pytest.raises(AssertionError),
-        running_server(flags=[f"--tokens={tokens}"], log=file, status=1),
-    ):
-        pass
-    assert 'tenants.a.calls_per_second: ' in log.read_text()

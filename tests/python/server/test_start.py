@@ -12,7 +12,12 @@ RECORDINGS = "--record_dir: expected a directory in which the server can create 
     [
         ("--policies=/nonexistent", "--policies: /nonexistent: No such file"),
         ("--listen=50051", '--listen: expected HOST:PORT, received "50051"'),
-        ("--listen=127.0.0.1:70000", "--listen: expected HOST:PORT"),
+        *(
+            (f"--listen={address}", f'--listen: expected HOST:PORT, received "{address}"')
+            for address in ("", ":", ":1", "host", "host:", "host:x", "host:-1", "host:65536", "host:80s")
+        ),
+        *((f"--listen={address}", "--listen: expected HOST:PORT") for address in ("a b:1", "::1:80", "a,b:1", "[]:1")),
+        *((f"--listen={address}", f"--listen: expected --tokens for {address}, ") for address in ("[2001:db8::1]:1", "my-host.invalid:1")),
         ("--http_listen=,:1", "--http_listen: expected HOST:PORT"),
         ("--session_ttl=0s", "--session_ttl: expected at least 1ms"),
         ("--session_ttl=soon", f'--session_ttl: {DURATION}, received "soon"'),

@@ -19,7 +19,7 @@ from security import (
     service_with,
     until,
 )
-from serving import DEADLINE_SECONDS, Service, method_of, running_server
+from serving import DEADLINE_SECONDS, Service, method_of, refusal_at_start, running_server
 
 
 @pytest.mark.parametrize("token", [None, "wrong", "expired"])
@@ -94,6 +94,34 @@ def test_the_status_page_is_for_viewers_and_operators(addresses, path):
         assert http_code(addresses.http, path, f"Bearer {token}") == found
     browser = base64.b64encode(b"anyone:operator").decode()
     assert http_code(addresses.http, path, f"Basic {browser}") == found
+    assert http_code(addresses.http, path, "bearer operator") == found
+    assert http_code(addresses.http, path, "operator") == 401
+
+
+def tokens_of(*entries):
+    return {"tenants": {"fleet": {}}, "tokens": list(entries)}
+
+
+MISTAKES = [
+    ({"token": []}, '"token"'),
+    (tokens_of({"sha256": "00", "tenant": "fleet", "role": "agent"}), "tokens[0].sha256"),
+    (tokens_of(entry("a", "king")), "expected agent, viewer or operator"),
+    (tokens_of(entry("a", "agent"), entry("a", "agent")), "tokens[1].sha256"),
+    (tokens_of(entry("a", "agent", expires="soon")), "tokens[0].expires"),
+    (tokens_of(entry("v", "viewer", sees="everything")), "tokens[0].sees"),
+    (tokens_of(entry("a", "agent", sees="all")), "tokens[0].sees: expected tenant"),
+    (tokens_of(entry("a", "agent", "nobody")), "tokens[0].tenant"),
+    ({"tenants": {"fleet": {"max_sessions": -1}}}, "tenants.fleet.max_sessions"),
+    ({"tenants": {"fleet": {"max_sessions": "many"}}}, "expected an integer"),
+    ({"tenants": {"fleet": {"calls_per_second": {"slow": 1}}}}, "tenants.fleet.calls_per_second: "),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), MISTAKES)
+def test_a_mistake_in_the_file_keeps_the_server_from_starting(tmp_path, text, message):
+    path = tmp_path / "tokens.json"
+    path.write_text(json.dumps(text))
+    assert message in refusal_at_start(f"--tokens={path}")
 
 
 def test_load_balancers_need_no_token(addresses):

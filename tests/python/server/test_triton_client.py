@@ -12,9 +12,10 @@ from google.protobuf import descriptor_pool
 from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
     ProtoReflectionDescriptorDatabase,
 )
+from security import fails_with
 from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, running_server
 from tritonclient import grpc as triton
-from tritonclient.grpc import service_pb2
+from tritonclient.grpc import service_pb2, service_pb2_grpc
 from tritonclient.utils import InferenceServerException
 
 MODEL = "cartpole"
@@ -180,6 +181,26 @@ def test_a_refused_request_leaves_the_sequence_as_it_was(client, call):
         assert message in refusal(infer, inputs, sequence_id=10).message()
     after = infer(tensors(OBSERVATION, reward=1.0), sequence_id=10)
     assert after.as_numpy("return_to_go") == [499.0]
+
+
+IN_BYTES = {"name": "observation", "datatype": "FP32", "shape": [4]}
+TYPED = IN_BYTES | {"contents": {"fp32_contents": OBSERVATION}}
+REWARD = {"name": "reward", "datatype": "FP32", "shape": [1]}
+
+
+@pytest.mark.parametrize(
+    ("inputs", "raw", "message"),
+    [
+        ([TYPED], [bytes(16)], "expected no contents beside raw_input_contents"),
+        ([IN_BYTES, REWARD], [bytes(16)], "expected one an input, 2, received 1"),
+        ([IN_BYTES], [bytes(15)], "received 15 bytes of FP32"),
+    ],
+)
+def test_contents_are_either_typed_or_in_bytes(address, inputs, raw, message):
+    request = service_pb2.ModelInferRequest(model_name=MODEL, inputs=inputs, raw_input_contents=raw)
+    request.parameters["sequence_id"].int64_param = 1
+    with grpc.insecure_channel(address) as channel, fails_with(grpc.StatusCode.INVALID_ARGUMENT, message):
+        service_pb2_grpc.GRPCInferenceServiceStub(channel).ModelInfer(request, timeout=DEADLINE_SECONDS)
 
 
 def test_every_request_needs_a_sequence(client):

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from google.protobuf import json_format
 from security import until
 from serving import SHIPPED_POLICIES, add_version, http_call, page_of, running_server
 
@@ -104,6 +105,27 @@ def test_sessions_are_filtered_sorted_and_paged(server):
     assert session["energy_joules"] > 0
 
 
+def test_a_row_has_every_field_of_its_session(server):
+    """Also of one that learns, has labels that need escapes, and whose robot reports its beats."""
+    labels = {"robot": 'R2 "D2"', "Straße": "7\\"}
+    session = play(server, "robot", 1, labels=labels, learning={"scope": "SESSION"}, period_seconds=0.02)
+    for step in range(1, 5):
+        server.agent.Act(
+            session_id=session, step=step, observation=OBSERVATIONS["robot"], reward=0.1, report={"held": 7 * step}
+        )
+    [row] = document(server, "/sessions.json?sort=energy_joules&filter=stra%C3%9Fe=7")["sessions"]
+    [info] = server.admin.ListSessions().sessions
+    expected = json_format.MessageToDict(
+        info, preserving_proto_field_name=True, always_print_fields_with_no_presence=True
+    )
+    assert row["labels"] == document(server, f"/session.json?session={session}")["labels"] == labels | {"period_seconds": "0.02"}
+    assert (row["decisions"], row["mean_return"]) == ("5", None)
+    for field in info.DESCRIPTOR.fields:
+        if field.name != "idle_seconds":  # passes between both calls
+            assert row[field.name] == expected[field.name], field.name
+    assert row["idle_seconds"] > 0
+
+
 def test_pages_of_sessions_continue_behind_the_last_one(server):
     """They add up to the whole list although a session that was listed already continues."""
     for i in range(7):
@@ -185,8 +207,10 @@ def test_mistakes_are_named(server):
         *(
             (f"/{name}", 400, "INVALID_ARGUMENT", message)
             for name, message in (
-                ("sessions.json?page_size=0", "page_size: expected"),
-                ("sessions.json?page_size=1001", "page_size: expected"),
+                *(
+                    (f"sessions.json?page_size={size}", f'page_size: expected a whole number from 1 to 1000, received "{size}')
+                    for size in ("0", "1001", "1e2", "", "9" * 20)
+                ),
                 *(
                     (f"sessions.json?page_token={each}", "page_token: ")
                     for each in ("x", "AAAA", "%FF", "hPWA", deep, *two_to_61)
@@ -198,6 +222,7 @@ def test_mistakes_are_named(server):
                 ("sessions.json?sort=mood", "sort: expected one of"),
                 ("sessions.json?order=up", "order: expected"),
                 ("sessions.json?colour=red", '"colour"'),
+                ("sessions.json?filter=a&filter=b", "filter: expected once"),
                 ("sessions.json?sort=%FF%FE", "sort: expected one of"),
             )
         ),

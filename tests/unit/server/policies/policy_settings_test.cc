@@ -1,19 +1,13 @@
 #include "server/policies/policy_settings.h"
 
-#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <string>
-#include <vector>
 
 #include "tests/support/temporary_directory.h"
 
 namespace spikeserve {
 namespace {
-
-using ::testing::ElementsAre;
-using ::testing::IsEmpty;
-using ::testing::StartsWith;
 
 Settings SomeSettings() {
   Settings settings;
@@ -55,34 +49,6 @@ TEST(PolicySettings, WhatIsWrittenIsRead) {
   ASSERT_TRUE(read.ok()) << read.status();
   EXPECT_EQ(read->policies, written.policies);
   EXPECT_EQ(read->unloaded, written.unloaded);
-}
-
-TEST(PolicySettings, SettingsOfVersionsThatAreNotServedArePending) {
-  const PolicySettings settings = SomeSettings().policies["cartpole"];
-  std::vector<std::string> pending;
-  PolicySettings effective = EffectiveSettings(settings, {1, 2, 3}, &pending);
-  EXPECT_EQ(effective, settings);
-  EXPECT_THAT(pending, IsEmpty());
-
-  effective = EffectiveSettings(settings, {1}, &pending);
-  EXPECT_EQ(effective.default_version, 1);
-  EXPECT_THAT(effective.labels, ElementsAre(std::pair("stable", 1)));
-  EXPECT_THAT(effective.shares, IsEmpty()) << "shares are pending together";
-  EXPECT_EQ(effective.shadow_version, 0);
-  EXPECT_TRUE(effective.learning_paused);
-  EXPECT_THAT(pending, ElementsAre(StartsWith("labels.canary: "), StartsWith("shares: "),
-                                   StartsWith("shadow_version: ")));
-}
-
-TEST(PolicySettings, TheUseOfAVersionIsNamed) {
-  const PolicySettings settings = SomeSettings().policies["cartpole"];
-  EXPECT_EQ(settings.DescribeUse(1), "the default");
-  EXPECT_EQ(settings.DescribeUse(2), "label canary");
-  EXPECT_EQ(settings.DescribeUse(3), "the shadow");
-  EXPECT_EQ(settings.DescribeUse(4), "");
-  EXPECT_EQ(settings.DescribeUseBesideDefault(1), "label stable");
-  EXPECT_EQ(settings.PercentOf(2), 5);
-  EXPECT_EQ(settings.PercentOf(3), 0);
 }
 
 }  // namespace
