@@ -92,7 +92,7 @@ golden: configure
 
 # Fills dist/ with everything that a release publishes: packages, wheels, sources, notes, an SBOM and checksums.
 dist: configure
-	cmake --build $(BUILD) --target spikeserve spikectl spikeload spiketrain spikeserve_client spikeserve_c_robot spikeserve_manuals
+	cmake --build $(BUILD) --target spikeserve spikectl spikeload spiketrain spikeserve_client spikeserve_installed_engine spikeserve_c_robot spikeserve_manuals
 	deploy/release/make.sh dist $(BUILD)
 
 # Makes a site of docs/ in build/site, with the playground if there is one.

@@ -19,7 +19,7 @@ PLACES = {
     "docs/guides/image.md": [r"spikeserve:([\d.]+)"],
     "docs/guides/packages.md": [r"dist/spikeserve(?:_engine)?-([\d.]+)-"],
     "client/rust/Cargo.toml": [r'^version = "([\d.]+)"'],
-    "docs/start/c.md": [r"spikeserve-robot(?:-go)?-([\d.]+)", r"robot@v([\d.]+)"],
+    "docs/start/c.md": [r"spikeserve-robot-(?:rust|go)-([\d.]+)", r"robot@v([\d.]+)"],
     "docs/start/cpp.md": [r"find_package\(spikeserve ([\d.]+)"],
     "ros/spikeserve_ros/package.xml": [r"<version>([\d.]+)<"],
     "ros/spikeserve_ros/setup.py": [r'version="([\d.]+)"'],

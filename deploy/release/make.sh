@@ -88,9 +88,17 @@ python_packages() {
 
 # What Rust and Go add to the Debian packages of the robot's end.
 robot_sources() {
+  local language name
   say "crate and Go module"
-  git archive --prefix="spikeserve-robot-$version/" HEAD:client/rust | gzip -9n >"$out/spikeserve-robot-$version.crate"
-  git archive --format=zip --prefix="spikeserve-robot-go-$version/" -o "$out/spikeserve-robot-go-$version.zip" HEAD:client/go
+  for language in rust go; do
+    name=spikeserve-robot-$language-$version
+    mkdir "$work/$name"
+    git archive HEAD:client/$language | tar -x -C "$work/$name"
+    git show HEAD:LICENSE >"$work/$name/LICENSE"
+    tar -C "$work" --sort=name --mtime="@$SOURCE_DATE_EPOCH" --owner=0 --group=0 --numeric-owner -c "$name" | gzip -9n >"$work/$name.tgz"
+  done
+  mv "$work/spikeserve-robot-rust-$version.tgz" "$out/spikeserve-robot-$version.crate"
+  mv "$work/spikeserve-robot-go-$version.tgz" "$out"
 }
 
 for build in "${builds[@]}"; do debian_packages "$build"; done

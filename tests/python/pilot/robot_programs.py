@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import spikeserve
-from cpp_pilot import CppSummary, code_of
+from cpp_pilot import CppPilot, CppSummary, code_of
 from google.protobuf.json_format import MessageToJson
 from serving import run
 from spikeserve.errors import make_error
@@ -50,8 +50,8 @@ def build_c(folder, source=SOURCES / "fly.c"):
     return program
 
 
-class OtherPilot:
-    """Starts `program`, which fly.c describes, with the methods of the Python pilot."""
+class OtherPilot(CppPilot):
+    """Starts `program`, which fly.c describes."""
 
     def __init__(self, program, client, policy, period, session=None, local=None, max_age=-1.0, action="-"):
         opening = (session or spikeserve.SessionOptions()).to_wire(policy)
@@ -59,40 +59,29 @@ class OtherPilot:
         servers = client if isinstance(client, str) else ",".join(r.address for r in client.replicas)
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
         self.process = subprocess.Popen([program], env=installed()[1], **pipes)
-        self._ended = 0
-        local = "-" if local is False else '""'
-        self._ask("open", servers, policy, opening, period, max_age, local, action)
+        self._say("open", servers, policy, opening, period, max_age, "-" if local is False else '""', action)
 
-    def _ask(self, *words):
+    def _say(self, *words):
         print(*words, file=self.process.stdin, flush=True)
         answer = json.loads(self.process.stdout.readline())
         if isinstance(answer, dict) and "error" in answer:
             raise make_error("robot", code_of(answer["code"]), answer["error"])
         return answer
 
-    @property
-    def session_id(self):
-        return self._ask("session")
+    def _ask(self, do, **words):
+        return self._say(do, *words.values())
 
     def beat(self, observation, reward=0.0, *, executed_action=()):
-        numbers = [*observation, *executed_action]
-        answer = self._ask("beat", reward, len(observation), *map(float, numbers))
+        answer = self._say("beat", reward, len(observation), *map(float, [*observation, *executed_action]))
         if isinstance(answer["action"], list):
             answer["action"] = np.float32(answer["action"])
         return SimpleNamespace(**answer)
 
     def end_episode(self, reward, terminated=False):
-        episode = self._ask("end", reward, int(terminated))["episode"]
-        return CppSummary(lambda do, episode, timeout: self._ask(do, episode, timeout), episode)
-
-    def stats(self):
-        return SimpleNamespace(**self._ask("stats"))
-
-    def wait_ready(self, timeout):
-        return self._ask("wait", timeout)
+        return CppSummary(self._ask, self._say("end", reward, int(terminated))["episode"])
 
     def close(self):
-        self._ask("close")
+        super().close()
         self.process.stdin.close()
         self.process.stdout.close()
         assert self.process.wait() == 0
