@@ -64,16 +64,32 @@ def test_sessions_may_learn(server):
 def test_it_says_in_one_line_what_is_wrong(server):
     for flag, message in (
         ("--learning_scope=town", '--learning_scope: expected session or fleet, received "town"'),
-        ("--mode=pigeon", 'expected unary, stream or batch, received "pigeon"'),
+        ("--mode=Stream", 'expected unary, stream or batch, received "Stream"'),
         ("--sessions=0", "--sessions: expected 1 to 1000000, received 0"),
-        ("--streams=0", "--streams"),
+        ("--streams=0", "--streams: expected 1 to 1024, received 0"),
+        ("--streams=2000", "--streams: expected 1 to 1024, received 2000"),
         ("--duration=soon", "expected a duration such as 250ms, 10s or 1.5m"),
         ("--duration=-1", "--duration"),
+        ("--duration=inf", "--duration"),
+        ("--call_timeout=0", "--call_timeout: expected more than 0 and at most 1h, received 0"),
         ("--episode_steps=0", "--episode_steps"),
+        ("--batch_size=-1", "--batch_size"),
+        ("--observation_bound=-1", "--observation_bound"),
+        ("--rate=-1", "--rate"),
         ("--policy=nobody", '"nobody"'),
         ("now", 'expected flags alone, received "now"'),
     ):
         assert_one_line(server, message, flag)
+
+
+def test_a_file_that_is_no_episode_is_refused_with_the_line(server, tmp_path):
+    file = tmp_path / "episode.csv"
+    for text in ("0,1\n0,1,2\n", "0,1\n3\n", "0,1\n0,one\n", "0,1\n\n"):
+        file.write_text(text)
+        assert_one_line(server, "episode.csv:2: expected", f"--observations={file}")
+    file.write_text("")
+    assert_one_line(server, "expected a line", f"--observations={file}")
+    assert_one_line(server, "NOT_FOUND", f"--observations={tmp_path / 'missing'}")
 
 
 def test_refused_sessions_and_a_server_that_is_gone_end_it(tmp_path):

@@ -193,18 +193,6 @@ TEST(SimulatedAgentTest, ARecordedEpisodeIsSentAsItIsAndThenAgain) {
   expect_request(0.0, {0.5f, -1.0f});
 }
 
-TEST(SimulatedAgentTest, FilesThatAreNoEpisodeAreRefusedWithTheLine) {
-  const std::string path = testing::TempDir() + "/no_episode.csv";
-  for (const auto* text : {"0,1\n0,1,2\n", "0,1\n3\n", "0,1\n0,one\n", "0,1\n\n"}) {
-    std::ofstream(path) << text;
-    EXPECT_THAT(ReadRecordedEpisode(path).status().message(),
-                HasSubstr("no_episode.csv:2: expected"));
-  }
-  std::ofstream(path) << "";
-  EXPECT_THAT(ReadRecordedEpisode(path).status().message(), HasSubstr("expected a line"));
-  EXPECT_EQ(ReadRecordedEpisode(path + ".missing").status().code(), absl::StatusCode::kNotFound);
-}
-
 TEST(LoadReportTest, MergeAddsCallersThatRanSideBySide) {
   LoadReport first, second;
   first.decisions = 30;
@@ -231,29 +219,6 @@ TEST(LoadReportTest, MergeAddsCallersThatRanSideBySide) {
   EXPECT_EQ(json["longest_wait_p99_seconds"], 0.02);
   EXPECT_EQ(json["errors"], 2);
   EXPECT_THAT(sum.ToText(), HasSubstr("40 decisions in 2.0 s, 20.0 decisions/s"));
-}
-
-TEST(LoadOptionsTest, ValidateNamesTheFlag) {
-  const auto message = [](auto change) {
-    LoadOptions options;
-    change(options);
-    return std::string(options.Validate().message());
-  };
-  EXPECT_TRUE(LoadOptions().Validate().ok());
-  EXPECT_THAT(message([](LoadOptions& o) { o.sessions = 0; }), HasSubstr("--sessions"));
-  EXPECT_THAT(message([](LoadOptions& o) { o.streams = 2000; }),
-              HasSubstr("--streams: expected 1 to 1024, received 2000"));
-  EXPECT_THAT(message([](LoadOptions& o) { o.episode_steps = 0; }), HasSubstr("--episode_steps"));
-  EXPECT_THAT(message([](LoadOptions& o) { o.batch_size = -1; }), HasSubstr("--batch_size"));
-  EXPECT_THAT(message([](LoadOptions& o) { o.duration = absl::InfiniteDuration(); }),
-              HasSubstr("--duration"));
-  EXPECT_THAT(message([](LoadOptions& o) { o.call_timeout = absl::ZeroDuration(); }),
-              HasSubstr("--call_timeout: expected more than 0 and at most 1h, received 0"));
-  EXPECT_THAT(message([](LoadOptions& o) { o.observation_bound = -1.0; }),
-              HasSubstr("--observation_bound"));
-  EXPECT_THAT(message([](LoadOptions& o) { o.rate = -1.0; }), HasSubstr("--rate"));
-  EXPECT_EQ(*ParseLoadMode("stream"), LoadMode::kStream);
-  EXPECT_TRUE(absl::IsInvalidArgument(ParseLoadMode("Stream").status()));
 }
 
 }  // namespace
