@@ -5,6 +5,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
@@ -22,10 +23,24 @@ absl::Status Refusal(const std::string& expected, const ReportedAction& reported
       absl::StrCat("executed_action: expected ", expected, ", received ", Describe(reported)));
 }
 
+absl::Status CheckSource(const ReportedSource& source) {
+  if (source.kind < 0 || source.kind >= static_cast<int>(kSourceKinds)) {
+    return absl::InvalidArgumentError(absl::StrCat("executed_source.kind: expected 0 to ",
+                                                   kSourceKinds - 1, ", received ", source.kind));
+  }
+  const auto kind = static_cast<SourceKind>(source.kind);
+  const size_t most = kind == SourceKind::kOperator ? kLongestOperatorId : 0;
+  if (source.operator_id.size() <= most) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat("executed_source.operator_id: expected at most ",
+                                                 most, " bytes from ", ToString(kind),
+                                                 ", received ", source.operator_id.size()));
+}
+
 }  // namespace
 
 absl::StatusOr<Action> ParseExecutedAction(const ReportedAction& reported,
                                            const ActionSpace& space) {
+  RETURN_IF_ERROR(CheckSource(reported.source));
   if (space.is_discrete()) {
     const auto* index = std::get_if<int64_t>(&reported);
     if (index == nullptr || *index < 0 || *index >= space.n) {

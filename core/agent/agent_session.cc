@@ -87,10 +87,15 @@ absl::Status AgentSession::CheckNewDecision(Step& step) const {
                     : CheckReward(step.reward, NextReturnToGo(session_, step.reward));
 }
 
-void AgentSession::TakeExecuted(const Action& executed) {
+void AgentSession::TakeExecuted(const Action& executed, const ReportedSource& source) {
   SPIKESERVE_DCHECK(!session_.history.empty());
   SPIKESERVE_DCHECK(policy().action_space.Contains(executed).ok());
-  if (executed == session_.history.action(session_.history.size() - 1)) return;
+  const bool is_known = executed == session_.history.action(session_.history.size() - 1);
+  if (source.kind != 0 || !is_known) {
+    session_.executed_source = {.kind = static_cast<SourceKind>(source.kind),
+                                .operator_id = std::string(source.operator_id)};
+  }
+  if (is_known) return;
   context_.OnExecuted();
   head_.OnExecuted(executed, &session_);
   for (const auto& listener : listeners_) listener->OnExecuted(executed);
@@ -125,10 +130,17 @@ void AgentSession::RestoreSkipped() {
 
 absl::Status AgentSession::ReportExecuted(const ReportedAction& reported) {
   ASSIGN_OR_RETURN(const Action executed, ParseExecutedAction(reported, policy().action_space));
-  if (executed == session_.history.action(session_.history.size() - 1)) return absl::OkStatus();
-  TakeExecuted(executed);
+  const bool is_known = executed == session_.history.action(session_.history.size() - 1);
+  const StepSource before = session_.executed_source;
+  TakeExecuted(executed, reported.source);
+  if (is_known && session_.executed_source == before) return absl::OkStatus();
   for (const auto& listener : listeners_) listener->OnChange(session_);
   return absl::OkStatus();
+}
+
+void AgentSession::CountSource(const StepSource& source) {
+  life_.OnSource(source);
+  served_->observer->OnExecuted(source.kind);
 }
 
 void AgentSession::CountMissingRewards(int64_t rewards) {

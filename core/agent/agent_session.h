@@ -61,7 +61,8 @@ class AgentSession {
   // answer, and nothing is counted twice. So is an end before the next decision and, if it names
   // its decision, later.
   //
-  // `executed` takes the place of the last answer in the history, in learning and in recordings.
+  // `executed` takes the place of the last answer in the history, in learning and in recordings. An
+  // action without a source was chosen by what chose the answer, if it equals that.
   // Rewards and executed actions are ignored at step 0. A past step without an observation counts
   // as a reward: the context begins again behind it. At the end of a history, such steps wait until
   // an observation or the end follows.
@@ -128,13 +129,17 @@ class AgentSession {
   struct DecisionPass;
   struct EndPass;
 
-  void TakeExecuted(const Action& executed);
+  // Puts the action that `source` chose in the place of the last answer. A decision, the end of the
+  // episode or OnChange() follows.
+  void TakeExecuted(const Action& executed, const ReportedSource& source);
   // Puts the action in the place of the last answer, without a further decision. REQUIRES: the
   // running episode has a decision.
   absl::Status ReportExecuted(const ReportedAction& reported);
   // Counts the rewards of the next steps, whose observations are not known. REQUIRES: a decision or
   // the end of the episode follows; if it fails, the steps are not counted either.
   void SkipSteps(absl::Span<const double> rewards);
+  // Notes who chose the action of the step before, whose place in the history is final.
+  void CountSource(const StepSource& source);
   // Undoes SkipSteps, if no decision has followed.
   void RestoreSkipped();
   void CountMissingRewards(int64_t rewards);  // that were left out after step 0, and are 0

@@ -106,7 +106,9 @@ void AgentSession::DecisionPass::DecideVersion(absl::Span<Step* const> steps) {
     AgentSession& session = *step->session;
     session.head_.TakeMerged(&session.session_);
     sessions.push_back(&session);
-    if (step->result.executed.has_value()) session.TakeExecuted(*step->result.executed);
+    if (step->result.executed.has_value()) {
+      session.TakeExecuted(*step->result.executed, step->executed->source);
+    }
     session.context_.Fill(served, session.session_);
   }
   AppendActions(sessions);
@@ -187,6 +189,7 @@ void AgentSession::DecisionPass::Record(Step& step, Answer answer, absl::Span<co
   const bool lacks_reward = agent.session_.step > 0 && !step.has_reward;
   DecisionInputs inputs = {.reward = CountedReward(agent.session_, step.reward),
                            .executed = std::move(step.result.executed),
+                           .source = std::move(agent.session_.executed_source),
                            .readout = readout,
                            .noise = noise,
                            .is_beat = step.is_past,
@@ -196,11 +199,13 @@ void AgentSession::DecisionPass::Record(Step& step, Answer answer, absl::Span<co
   CountDecision(agent.policy(), std::move(answer), step.observation, inputs.reward,
                 &agent.session_);
   if (inputs.is_safe) ActSafely(agent);
+  if (agent.session_.step > 1 && !inputs.after_gap) agent.CountSource(inputs.source);
   for (const auto& listener : agent.listeners_) listener->OnDecision(agent.session_, inputs);
   if (lacks_reward) agent.CountMissingRewards(1);
 }
 
 void AgentSession::DecisionPass::ActSafely(AgentSession& agent) {
+  agent.session_.executed_source.kind = SourceKind::kSafetyLayer;
   const Action neutral = NeutralAction(agent.policy().action_space);
   if (neutral == agent.session_.last_answer->action) return;
   agent.head_.OnExecuted(neutral, &agent.session_);

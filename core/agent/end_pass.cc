@@ -100,7 +100,7 @@ absl::Status AgentSession::EndPass::TakeUnlessRefused(Step& step, StepBudget* bu
   if (!step.has_past()) {
     RETURN_IF_ERROR(CheckReward(step.end->reward, NextReturnToGo(session, step.end->reward)));
   }
-  ASSIGN_OR_RETURN(result.summary, End(*step.end, agent));
+  ASSIGN_OR_RETURN(result.summary, End(step));
   if (!step.has_reward) agent.CountMissingRewards(1);
   return absl::OkStatus();
 }
@@ -129,8 +129,9 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndPass::Repeat(const EpisodeEnd& e
       "episode: expected the same end as before, received another one");
 }
 
-absl::StatusOr<EpisodeSummary> AgentSession::EndPass::End(const EpisodeEnd& end,
-                                                          AgentSession& agent) {
+absl::StatusOr<EpisodeSummary> AgentSession::EndPass::End(const Step& step) {
+  const EpisodeEnd& end = *step.end;
+  AgentSession& agent = *step.session;
   Session& session = agent.session_;
   agent.head_.TakeMerged(&session);
   if (agent.contribution() != nullptr) {
@@ -138,7 +139,11 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndPass::End(const EpisodeEnd& end,
         "fleet head: has not taken the last episode of the session yet; try again");
   }
   const bool is_known = !session.history.empty();  // otherwise the last steps were skipped
-  if (is_known && end.executed_action.has_value()) agent.TakeExecuted(*end.executed_action);
+  if (is_known && end.executed_action.has_value()) {
+    agent.TakeExecuted(*end.executed_action,
+                       step.executed.has_value() ? step.executed->source : ReportedSource());
+  }
+  if (is_known) agent.CountSource(session.executed_source);
   // As it was executed, however the agent has reported that, so that the same end is known again.
   EpisodeEnd taken = end;
   if (is_known) taken.executed_action = session.history.action(session.history.size() - 1);

@@ -48,6 +48,8 @@ class SessionObserver {
   virtual void OnDecision(const Answer& /*answer*/) {}
   // A step that an agent took without the server was appended, as `answer`, which was not sent.
   virtual void OnBeat(const Answer& /*answer*/) {}
+  // The action of a step was executed, and `source` has chosen it.
+  virtual void OnExecuted(SourceKind /*source*/) {}
   // Steps of which only the rewards are known were counted.
   virtual void OnSkippedBeats(int64_t /*beats*/) {}
   // A request came too late for its answer to be of use.

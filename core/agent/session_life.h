@@ -8,11 +8,14 @@
 #ifndef CORE_AGENT_SESSION_LIFE_H_
 #define CORE_AGENT_SESSION_LIFE_H_
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "absl/time/time.h"
+#include "core/action/step_source.h"
 
 namespace spikeserve {
 
@@ -112,9 +115,17 @@ class SessionLife {
   }
 
   void OnMissingRewards(int64_t rewards) { missing_rewards_ += rewards; }
+  void OnSource(const StepSource& source) {
+    last_source_ = source;
+    ++steps_by_source_[static_cast<size_t>(source.kind)];
+  }
 
   // Returns the rewards after step 0 that were left out, and counted as 0.
   int64_t missing_rewards() const { return missing_rewards_; }
+  // Returns who chose the last executed action that is known; nothing before the first one.
+  const std::optional<StepSource>& last_source() const { return last_source_; }
+  // Returns the number of steps by SourceKind.
+  const std::array<uint64_t, kSourceKinds>& steps_by_source() const { return steps_by_source_; }
   std::vector<ThinnedSeries<Decisions>::Point> decisions() const { return decisions_.Points(); }
   std::vector<ThinnedSeries<Episodes>::Point> episodes() const { return episodes_.Points(); }
 
@@ -131,6 +142,8 @@ class SessionLife {
   double return_sum_ = 0.0;
   double last_return_ = 0.0;
   int64_t missing_rewards_ = 0;
+  std::optional<StepSource> last_source_;
+  std::array<uint64_t, kSourceKinds> steps_by_source_ = {};
 };
 
 }  // namespace spikeserve

@@ -24,6 +24,7 @@ struct DecisionInputs {
   double reward = 0.0;  // that the decision counted; 0 at step 0
   // The action that was executed at the previous step, if the agent reported it.
   std::optional<Action> executed = std::nullopt;
+  StepSource source;                // who chose the action that was executed at the previous step
   absl::Span<const float> readout;  // [d]: input of the action head
   absl::Span<const float> noise;    // as ActionChoice::noise
   bool is_beat = false;             // the agent took the step without the server

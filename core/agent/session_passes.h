@@ -76,7 +76,7 @@ struct AgentSession::EndPass {
   // Checks what does not depend on the session, and takes the executed action into the end.
   static absl::Status CheckValues(Step& step);
   // Ends an episode that has a decision.
-  static absl::StatusOr<EpisodeSummary> End(const EpisodeEnd& end, AgentSession& agent);
+  static absl::StatusOr<EpisodeSummary> End(const Step& step);
   // Returns the stored summary.
   static absl::StatusOr<EpisodeSummary> Repeat(const EpisodeEnd& end, AgentSession& agent);
 };

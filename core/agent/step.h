@@ -44,7 +44,7 @@ struct PastStep {
   int64_t step = 0;                     // within the episode
   absl::Span<const float> observation;  // empty: the robot had no valid one
   double reward = 0.0;                  // of the action before
-  ReportedAction executed;              // at this step
+  ReportedAction executed;              // at this step, and who chose it
   bool has_reward = true;               // false: it was left out, and `reward` is 0
 };
 
@@ -103,7 +103,7 @@ struct Step {
   absl::Span<const float> observation = {};  // empty: no decision is asked for
   double reward = 0.0;                       // of the action before
   bool has_reward = true;                    // false: it was left out, and `reward` is 0
-  // At the step before; absent: as answered. Not used directly behind a gap.
+  // At the step before, and who chose it; absent: as answered. Not used directly behind a gap.
   std::optional<ReportedAction> executed = std::nullopt;
 
   // Ends the episode behind the history; `executed` is then its last action.

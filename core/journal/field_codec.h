@@ -115,16 +115,18 @@ class Writer {
   template <HasFields T>
   void Write(const T& value) {
     size_t fields = 0;
-    const auto count = [&](const char*, const auto&) { ++fields; };
+    size_t more = 0;
     const auto write = [&](const char*, const auto& member) { Write(member); };
-    VisitFields(value, count);
-    if constexpr (MayHaveMoreFields<const T>) {
-      if (HasMoreFields(value)) VisitMoreFields(value, count);
-    }
-    cbor_.Array(fields);
+    VisitFields(value, [&](const char*, const auto&) { ++fields; });
+    if constexpr (MayHaveMoreFields<const T>) more = MoreFields(value);
+    cbor_.Array(fields + more);
     VisitFields(value, write);
     if constexpr (MayHaveMoreFields<const T>) {
-      if (HasMoreFields(value)) VisitMoreFields(value, write);
+      VisitMoreFields(value, [&](const char*, const auto& member) {
+        if (more == 0) return;
+        --more;
+        Write(member);
+      });
     }
   }
 
@@ -248,9 +250,9 @@ class Reader {
     if constexpr (MayHaveMoreFields<T>) {
       VisitMoreFields(value, [&](const char*, auto&) { ++more; });
     }
-    if (!json.is_array() || (json.size() != fields && json.size() != fields + more)) {
-      const std::string or_more = more > 0 ? absl::StrCat(" or ", fields + more) : "";
-      return Fail(path, absl::StrCat("an array of ", fields, or_more), json);
+    if (!json.is_array() || json.size() < fields || json.size() > fields + more) {
+      const std::string to_more = more > 0 ? absl::StrCat(" to ", fields + more) : "";
+      return Fail(path, absl::StrCat("an array of ", fields, to_more), json);
     }
     size_t i = 0;
     const auto read = [&](const char* name, auto& member) {
@@ -258,7 +260,9 @@ class Reader {
     };
     VisitFields(value, read);
     if constexpr (MayHaveMoreFields<T>) {
-      if (i < json.size()) VisitMoreFields(value, read);
+      VisitMoreFields(value, [&](const char* name, auto& member) {
+        if (i < json.size()) read(name, member);
+      });
     }
   }
 

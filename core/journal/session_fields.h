@@ -5,6 +5,7 @@
 #define CORE_JOURNAL_SESSION_FIELDS_H_
 
 #include <concepts>
+#include <cstddef>
 #include <type_traits>
 
 #include "core/session/session.h"
@@ -43,7 +44,7 @@ void VisitFields(T& counts, Visitor&& visit) {
 }
 
 // The counts of integer arithmetic.
-inline bool HasMoreFields(const Counts& counts) { return counts.weight_bytes > 0; }
+inline size_t MoreFields(const Counts& counts) { return counts.weight_bytes > 0 ? 6 : 0; }
 template <Is<Counts> T, typename Visitor>
 void VisitMoreFields(T& counts, Visitor&& visit) {
   visit("membrane_ticks", counts.membrane_ticks);
@@ -251,15 +252,25 @@ void VisitFields(T& session, Visitor&& visit) {
   visit("pending", session.pending);
 }
 
-inline bool HasMoreFields(const Session& session) { return session.wiring != WiringState(); }
+template <Is<StepSource> T, typename Visitor>
+void VisitFields(T& source, Visitor&& visit) {
+  visit("kind", source.kind);
+  visit("operator_id", source.operator_id);
+}
+
+inline size_t MoreFields(const Session& session) {
+  if (session.step > 0 && session.executed_source != StepSource()) return 2;
+  return session.wiring != WiringState() ? 1 : 0;
+}
 template <Is<Session> T, typename Visitor>
 void VisitMoreFields(T& session, Visitor&& visit) {
   visit("wiring", session.wiring);
+  visit("executed_source", session.executed_source);
 }
 
-// Is satisfied by types that have an overload of VisitMoreFields(): optional members at the end,
-// which are written if HasMoreFields(), so that releases which do not know them can read the
-// others.
+// Is satisfied by types that have an overload of VisitMoreFields(): optional members at the end, of
+// which the first MoreFields() are written, so that releases which do not know the others can read
+// these.
 template <typename T>
 concept MayHaveMoreFields = requires(T& value) {
   VisitMoreFields(value, [](const char*, auto&) {});

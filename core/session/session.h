@@ -16,6 +16,7 @@
 #include "Eigen/Core"
 #include "core/action/action_head.h"
 #include "core/action/action_space.h"
+#include "core/action/step_source.h"
 #include "core/engine/counts.h"
 #include "core/learning/contribution.h"
 #include "core/learning/learner.h"
@@ -73,6 +74,7 @@ struct Session {
   double episode_energy_joules = 0.0;
   History history;  // last timesteps, at most HistorySize()
   std::optional<Answer> last_answer;
+  StepSource executed_source;  // who chose the last action of `history`, as far as it is known
   // End of the previous episode. A session that was restored has it only until the first decision
   // of this one.
   std::shared_ptr<const EndedEpisode> last_end;

@@ -10,12 +10,18 @@
 namespace spikeserve {
 namespace {
 
+ReportedAction Executed(const v1::Action& action, const v1::ActionSource& source) {
+  ReportedAction executed = FromProto(action);
+  executed.source = {.kind = source.kind(), .operator_id = source.operator_id()};
+  return executed;
+}
+
 PastStep ReadBeat(const void* request, size_t i) {
   const v1::Beat& beat = static_cast<const v1::ActRequest*>(request)->history(static_cast<int>(i));
   return {.step = beat.step(),
           .observation = beat.observation(),
           .reward = beat.reward(),
-          .executed = FromProto(beat.executed()),
+          .executed = Executed(beat.executed(), beat.source()),
           .has_reward = beat.has_reward()};
 }
 
@@ -24,10 +30,10 @@ std::optional<ReportedAction> ExecutedBefore(const v1::ActRequest& request) {
   if (request.history_size() > 0) {
     const v1::Beat& last = request.history(request.history_size() - 1);
     if (last.observation().empty()) return std::nullopt;  // the session has skipped it
-    return FromProto(last.executed());
+    return Executed(last.executed(), last.source());
   }
-  if (!request.has_executed_action()) return std::nullopt;
-  return FromProto(request.executed_action());
+  if (!request.has_executed_action() && !request.has_executed_source()) return std::nullopt;
+  return Executed(request.executed_action(), request.executed_source());
 }
 
 BeatCounts CountsOf(const v1::BeatReport& report) {
@@ -58,7 +64,9 @@ void SetEnd(const v1::EndEpisodeRequest& request, Step* step) {
   if (request.has_episode()) step->place.episode = request.episode();
   step->has_reward = request.has_reward();
   step->executed = std::nullopt;
-  if (request.has_executed_action()) step->executed = FromProto(request.executed_action());
+  if (request.has_executed_action() || request.has_executed_source()) {
+    step->executed = Executed(request.executed_action(), request.executed_source());
+  }
   step->end =
       EpisodeEnd{.reward = request.reward(),
                  .terminated = request.terminated(),

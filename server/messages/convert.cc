@@ -300,7 +300,9 @@ void WiringToProto(const AgentSession& agent, v1::ActResponse* response) {
   const auto& verdict = agent.session().wiring.verdict;
   if (!verdict.has_value()) return;
   *response->mutable_wiring() = ToProto(*verdict, agent.policy());
-  response->mutable_wiring()->set_is_safe_action(agent.acts_safely());
+  if (!agent.acts_safely()) return;
+  response->mutable_wiring()->set_is_safe_action(true);
+  response->mutable_source()->set_kind(v1::ActionSource::SAFETY_LAYER);
 }
 
 void ToProto(const std::string& session_id, const Answer& answer, const Policy& policy,
