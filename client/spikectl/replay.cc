@@ -129,6 +129,7 @@ absl::Status ReplayEpisode(const Dataset& dataset, RemoteSession& session, Repla
     result->difference = Comparison(dataset, step).Find(response);
     if (result->difference.has_value()) return absl::OkStatus();
     ++result->decisions;
+    ++result->steps_by_source[ToString(episode.source(step))];
   }
   ++result->episodes;
   return absl::OkStatus();

@@ -4,6 +4,7 @@
 #define CLIENT_SPIKECTL_REPLAY_H_
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
 #include <vector>
@@ -27,8 +28,9 @@ struct ReplayDifference {
 struct ReplayResult {
   std::string policy;
   int64_t version = 0;
-  int64_t episodes = 0;   // replayed completely
-  int64_t decisions = 0;  // number of equal decisions
+  int64_t episodes = 0;                            // replayed completely
+  int64_t decisions = 0;                           // number of equal decisions
+  std::map<std::string, int64_t> steps_by_source;  // who chose the executed actions of these
   std::optional<ReplayDifference> difference;
 };
 

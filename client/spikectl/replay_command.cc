@@ -20,10 +20,13 @@ struct ReplayFlags {
 };
 
 nlohmann::ordered_json ToJson(const std::string& recording, const ReplayResult& result) {
-  nlohmann::ordered_json json = {
-      {"recording", recording},        {"policy", result.policy},
-      {"version", result.version},     {"episodes", result.episodes},
-      {"decisions", result.decisions}, {"identical", !result.difference.has_value()}};
+  nlohmann::ordered_json json = {{"recording", recording},
+                                 {"policy", result.policy},
+                                 {"version", result.version},
+                                 {"episodes", result.episodes},
+                                 {"decisions", result.decisions},
+                                 {"identical", !result.difference.has_value()},
+                                 {"steps_by_source", result.steps_by_source}};
   if (const auto& difference = result.difference) {
     json["difference"] = {{"episode", difference->episode},
                           {"step", difference->step},
@@ -57,6 +60,9 @@ absl::Status ReplayRecording(const ReplayFlags& flags, const ServerFlags& server
   if (!server.json) {
     std::cout << result.policy << "/" << result.version << ": " << result.decisions
               << " decisions of " << result.episodes << " episodes, all equal bit for bit\n";
+    for (const auto& [source, steps] : result.steps_by_source) {
+      if (steps < result.decisions) std::cout << "executed: " << steps << " of " << source << "\n";
+    }
   }
   return absl::OkStatus();
 }

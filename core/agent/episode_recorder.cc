@@ -1,5 +1,6 @@
 #include "core/agent/episode_recorder.h"
 
+#include <algorithm>
 #include <limits>
 #include <utility>
 #include <vector>
@@ -29,6 +30,7 @@ void EpisodeRecorder::OnDecision(const Session& session, const DecisionInputs& i
     Start(session);
   } else if (running_.has_value()) {
     running_->episodes[0].rewards.push_back(inputs.reward);
+    running_->episodes[0].served->sources.push_back(inputs.source);
   }
   if (!running_.has_value()) return;
   Episode& episode = running_->episodes[0];
@@ -68,6 +70,7 @@ void EpisodeRecorder::Start(const Session& session) {
                     .learning = options.learning.has_value() || options.head_delta.size() > 0,
                     .labels = options.labels,
                     .answered_actions = {},
+                    .sources = {},
                     .returns_to_go = {},
                     .probabilities = {},
                     .spikes = {}};
@@ -90,6 +93,7 @@ bool EpisodeRecorder::OnEpisodeEnd(const Session& session,
   const EpisodeEnd& end = session.last_end->end;
   Episode& episode = running_->episodes[0];
   episode.rewards.push_back(end.reward);
+  episode.served->sources.push_back(session.executed_source);
   if (end.observation.empty()) {
     episode.observations.resize(
         episode.observations.size() + static_cast<size_t>(running_->observation_size),
@@ -122,6 +126,12 @@ void EpisodeRecorder::CutOff(bool terminated) {
 void EpisodeRecorder::PassToSink() {
   Dataset dataset = *std::move(running_);
   running_.reset();
+  ServedEpisode& served = *dataset.episodes[0].served;
+  const bool is_plain =
+      served.answered_actions.empty() &&
+      std::all_of(served.sources.begin(), served.sources.end(),
+                  [](const StepSource& source) { return source == StepSource(); });
+  if (is_plain) served.sources.clear();
   last_ = dataset.episodes[0].steps() > 0 ? sink_(std::move(dataset)) : nullptr;
 }
 

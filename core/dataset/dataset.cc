@@ -42,6 +42,10 @@ absl::Status CheckServed(const Dataset& dataset, const ServedEpisode& served, si
                                                    " or none, received ",
                                                    served.answered_actions.size()));
   }
+  if (!served.sources.empty() && served.sources.size() != steps) {
+    return absl::InvalidArgumentError(absl::StrCat("served.sources: expected ", steps,
+                                                   " sources, received ", served.sources.size()));
+  }
   for (const Action& action : served.answered_actions) {
     RETURN_IF_ERROR(dataset.action_space.Contains(action));
   }

@@ -13,6 +13,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/action/action_space.h"
+#include "core/action/step_source.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {
@@ -30,9 +31,12 @@ struct ServedEpisode {
   bool learning = false;
   std::map<std::string, std::string> labels;
   std::vector<Action> answered_actions;  // [steps]; empty if every action was executed as answered
-  std::vector<float> returns_to_go;      // [steps]: what each decision was conditioned on
-  std::vector<float> probabilities;      // [steps, n]; Discrete spaces only
-  std::vector<uint64_t> spikes;          // [steps]
+  // [steps]: who chose each executed action; empty: the policy if it is the answered one, otherwise
+  // not known.
+  std::vector<StepSource> sources = {};
+  std::vector<float> returns_to_go;  // [steps]: what each decision was conditioned on
+  std::vector<float> probabilities;  // [steps, n]; Discrete spaces only
+  std::vector<uint64_t> spikes;      // [steps]
 };
 
 // One episode of `steps` actions.
@@ -59,6 +63,11 @@ struct Episode {
   // Returns the action that the server answered at `step`. REQUIRES: a served episode.
   const Action& answered(int step) const {
     return served->answered_actions.empty() ? actions[step] : served->answered_actions[step];
+  }
+  // Returns who chose the action that was executed at `step`. REQUIRES: a served episode.
+  StepSource source(int step) const {
+    if (!served->sources.empty()) return served->sources[step];
+    return {.kind = actions[step] == answered(step) ? SourceKind::kPolicy : SourceKind::kUnknown};
   }
   int steps() const { return static_cast<int>(actions.size()); }
 };

@@ -7,7 +7,9 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "core/base/cbor.h"
+#include "core/base/enum_names.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
 #include "core/base/status.h"
@@ -21,6 +23,17 @@ using Json = nlohmann::json;
 absl::Status ReadJson(absl::string_view field, const Json& json, Action* action) {
   return json.is_array() ? ReadJson(field, json, &action->continuous)
                          : ReadJson(field, json, &action->discrete);
+}
+
+// Reads what ToString() returns.
+absl::Status ReadJson(absl::string_view field, const Json& json, StepSource* source) {
+  std::string text;
+  RETURN_IF_ERROR(ReadJson(field, json, &text));
+  const std::pair<absl::string_view, absl::string_view> parts =
+      absl::StrSplit(text, absl::MaxSplits(':', 1));
+  ASSIGN_OR_RETURN(source->kind, ParseEnum<SourceKind>(field, parts.first));
+  source->operator_id = std::string(parts.second);
+  return absl::OkStatus();
 }
 
 absl::Status ReadJson(absl::string_view field, const Json& json, ServedEpisode* served) {
@@ -37,6 +50,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, ServedEpisode* 
   object.Required("spikes", &served->spikes);
   object.Optional("temperature", &served->temperature);
   object.Optional("answered_actions", &served->answered_actions);
+  object.Optional("sources", &served->sources);
   return object.Finish();
 }
 
@@ -79,6 +93,7 @@ Json ServedToJson(const ServedEpisode& served, bool discrete) {
   if (!served.answered_actions.empty()) {
     json["answered_actions"] = ActionsToJson(served.answered_actions, discrete);
   }
+  for (const StepSource& source : served.sources) json["sources"].push_back(ToString(source));
   return json;
 }
 

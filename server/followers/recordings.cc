@@ -28,6 +28,9 @@ int64_t BytesOf(const Dataset& dataset) {
   const size_t elements = static_cast<size_t>(dataset.action_space.size());
   const size_t values = dataset.action_space.is_discrete() ? 0 : elements * sizeof(float);
   bytes += episode.actions.size() * (sizeof(Action) + values);
+  for (const StepSource& source : served.sources) {
+    bytes += sizeof(StepSource) + source.operator_id.size();
+  }
   for (const auto& [key, value] : served.labels) bytes += key.size() + value.size();
   return static_cast<int64_t>(bytes);
 }

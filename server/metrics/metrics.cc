@@ -114,6 +114,12 @@ Metrics::Metrics()  // #lizard forgives(length): a table
                            "Answers that held NaN or infinity and were not sent. Without a "
                            "version: those of calls that make no decision.")),
       episodes_(Register(BuildCounter(), "spikeserve_episodes_total", "Ended episodes.")),
+      steps_(
+          Register(BuildCounter(), "spikeserve_steps_total",
+                   "Executed actions of sessions, by who chose them: policy, operator, "
+                   "safety_layer, a fall-back of the robot (held, local, safe), hold, or unknown: "
+                   "the agent has executed another action than the answered one, and not said "
+                   "why.")),
       implausible_(Register(BuildCounter(), "spikeserve_implausible_reports_total",
                             "What agents report and cannot be true: more beats than fit into the "
                             "time, and returns of episodes far beyond those of the policy. It "
@@ -310,6 +316,9 @@ PolicyMetrics::Handles Metrics::AddSessions(const std::string& version, const Po
   handles.sessions = add(sessions_);
   handles.errors = add(policy_errors_);
   handles.episodes = add(episodes_);
+  for (const auto& [source, name] : EnumNames(SourceKind())) {
+    handles.steps[static_cast<size_t>(source)] = add_with(steps_, "source", name);
+  }
   handles.implausible = add(implausible_);
   handles.episode_return = add(episode_return_, Returns());
   handles.episode_return_mean = add(episode_return_mean_);

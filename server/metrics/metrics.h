@@ -185,6 +185,7 @@ class Metrics {
   prometheus::Family<prometheus::Counter>& policy_errors_;
   prometheus::Family<prometheus::Counter>& non_finite_;
   prometheus::Family<prometheus::Counter>& episodes_;
+  prometheus::Family<prometheus::Counter>& steps_;
   prometheus::Family<prometheus::Counter>& implausible_;
   prometheus::Family<prometheus::Histogram>& episode_return_;
   prometheus::Family<prometheus::Gauge>& episode_return_mean_;

@@ -110,6 +110,7 @@ class PolicyMetrics final : public SessionObserver {
     prometheus::Gauge* sessions;
     prometheus::Counter* errors;
     prometheus::Counter* episodes;
+    std::array<prometheus::Counter*, kSourceKinds> steps;  // by SourceKind
     prometheus::Counter* implausible;
     prometheus::Histogram* episode_return;
     prometheus::Gauge* episode_return_mean;
@@ -166,6 +167,9 @@ class PolicyMetrics final : public SessionObserver {
     robots_.get().missing_rewards->Increment(static_cast<double>(rewards));
   }
   void OnReport(const BeatCounts& beats) override;
+  void OnExecuted(SourceKind source) override {
+    series_.get().steps[static_cast<size_t>(source)]->Increment();
+  }
   void OnImplausible() override { series_.get().implausible->Increment(); }
   void OnNonFinite() override;
   void OnWiring(const std::string& id, WiringCause cause, const std::string& text,

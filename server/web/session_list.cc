@@ -420,6 +420,8 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
   json["return_to_go"] = session.return_to_go;
   json["environment"] = entry.served->policy().environment;
   json["observation"] = ObservationJson(session, entry.served->policy(), unusual_deviations);
+  const auto& source = entry.agent.life().last_source();
+  json["last_source"] = source.has_value() ? Json(ToString(*source)) : Json();
   const auto& verdict = session.wiring.verdict;
   json["wiring"] =
       verdict.has_value() ? Json(WiringText(entry.served->policy(), *verdict)) : Json();

@@ -162,7 +162,19 @@ class Writer {
       weights.push_back(weights.back());
       status_.Update(file_.Write<float>(group + "/weight", {episode.steps() + 1, {}}, weights));
     }
-    if (episode.served.has_value()) WriteReturnsToGo(group + "/return_to_go", episode);
+    if (!episode.served.has_value()) return;
+    WriteReturnsToGo(group + "/return_to_go", episode);
+    WriteSources(group + "/source", episode);
+  }
+
+  // Writes who chose each executed action, by SourceKind.
+  void WriteSources(const std::string& name, const Episode& episode) {
+    std::vector<int64_t> sources;
+    for (int step = 0; step < episode.steps(); ++step) {
+      sources.push_back(static_cast<int64_t>(episode.source(step).kind));
+    }
+    sources.push_back(sources.back());
+    status_.Update(file_.Write<int64_t>(name, {episode.steps() + 1, {}}, sources));
   }
 
   // Writes the return-to-go that each decision was conditioned on; after the last action it is G_T

@@ -125,6 +125,7 @@ def write_recording(path, episodes, action_space, environment="Arm-v0", served=F
                 "returns_to_go": [9.0 - step for step in range(steps)],
                 "probabilities": [],
                 "spikes": [100 + step for step in range(steps)],
+                "sources": ["policy", "operator:anna", *["safe"] * steps][:steps],
             }
     value = {
         "format": "spikeserve.dataset.v1",

@@ -16,7 +16,8 @@ import json, sys
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 dataset = LeRobotDataset("local/robot", root=sys.argv[1])
 frames = [dataset[i] for i in range(len(dataset))]
-keys = ("observation.state", "action", "next.reward", "next.done", "episode_index", "timestamp", "spikes")
+keys = ("observation.state", "action", "next.reward", "next.done", "episode_index", "timestamp", "spikes",
+    "intervention")
 window = LeRobotDataset("local/robot", root=sys.argv[1], episodes=[1], delta_timestamps={"action": [0, 1 / dataset.fps]})
 print(json.dumps({
     "frames": {key: [frame[key].tolist() for frame in frames] for key in keys},
@@ -73,6 +74,7 @@ def test_lerobot_opens_an_export(python, tmp_path):
     assert seen["frames"]["next.done"] == [False] * 5 + [True] + [False] * 3 + [True]
     assert seen["frames"]["episode_index"] == [0] * 6 + [1] * 4
     assert seen["frames"]["spikes"] == [*range(100, 106), *range(100, 104)]
+    assert seen["frames"]["intervention"] == [False, True, *[False] * 5, True, *[False] * 2]
     assert set(seen["tasks"]) == {"Balance"}
     assert (seen["fps"], seen["episodes"]) == (20, 2)
     np.testing.assert_allclose(seen["mean"], observations.mean(axis=0), rtol=1e-5)

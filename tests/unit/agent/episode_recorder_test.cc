@@ -109,7 +109,8 @@ TEST_F(EpisodeRecorderTest, BothTheExecutedAndTheAnsweredActionsAreKept) {
   std::vector<Action> answered;
   for (int64_t t = 0; t < 4; ++t) {
     const int64_t other = t == 0 ? 0 : 1 - answered.back().discrete;
-    const auto executed = t == 2 ? std::optional<ReportedAction>(other) : std::nullopt;
+    auto executed = t == 2 ? std::optional<ReportedAction>(other) : std::nullopt;
+    if (t == 2) executed->source = {.kind = 2, .operator_id = "anna"};
     const auto answer = agent->Act(t, ObservationAt(t), RewardAt(t), executed);
     ASSERT_TRUE(answer.ok()) << answer.status();
     answered.push_back((*answer)->action);
@@ -122,6 +123,8 @@ TEST_F(EpisodeRecorderTest, BothTheExecutedAndTheAnsweredActionsAreKept) {
   std::vector<Action> executed = answered;
   executed[1].discrete = 1 - executed[1].discrete;
   EXPECT_EQ(episode.actions, executed);
+  const std::vector<StepSource> sources = {{}, {SourceKind::kOperator, "anna"}, {}};
+  EXPECT_EQ(episode.served->sources, sources);
 
   const std::string path = ::testing::TempDir() + "/executed_actions_test.cbor";
   ASSERT_TRUE(WriteDataset(recorded_[0], path).ok());
@@ -129,6 +132,7 @@ TEST_F(EpisodeRecorderTest, BothTheExecutedAndTheAnsweredActionsAreKept) {
   ASSERT_TRUE(read.ok()) << read.status();
   EXPECT_EQ(read->episodes[0].served->answered_actions, answered);
   EXPECT_EQ(read->episodes[0].actions, executed);
+  EXPECT_EQ(read->episodes[0].served->sources, sources);
 }
 
 TEST_F(EpisodeRecorderTest, AnUnknownLastObservationIsNoNumber) {

@@ -23,6 +23,8 @@ LARGEST_NUMBER = 1e18  # of an observation, a reward or a weight; as in `spiketr
 LONGEST_NAME = 256  # bytes, of an element; as in policy files
 # Numbers outside of their bounds by this part of the range are rounded, as in `spiketrain`.
 ROUNDING = 1e-6
+# Who chose an executed action; an operator may have a name behind a colon.
+SOURCES = ("unknown", "policy", "operator", "safety_layer", "held", "local", "safe", "hold")
 
 
 @dataclass
@@ -134,6 +136,20 @@ def check_episode(data: RobotData, episode: Episode, where: str) -> None:
         _check_served(episode.served, steps, f"{where}: served")
 
 
+def sources_of(episode: Episode) -> list[str]:
+    """Returns who chose each executed action of a served episode, as its recording says it.
+
+    A recording that does not say it has actions of the policy, where they are the answered ones.
+    """
+    assert episode.served is not None
+    sources = episode.served.get("sources")
+    if sources is not None:
+        return list(sources)
+    answered = episode.served.get("answered_actions", episode.actions)
+    equal = [np.array_equal(*both) for both in zip(episode.actions, answered, strict=True)]
+    return ["policy" if is_answer else "unknown" for is_answer in equal]
+
+
 def _check_served(served: Mapping[str, Any], steps: int, where: str) -> None:
     """ValueError unless a record has what the converters write of it."""
 
@@ -157,6 +173,13 @@ def _check_served(served: Mapping[str, Any], steps: int, where: str) -> None:
         check(whole, f"{where}.{key}", f"a list of {steps}", np.shape(values))
         for step, value in enumerate(values):
             check(holds(value), f"{where}.{key}: step {step}", of_what, value)
+    for key in {"sources", "answered_actions"} & served.keys():
+        values = served[key]
+        whole = isinstance(values, list) and len(values) == steps
+        check(whole, f"{where}.{key}", f"a list of {steps}", np.shape(values))
+    for step, source in enumerate(served.get("sources", [])):
+        known = isinstance(source, str) and source.partition(":")[0] in SOURCES
+        check(known, f"{where}.sources: step {step}", f"one of {SOURCES}", repr(source))
 
 
 def _check_finite(values: NDArray[Any], where: str) -> None:

@@ -22,6 +22,7 @@ DONE = "next.done"
 TRUNCATED = "next.truncated"
 RETURN_TO_GO = "return_to_go"
 SPIKES = "spikes"
+INTERVENTION = "intervention"
 
 # The columns of every dataset, one number each.
 INDICES = {

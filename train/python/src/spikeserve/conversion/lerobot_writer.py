@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spikeserve.conversion import lerobot_layout as layout
-from spikeserve.conversion.data import Episode, RobotData, fingerprint, space_to_json
+from spikeserve.conversion.data import (
+    Episode,
+    RobotData,
+    fingerprint,
+    sources_of,
+    space_to_json,
+)
 from spikeserve.conversion.packages import package
 from spikeserve.spaces import Discrete
 
@@ -84,6 +90,7 @@ class _Writer:
         if self._served:
             features[layout.RETURN_TO_GO] = feature("float32", 1)
             features[layout.SPIKES] = feature("int64", 1)
+            features[layout.INTERVENTION] = feature("bool", 1)
         return features | {name: feature(dtype, 1) for name, dtype in layout.INDICES.items()}
 
     def _columns(self, index: int, first: int, episode: Episode) -> dict[str, NDArray[Any]]:
@@ -105,6 +112,9 @@ class _Writer:
         if self._served and episode.served is not None:
             columns[layout.RETURN_TO_GO] = episode.served["returns_to_go"]
             columns[layout.SPIKES] = episode.served["spikes"]
+            columns[layout.INTERVENTION] = [
+                source.startswith("operator") for source in sources_of(episode)
+            ]
         return {
             key: np.asarray(columns[key]).astype(feature["dtype"]).reshape(episode.steps, -1)
             for key, feature in self._features.items()

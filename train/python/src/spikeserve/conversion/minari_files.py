@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from spikeserve.check import check
 from spikeserve.conversion.data import (
+    SOURCES,
     Episode,
     RobotData,
     Selection,
     check_episode,
     names_to_json,
     read_names,
+    sources_of,
 )
 from spikeserve.conversion.packages import package
 from spikeserve.spaces import ActionSpace, Box, Discrete, as_action_space
@@ -151,7 +153,11 @@ def _infos(episode: Episode) -> dict[str, Any]:
     if returns is None:
         return {}
     last = returns[-1] - episode.rewards[-1]
-    return {"return_to_go": np.asarray([*returns, last], np.float32)}
+    sources = [SOURCES.index(source.partition(":")[0]) for source in sources_of(episode)]
+    return {
+        "return_to_go": np.asarray([*returns, last], np.float32),
+        "source": np.asarray([*sources, sources[-1]], np.int64),
+    }
 
 
 def _attributes(episode: Episode) -> dict[str, Any]:
