@@ -30,8 +30,10 @@ std::string PathFor(const std::string& path, const v1::ExportSessionResponse& ex
 }
 
 ReportedAction Reported(const ActionView& action, const ActionSpace& space) {
-  if (space.is_discrete()) return action.discrete;
-  return action.continuous;
+  ReportedAction reported = action.continuous;
+  if (space.is_discrete()) reported = action.discrete;
+  reported.source = {.kind = action.by.kind, .operator_id = action.by.operator_id};
+  return reported;
 }
 
 }  // namespace

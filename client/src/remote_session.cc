@@ -16,6 +16,15 @@ absl::Status OutdatedError(uint64_t expected, uint64_t decisions) {
                         /*retry_after_seconds=*/std::nullopt, /*expected_decision=*/decisions);
 }
 
+template <typename Request>
+void SetExecuted(const std::optional<ExecutedAction>& executed, Request* request) {
+  if (!executed.has_value()) return;
+  *request->mutable_executed_action() = executed->action;
+  if (executed->source.kind() != v1::ActionSource::UNKNOWN) {
+    *request->mutable_executed_source() = executed->source;
+  }
+}
+
 }  // namespace
 
 absl::StatusOr<RemoteSession> RemoteSession::Open(Client* client, v1::OpenSessionRequest request,
@@ -94,7 +103,7 @@ absl::Status RemoteSession::CatchUp(const absl::Status& error, bool reads) {
 
 absl::StatusOr<v1::ActResponse> RemoteSession::Act(
     absl::Span<const float> observation, double reward,
-    const std::optional<v1::Action>& executed_action) {
+    const std::optional<ExecutedAction>& executed_action) {
   return Decide(MakeRequest(observation, reward, executed_action));
 }
 
@@ -112,20 +121,20 @@ absl::StatusOr<v1::ActResponse> RemoteSession::Decide(const v1::ActRequest& requ
 }
 
 v1::ActRequest RemoteSession::MakeRequest(absl::Span<const float> observation, double reward,
-                                          const std::optional<v1::Action>& executed_action) {
-  std::optional<v1::Action> executed = executed_action;
-  if (executed.has_value()) order_.ToPolicy(&*executed);
+                                          const std::optional<ExecutedAction>& executed_action) {
+  std::optional<ExecutedAction> executed = executed_action;
+  if (executed.has_value()) order_.ToPolicy(&executed->action);
   return MakeOrdered(order_.Observation(observation), reward, executed);
 }
 
 v1::ActRequest RemoteSession::MakeOrdered(absl::Span<const float> observation, double reward,
-                                          const std::optional<v1::Action>& executed_action) {
+                                          const std::optional<ExecutedAction>& executed_action) {
   v1::ActRequest request;
   request.set_session_id(session_id_);
   request.set_step(step_);
   request.mutable_observation()->Add(observation.begin(), observation.end());
   request.set_reward(reward);
-  if (executed_action.has_value()) *request.mutable_executed_action() = *executed_action;
+  SetExecuted(executed_action, &request);
   if (decision_.has_value()) request.set_decision(*decision_);
   if (is_stored_) request_ = request;
   return request;
@@ -155,10 +164,8 @@ absl::StatusOr<v1::EndEpisodeResponse> RemoteSession::EndEpisode(const EpisodeOu
   if (outcome.target_return.has_value()) request.set_target_return(*outcome.target_return);
   const auto observation = order_.Observation(outcome.observation);
   request.mutable_observation()->Add(observation.begin(), observation.end());
-  if (outcome.executed_action.has_value()) {
-    *request.mutable_executed_action() = *outcome.executed_action;
-    order_.ToPolicy(request.mutable_executed_action());
-  }
+  SetExecuted(outcome.executed_action, &request);
+  if (request.has_executed_action()) order_.ToPolicy(request.mutable_executed_action());
   if (episode_.has_value()) {
     request.set_episode(*episode_);
     request.set_steps(step_);

@@ -24,7 +24,8 @@ RemoteStream::RemoteStream(Client* client, std::shared_ptr<Route> route)
 RemoteStream::~RemoteStream() = default;
 
 absl::Status RemoteStream::Send(RemoteSession* session, absl::Span<const float> observation,
-                                double reward, const std::optional<v1::Action>& executed_action) {
+                                double reward,
+                                const std::optional<ExecutedAction>& executed_action) {
   absl::MutexLock lock(&mutex_);
   if (open_->Has(session->session_id())) {
     return absl::InvalidArgumentError(absl::StrCat(

@@ -1,10 +1,13 @@
-// The actions of a policy as a robot stores them: of one size, so that nothing is allocated later.
+// The actions of a policy as a robot stores them: of one size, so that nothing is allocated later;
+// and who chose them.
 #ifndef CORE_ROBOT_ACTION_SHAPE_H_
 #define CORE_ROBOT_ACTION_SHAPE_H_
 
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <string>
+#include <string_view>
 #include <vector>
 
 namespace spikeserve::robot {
@@ -28,6 +31,47 @@ struct ActionValue {
     continuous.assign(action.continuous.begin(), action.continuous.end());
   }
 };
+
+// Who chose an executed action. The numbers are those of v1::ActionSource::Kind, which says what
+// each one is.
+enum class Chooser : uint8_t {
+  kUnknown,
+  kPolicy,
+  kOperator,
+  kSafetyLayer,
+  kHeld,
+  kLocal,
+  kSafe,
+  kHold
+};
+
+inline constexpr size_t kLongestOperatorId = 128;  // bytes
+
+struct ChooserView {
+  Chooser kind = Chooser::kUnknown;
+  std::string_view operator_id = {};  // kOperator only
+};
+
+// Has its own memory.
+struct ChooserValue {
+  Chooser kind = Chooser::kUnknown;
+  std::string operator_id;
+
+  ChooserView view() const { return {kind, operator_id}; }
+  // Copies `chooser`. Allocates nothing if a name of this length was there before.
+  void Assign(const ChooserView& chooser) {
+    kind = chooser.kind;
+    operator_id.assign(chooser.operator_id.data(), chooser.operator_id.size());
+  }
+};
+
+// Returns whether the wire contract takes the chooser: a known one, and the name of an operator, if
+// there is one, in UTF-8 of at most kLongestOperatorId bytes.
+bool IsValid(const ChooserView& chooser);
+// Returns `chooser`, without what is not valid.
+ChooserView Fit(const ChooserView& chooser);
+
+bool IsEqual(const ActionView& a, const ActionView& b);
 
 // An action space. Immutable.
 class ActionShape {

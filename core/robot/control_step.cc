@@ -17,7 +17,7 @@ bool RobotSession::BeginStep(const StepInput& input, Now now) {
     ++counters_.counts().invalid_observations;
   }
   if (senses_ == Senses::kUnproven) senses_ = Senses::kGood;
-  TakeExecuted(input.executed);
+  TakeExecuted(input.executed, input.chooser);
   const double reward = log_.next() == began_ ? 0.0 : Finite(input.reward);
   observed_at_ = now.robot;
   step_ = log_.Add(sees_ ? input.observation : std::span<const float>(), reward, observed_at_,
@@ -91,7 +91,7 @@ bool RobotSession::TakeAnswer(Now now) {
     ++counters_.counts().stale;
     return false;
   }
-  fallback_.TakeFresh(answer_.action.view(), answer_.observed_at);
+  fallback_.TakeFresh(answer_.action.view(), answer_.observed_at, answer_.chooser.view());
   return true;
 }
 
@@ -106,14 +106,18 @@ void RobotSession::TakeOwn(const ActionView* action) {
 
 StepResult RobotSession::FinishStep(Now now) {
   const Time age = std::max(Time::zero(), now.robot - fallback_.observed_at());
-  log_.SetExecuted(fallback_.action().view());
+  log_.SetExecuted(fallback_.action().view(), fallback_.chooser());
   counters_.CountStep(fallback_.source(), age, now.steady);
-  return {.action = fallback_.action().view(), .source = fallback_.source(), .age = age};
+  return {.action = fallback_.action().view(),
+          .chooser = fallback_.chooser(),
+          .source = fallback_.source(),
+          .age = age};
 }
 
-std::optional<uint64_t> RobotSession::EndEpisode(Outcome outcome, const ActionView* executed) {
+std::optional<uint64_t> RobotSession::EndEpisode(Outcome outcome, const ActionView* executed,
+                                                 const ChooserView& chooser) {
   if (log_.running().steps == 0 || is_closing()) return std::nullopt;
-  TakeExecuted(executed);
+  TakeExecuted(executed, chooser);
   outcome.reward = Finite(outcome.reward);
   if (outcome.target_return.has_value() && !std::isfinite(*outcome.target_return)) {
     Note(kReward);
@@ -140,11 +144,14 @@ double RobotSession::Finite(double reward) {
   return 0.0;
 }
 
-void RobotSession::TakeExecuted(const ActionView* executed) {
-  if (executed == nullptr || log_.next() == began_) return;
-  if (!log_.shape().Fit(*executed, &fitted_)) return Note(kExecuted);
+void RobotSession::TakeExecuted(const ActionView* executed, const ChooserView& chooser) {
+  if (log_.next() == began_ || (executed == nullptr && chooser.kind == Chooser::kUnknown)) return;
+  const ActionView chosen = log_.At(log_.next() - 1).executed;
+  if (!log_.shape().Fit(executed == nullptr ? chosen : *executed, &fitted_)) return Note(kExecuted);
+  if (chooser.kind == Chooser::kUnknown && IsEqual(chosen, fitted_.view())) return;
+  if (!IsValid(chooser)) Note(kExecuted);
   fallback_.SetExecuted(fitted_.view());
-  log_.SetExecuted(fitted_.view());
+  log_.SetExecuted(fitted_.view(), Fit(chooser));
 }
 
 void RobotSession::Note(Notice kind) {

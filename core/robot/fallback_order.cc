@@ -30,8 +30,24 @@ void FallbackOrder::BeginEpisode() {
   ramped_ = ramp_steps_;
 }
 
-void FallbackOrder::TakeFresh(const ActionView& action, Time observed_at) {
+ChooserView FallbackOrder::chooser() const {
+  switch (*source_) {
+    case Source::kFresh:
+      return fresh_.view();
+    case Source::kHeld:
+      return {.kind = Chooser::kHeld};
+    case Source::kLocal:
+      return {.kind = Chooser::kLocal};
+    case Source::kSafe:
+      break;
+  }
+  return {.kind = Chooser::kSafe};
+}
+
+void FallbackOrder::TakeFresh(const ActionView& action, Time observed_at,
+                              const ChooserView& chooser) {
   last_.Assign(action);
+  fresh_.Assign(chooser);
   observed_at_ = observed_at;
   held_ = 0;
   can_hold_ = true;

@@ -36,6 +36,7 @@ class FallbackOrder {
   // The action of the last step, its source, and when its observation was made.
   const ActionValue& action() const { return last_; }
   Source source() const { return *source_; }
+  ChooserView chooser() const;
   Time observed_at() const { return observed_at_; }
 
   // Forgets the actions of the episode before.
@@ -45,8 +46,10 @@ class FallbackOrder {
 
   // Each step calls those below in this order, until one of them returns true or has no result.
 
-  // Takes the answer for an observation that was made at `observed_at`.
-  void TakeFresh(const ActionView& action, Time observed_at);
+  // Takes the answer, which `chooser` has chosen, for an observation that was made at
+  // `observed_at`.
+  void TakeFresh(const ActionView& action, Time observed_at,
+                 const ChooserView& chooser = {.kind = Chooser::kPolicy});
   // Takes the last action again, if it may be held.
   bool Hold(Time now);
   // Ends the holding of the last action until the next fresh one.
@@ -75,6 +78,7 @@ class FallbackOrder {
   const Time oldest_held_;
   const int ramp_steps_;
   ActionValue last_;
+  ChooserValue fresh_;  // who chose the last fresh action
   Time observed_at_;
   int held_ = 0;  // steps since the last fresh action that held it
   bool can_hold_ = false;

@@ -35,6 +35,7 @@ struct Reply {
   const Error* error = nullptr;  // otherwise the rest counts
   int64_t next_step = 0;         // that the server expects
   std::optional<ActionView> action = std::nullopt;
+  ChooserView chooser = {};       // of the action; kUnknown: the policy
   Time observed_at = kLongAgo;    // of the action
   bool is_miswired = false;       // the action is the neutral one: the observations look miswired
   uint64_t durable_decision = 0;  // decisions that the store has

@@ -33,7 +33,11 @@ bool LocalSession::Prepare(const StepLog& log) {
   work_.number = next_;
   work_.step = static_cast<int64_t>(next_ - episode->first);
   work_.has_executed = work_.step > 0;
-  if (work_.has_executed) work_.executed.Assign(log.At(next_ - 1).executed);
+  if (work_.has_executed) {
+    const StepView before = log.At(next_ - 1);
+    work_.executed.Assign(before.executed);
+    work_.chooser.Assign(before.chooser);
+  }
   if (work_.is_end) {
     work_.outcome = episode->outcome;
     return true;

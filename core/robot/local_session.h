@@ -35,6 +35,7 @@ struct LocalWork {
   double reward = 0.0;
   bool has_executed = false;  // otherwise the step is the first one
   ActionValue executed = {};  // in the step before
+  ChooserValue chooser = {};  // of it
   Outcome outcome = {};
 };
 

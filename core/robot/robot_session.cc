@@ -228,6 +228,8 @@ void RobotSession::TakeDecision(const Reply& reply, const SentRequest& sent, Now
   if (answer_.step.has_value() && sent.number <= *answer_.step) return;
   answer_.step.reset();
   if (log_.shape().Fit(*reply.action, &answer_.action)) answer_.step = sent.number;
+  answer_.chooser.Assign(Fit(reply.chooser));
+  if (answer_.chooser.kind == Chooser::kUnknown) answer_.chooser.kind = Chooser::kPolicy;
   answer_.observed_at = reply.observed_at;
   answer_.is_miswired = reply.is_miswired;
 }

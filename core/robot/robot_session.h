@@ -69,11 +69,14 @@ struct StepInput {
   std::span<const float> observation;
   double reward = 0.0;                   // for the action of the step before
   const ActionView* executed = nullptr;  // in the step before; null: what was chosen
+  // Of `executed`. kUnknown: what chose the action for the robot, if it is that one.
+  ChooserView chooser = {};
   std::string_view traceparent = "";
 };
 
 struct StepResult {
-  ActionView action;  // until the next call
+  ActionView action;    // until the next call
+  ChooserView chooser;  // of it; until the next call
   Source source;
   Time age;  // of the observation that it was chosen for
 };
@@ -101,7 +104,8 @@ class RobotSession {
 
   // Ends the episode; the next step begins another one. Returns its serial number, or nothing if it
   // has no step or the session is closed.
-  std::optional<uint64_t> EndEpisode(Outcome outcome, const ActionView* executed);
+  std::optional<uint64_t> EndEpisode(Outcome outcome, const ActionView* executed,
+                                     const ChooserView& chooser = {});
   // Returns whether the server's newest answer may be executed.
   bool HasAnswer() const { return answer_.step.has_value() && *answer_.step >= next_answer_; }
   // Asks for the newest step if nothing is under way: no control step does it meanwhile.
@@ -156,6 +160,7 @@ class RobotSession {
   struct Decision {
     std::optional<uint64_t> step = std::nullopt;  // its number; absent: there is none
     ActionValue action = {};
+    ChooserValue chooser = {};
     Time observed_at = kLongAgo;
     bool is_miswired = false;
   };
@@ -180,7 +185,7 @@ class RobotSession {
   std::optional<uint64_t> ExpectedAnswer(Time deadline) const;
   bool TakeAnswer(Now now);
   double Finite(double reward);
-  void TakeExecuted(const ActionView* executed);
+  void TakeExecuted(const ActionView* executed, const ChooserView& chooser);
   void Note(Notice kind);
 
   // robot_session.cc

@@ -6,8 +6,9 @@
 namespace spikeserve::robot {
 namespace {
 
-constexpr size_t kMostEpisodes = 4096;       // whose ends the server may miss
-constexpr size_t kMostSkipped = 65536;       // rewards of one request
+constexpr size_t kMostEpisodes = 4096;  // whose ends the server may miss
+constexpr size_t kMostSkipped = 65536;  // rewards of one request
+constexpr size_t kOperatorBytes = 1 + kLongestOperatorId;
 constexpr uint64_t kMostBytes = 1ULL << 20;  // of the history in one request
 
 // Returns memory that the kernel provides when it is first used.
@@ -26,6 +27,8 @@ StepLog::StepLog(size_t kept, size_t observation_size, const ActionShape& shape)
       observations_(Reserve<float>(kept_ * observation_size)),
       continuous_(Reserve<float>(kept_ * shape.size())),
       discrete_(std::make_unique<int64_t[]>(kept_)),
+      choosers_(std::make_unique<Chooser[]>(kept_)),
+      operators_(Reserve<char>(kept_ * kOperatorBytes)),
       rewards_(Reserve<double>(reward_slots_)),
       is_blind_(kept_) {
   episodes_.emplace_back();
@@ -77,11 +80,23 @@ uint64_t StepLog::Add(std::span<const float> observation, double reward, Time ob
   return number;
 }
 
-void StepLog::SetExecuted(const ActionView& action) {
+void StepLog::SetExecuted(const ActionView& action, const ChooserView& chooser) {
   const size_t slot = SlotOf(next_ - 1);
   discrete_[slot] = action.discrete;
   std::copy(action.continuous.begin(), action.continuous.end(),
             continuous_.get() + slot * shape_.size());
+  choosers_[slot] = chooser.kind;
+  if (chooser.kind != Chooser::kOperator) return;
+  char* const name = operators_.get() + slot * kOperatorBytes;
+  name[0] = static_cast<char>(chooser.operator_id.size());
+  std::copy(chooser.operator_id.begin(), chooser.operator_id.end(), name + 1);
+}
+
+ChooserView StepLog::ChooserOf(size_t slot) const {
+  const Chooser kind = choosers_[slot];
+  if (kind != Chooser::kOperator) return {.kind = kind};
+  const char* const name = operators_.get() + slot * kOperatorBytes;
+  return {.kind = kind, .operator_id = {name + 1, static_cast<unsigned char>(name[0])}};
 }
 
 StepView StepLog::At(uint64_t number) const {
@@ -90,13 +105,14 @@ StepView StepLog::At(uint64_t number) const {
   return {.observation = {observations_.get() + slot * observation_size_, size},
           .reward = RewardOf(number),
           .executed = {.discrete = shape_.is_box() ? 0 : discrete_[slot],
-                       .continuous = {continuous_.get() + slot * shape_.size(), shape_.size()}}};
+                       .continuous = {continuous_.get() + slot * shape_.size(), shape_.size()}},
+          .chooser = ChooserOf(slot)};
 }
 
 StepView StepLog::StepOf(const Episode& episode, uint64_t number) const {
   if (Has(number)) return At(number);
   const KeptStep& step = episode.last[number + episode.last.size() - episode.past()];
-  return {step.observation, step.reward, step.executed.view()};
+  return {step.observation, step.reward, step.executed.view(), step.chooser.view()};
 }
 
 uint64_t StepLog::End(Outcome outcome) {
@@ -109,6 +125,7 @@ uint64_t StepLog::End(Outcome outcome) {
     kept.observation.assign(step.observation.begin(), step.observation.end());
     kept.reward = step.reward;
     kept.executed.Assign(step.executed);
+    kept.chooser.Assign(step.chooser);
   }
   const uint64_t serial = episode.serial;
   episodes_.push_back({.serial = serial + 1, .index = episode.index + 1, .first = episode.past()});

@@ -35,6 +35,7 @@ struct StepView {
   std::span<const float> observation;  // empty: the robot had no valid one
   double reward = 0.0;                 // for the action before
   ActionView executed;                 // of the newest step: what was executed so far, if anything
+  ChooserView chooser;                 // of `executed`
 };
 
 // A step outside the ring.
@@ -42,6 +43,7 @@ struct KeptStep {
   std::vector<float> observation;
   double reward = 0.0;
   ActionValue executed;
+  ChooserValue chooser;
 };
 
 // How an episode has ended, in the terms of Gymnasium.
@@ -125,8 +127,9 @@ class StepLog {
   // number.
   uint64_t Add(std::span<const float> observation, double reward, Time observed_at,
                std::string_view traceparent = "");
-  // Sets what the robot has executed in the last step. REQUIRES: there is one.
-  void SetExecuted(const ActionView& action);
+  // Sets what the robot has executed in the last step, and who chose it. REQUIRES: there is one;
+  // the name of the operator has at most kLongestOperatorId bytes.
+  void SetExecuted(const ActionView& action, const ChooserView& chooser = {});
   // Ends the running episode, which has a step. The next step begins another one. Returns its
   // serial number.
   uint64_t End(Outcome outcome);
@@ -181,6 +184,7 @@ class StepLog {
   uint64_t kept_from(const Episode& episode) const;  // with its end
   uint64_t rewards_from() const;
   size_t SlotOf(uint64_t number) const { return number % kept_; }
+  ChooserView ChooserOf(size_t slot) const;
   // Returns the most steps of one history.
   uint64_t most() const;
   // Returns the number of the first step in the next request's history, and that behind its last.
@@ -194,10 +198,14 @@ class StepLog {
   const std::unique_ptr<float[]> observations_;  // [kept, observation_size]
   const std::unique_ptr<float[]> continuous_;    // [kept, shape.size()]: executed actions
   const std::unique_ptr<int64_t[]> discrete_;    // [kept]: executed actions
-  const std::unique_ptr<double[]> rewards_;      // [reward_slots]
-  std::vector<bool> is_blind_;                   // [kept]: no valid observation
-  Time observed_at_ = kLongAgo;                  // of the last step
-  std::string traceparent_;                      // of the last step
+  const std::unique_ptr<Chooser[]> choosers_;    // [kept]: of executed actions
+  // [kept, 1 + kLongestOperatorId]: the size of an operator's name, and the name. Used for
+  // operators only.
+  const std::unique_ptr<char[]> operators_;
+  const std::unique_ptr<double[]> rewards_;  // [reward_slots]
+  std::vector<bool> is_blind_;               // [kept]: no valid observation
+  Time observed_at_ = kLongAgo;              // of the last step
+  std::string traceparent_;                  // of the last step
   std::deque<Episode> episodes_;  // settled ones, then those that wait, and the running one
   size_t settled_ = 0;            // number of the settled ones
   uint64_t next_ = 0;             // number of the next step

@@ -204,9 +204,11 @@ class Player {
     const double reward = Number(json.at("reward"));
     std::optional<ActionView> executed;
     std::vector<float> values;
+    const std::string operator_id = json.value("operator_id", "");
     if (json.contains("executed")) {
       values = Numbers(json["executed"]);
-      executed = ActionView{.continuous = values};
+      const auto kind = static_cast<v1::ActionSource::Kind>(json.value("source", 0));
+      executed = ActionView{.continuous = values, .by = {kind, operator_id}};
     }
     const int64_t newest = watches_answers_ ? NewestAnswer() : -1;
     began_.push_back(std::chrono::steady_clock::now());

@@ -13,17 +13,26 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "absl/types/span.h"
 #include "spikeserve/remote_session.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
 
+// Who chose an action; UNKNOWN: what chose the action that the pilot returned, if it is that one. A
+// name that is longer than 128 bytes, not in UTF-8 or not an OPERATOR's is left out.
+struct ChosenBy {
+  v1::ActionSource::Kind kind = v1::ActionSource::UNKNOWN;
+  absl::string_view operator_id = {};
+};
+
 // An action of a policy's action space that somebody else owns: an index of a Discrete space, or
 // one number for each element of a Box, in environment units.
 struct ActionView {
   int64_t discrete = 0;
   absl::Span<const float> continuous = {};
+  ChosenBy by = {};
 };
 
 // Plays the same session as the server: every beat that the robot plays, in order and once. A pilot

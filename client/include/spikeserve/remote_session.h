@@ -28,6 +28,7 @@
 #include "absl/status/statusor.h"
 #include "absl/types/span.h"
 #include "spikeserve/client.h"
+#include "spikeserve/executed_action.h"
 #include "spikeserve/feature_order.h"
 #include "spikeserve/unacknowledged.h"
 
@@ -41,8 +42,8 @@ struct EpisodeOutcome {
   std::optional<double> target_return =
       std::nullopt;                     // of the next episode; unset: as the session was opened
   std::vector<float> observation = {};  // after the last action; used by recordings only
-  // The executed last action, if it differs from the answered one.
-  std::optional<v1::Action> executed_action = std::nullopt;
+  // The executed last action, if it differs from the answered one, or another one chose it.
+  std::optional<ExecutedAction> executed_action = std::nullopt;
 };
 
 class RemoteSession {
@@ -72,12 +73,12 @@ class RemoteSession {
   // the same call may be repeated. Returns INTERNAL if the answer is for another session or step.
   absl::StatusOr<v1::ActResponse> Act(
       absl::Span<const float> observation, double reward,
-      const std::optional<v1::Action>& executed_action = std::nullopt);
+      const std::optional<ExecutedAction>& executed_action = std::nullopt);
 
   // Act in two parts, for ActBatch and ActAsync. MakeRequest returns the request of this step;
   // Accept takes the answer to the last one and advances the step, with the errors of Act.
   v1::ActRequest MakeRequest(absl::Span<const float> observation, double reward,
-                             const std::optional<v1::Action>& executed_action = std::nullopt);
+                             const std::optional<ExecutedAction>& executed_action = std::nullopt);
   absl::Status Accept(const v1::ActResponse& response);
   // Puts the action of an accepted answer in the order of the robot that named its elements. Act
   // and streams with a session have done it.
@@ -129,7 +130,7 @@ class RemoteSession {
   absl::Status CatchUp(const absl::Status& error, bool reads);
   // MakeRequest, of an observation and an action in the policy's order.
   v1::ActRequest MakeOrdered(absl::Span<const float> observation, double reward,
-                             const std::optional<v1::Action>& executed_action);
+                             const std::optional<ExecutedAction>& executed_action);
 
   Client* client_;
   std::string session_id_;

@@ -29,6 +29,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "absl/types/span.h"
+#include "spikeserve/executed_action.h"
 #include "spikeserve/retry.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
@@ -71,7 +72,7 @@ class RemoteStream {
   // on. Returns INVALID_ARGUMENT if the session has a request under way or exists at another server
   // only, FAILED_PRECONDITION after CloseSend, and the status of a stream that stays broken.
   absl::Status Send(RemoteSession* session, absl::Span<const float> observation, double reward,
-                    const std::optional<v1::Action>& executed_action = std::nullopt);
+                    const std::optional<ExecutedAction>& executed_action = std::nullopt);
 
   // Sends a request without its session. Its reply is returned as it is. Several requests of one
   // session may be under way; if the stream breaks then, the server may refuse those that it has

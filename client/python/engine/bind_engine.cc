@@ -56,7 +56,8 @@ std::shared_ptr<LocalSession> OpenSession(std::shared_ptr<PlayedPolicy> played,
   return ValueOrRaise(LocalSession::Open(std::move(played), std::move(request)));
 }
 
-// An executed action of a call, and the array that it refers to.
+// An executed action of a call, and the array that it refers to. The operator's name is that of the
+// given object.
 struct ExecutedAction {
   std::optional<ReportedAction> action;  // absent: as answered
   InputArray<float> values;
@@ -65,6 +66,13 @@ struct ExecutedAction {
 ExecutedAction ToExecuted(const nb::handle& given) {
   ExecutedAction executed;
   if (given.is_none()) return executed;
+  if (nb::hasattr(given, "operator_id")) {  // spikeserve.Executed
+    executed = ToExecuted(given.attr("action"));
+    if (!executed.action.has_value()) executed.action.emplace();
+    executed.action->source = {.kind = nb::cast<int>(given.attr("kind")),
+                               .operator_id = nb::cast<const char*>(given.attr("operator_id"))};
+    return executed;
+  }
   // An array of one element converts to an integer, too, and is no index.
   if (PyIndex_Check(given.ptr()) != 0 && PySequence_Check(given.ptr()) == 0) {
     executed.action = nb::cast<int64_t>(nb::int_(given));

@@ -6,6 +6,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/string_view.h>
 #include <nanobind/stl/variant.h>
@@ -52,6 +53,13 @@ class MaybeAction {
   const ActionView view_;
 };
 
+// The number of v1::ActionSource::Kind, and the name of an operator.
+using GivenSource = std::pair<int64_t, std::string_view>;
+
+ChooserView ViewOf(const GivenSource& source) {
+  return {.kind = static_cast<Chooser>(source.first), .operator_id = source.second};
+}
+
 Now NowOf(Nanoseconds steady, Nanoseconds robot) { return {Time(steady), Time(robot)}; }
 
 // Returns bytes that NumPy reads, and the caller may change.
@@ -91,12 +99,13 @@ RobotSession MakeSession(const nb::kwargs& given, const GivenAction& neutral) {
 }
 
 bool BeginStep(RobotSession& session, const Numbers& observation, double reward,
-               const std::optional<GivenAction>& executed, std::string_view traceparent,
-               Nanoseconds steady, Nanoseconds robot) {
+               const std::optional<GivenAction>& executed, const GivenSource& source,
+               std::string_view traceparent, Nanoseconds steady, Nanoseconds robot) {
   const MaybeAction action(executed);
   return session.BeginStep({.observation = ViewOf(observation),
                             .reward = reward,
                             .executed = action.get(),
+                            .chooser = ViewOf(source),
                             .traceparent = traceparent},
                            NowOf(steady, robot));
 }
@@ -111,7 +120,8 @@ nb::tuple FinishStep(RobotSession& session, Nanoseconds steady, Nanoseconds robo
 std::optional<uint64_t> EndEpisode(RobotSession& session, double reward, bool terminated,
                                    bool truncated, std::optional<double> target_return,
                                    const std::optional<Numbers>& observation,
-                                   const std::optional<GivenAction>& executed) {
+                                   const std::optional<GivenAction>& executed,
+                                   const GivenSource& source) {
   Outcome outcome = {.reward = reward,
                      .terminated = terminated,
                      .truncated = truncated,
@@ -120,7 +130,7 @@ std::optional<uint64_t> EndEpisode(RobotSession& session, double reward, bool te
     const std::span<const float> values = ViewOf(*observation);
     outcome.observation.assign(values.begin(), values.end());
   }
-  return session.EndEpisode(std::move(outcome), MaybeAction(executed).get());
+  return session.EndEpisode(std::move(outcome), MaybeAction(executed).get(), ViewOf(source));
 }
 
 // Returns the serial number of an episode, and what its EpisodeSummary has of the robot.
@@ -135,12 +145,13 @@ nb::object ToPython(const std::optional<Settled>& settled) {
 
 // Returns the episode that has ended or None, and whether there is work.
 nb::tuple OnReply(RobotSession& session, const Error* error, int64_t next_step,
-                  const std::optional<GivenAction>& action, Nanoseconds observed_at,
-                  bool is_miswired, uint64_t durable_decision, int64_t durable_episode,
-                  bool has_ended, std::optional<double> episode_return, Nanoseconds steady,
-                  Nanoseconds robot) {
+                  const std::optional<GivenAction>& action, const GivenSource& source,
+                  Nanoseconds observed_at, bool is_miswired, uint64_t durable_decision,
+                  int64_t durable_episode, bool has_ended, std::optional<double> episode_return,
+                  Nanoseconds steady, Nanoseconds robot) {
   Reply reply = {.error = error,
                  .next_step = next_step,
+                 .chooser = ViewOf(source),
                  .observed_at = Time(observed_at),
                  .is_miswired = is_miswired,
                  .durable_decision = durable_decision,
@@ -181,6 +192,8 @@ nb::dict WorkOf(const RobotSession& session) {
   fields["step"] = work.step;
   fields["executed"] =
       work.has_executed ? ToPython(work.executed.view(), session.step_log().shape()) : nb::none();
+  fields["source"] = static_cast<int>(work.chooser.kind);
+  fields["operator_id"] = work.chooser.operator_id;
   if (!work.is_end) {
     fields["observation"] = BytesOf(work.observation);
     fields["reward"] = work.reward;
@@ -281,7 +294,7 @@ void BindControlStep(nb::class_<RobotSession>& session) {
            [](RobotSession* self, const GivenAction& neutral, const nb::kwargs& settings) {
              new (self) RobotSession(MakeSession(settings, neutral));
            })
-      .def("begin_step", &BeginStep, "observation"_a, "reward"_a, "executed"_a.none(),
+      .def("begin_step", &BeginStep, "observation"_a, "reward"_a, "executed"_a.none(), "source"_a,
            "traceparent"_a, "steady"_a, "robot"_a)
       .def("choose",
            [](RobotSession& self, Nanoseconds steady, Nanoseconds robot, Nanoseconds deadline) {
@@ -295,7 +308,7 @@ void BindControlStep(nb::class_<RobotSession>& session) {
           "action"_a.none())
       .def("finish_step", &FinishStep)
       .def("end_episode", &EndEpisode, "reward"_a, "terminated"_a, "truncated"_a,
-           "target_return"_a.none(), "observation"_a.none(), "executed"_a.none())
+           "target_return"_a.none(), "observation"_a.none(), "executed"_a.none(), "source"_a)
       .def("has_answer", &RobotSession::HasAnswer)
       .def("ask_again", [](RobotSession& self, Nanoseconds steady,
                            Nanoseconds robot) { self.AskAgain(NowOf(steady, robot)); })
@@ -318,7 +331,7 @@ void BindLink(nb::class_<RobotSession>& session) {
       .def("is_calling", [](const RobotSession& self) { return self.call() != CallState::kNone; })
       .def("has_denied", &RobotSession::HasDenied)
       .def("on_stream_opened", &RobotSession::OnStreamOpened)
-      .def("on_reply", &OnReply, "error"_a.none(), "next_step"_a, "action"_a.none(),
+      .def("on_reply", &OnReply, "error"_a.none(), "next_step"_a, "action"_a.none(), "source"_a,
            "observed_at"_a, "is_miswired"_a, "durable_decision"_a, "durable_episode"_a,
            "has_ended"_a, "episode_return"_a.none(), "steady"_a, "robot"_a)
       .def("on_stream_ended", &RobotSession::OnStreamEnded)

@@ -25,6 +25,15 @@ nb::dict ActionFields(const ActionView& action, const ActionShape& shape) {
   return fields;
 }
 
+nb::dict SourceFields(const ChooserView& chooser) {
+  nb::dict fields;
+  fields["kind"] = static_cast<int>(chooser.kind);
+  if (!chooser.operator_id.empty()) {
+    fields["operator_id"] = nb::str(chooser.operator_id.data(), chooser.operator_id.size());
+  }
+  return fields;
+}
+
 nb::dict ReportFields(const Report& report) {
   nb::dict fields;
   const Counts& counts = *report.counts;
@@ -47,6 +56,7 @@ nb::dict StepFields(const StepLog& log, const Episode& episode, uint64_t number)
   fields["observation"] = ListOf(step.observation);
   fields["reward"] = step.reward;
   fields["executed"] = ActionFields(step.executed, log.shape());
+  fields["source"] = SourceFields(step.chooser);
   return fields;
 }
 
@@ -86,6 +96,7 @@ nb::dict EndFieldsOf(const StepLog& log) {
   if (outcome.target_return.has_value()) fields["target_return"] = *outcome.target_return;
   fields["observation"] = ListOf(outcome.observation);
   fields["executed_action"] = ActionFields(episode.last.back().executed.view(), log.shape());
+  fields["executed_source"] = SourceFields(episode.last.back().chooser.view());
   fields["episode"] = episode.index;
   fields["steps"] = episode.steps;
   return fields;

@@ -190,7 +190,7 @@ void Pilot::Controller::Play() {
     work = &session_.work();
   }
   std::optional<ActionView> executed;
-  if (work->has_executed) executed = FromRobot(work->executed.view());
+  if (work->has_executed) executed = FromRobot(work->executed.view(), work->chooser.view());
   absl::StatusOr<ActionView> action = ActionView();
   if (work->is_end) {
     const robot::Outcome& outcome = work->outcome;

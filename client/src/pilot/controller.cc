@@ -70,6 +70,7 @@ PilotAction Pilot::Controller::Beat(absl::Span<const float> observation, double 
   const absl::Duration deadline = FromRobot(now.steady) + options_.wait();
   const absl::string_view traceparent = Traceparent();
   const robot::ActionView view = ToRobot(executed.value_or(ActionView()));
+  const robot::ChooserView chooser = ToRobot(executed.value_or(ActionView()).by);
   bool sees = false;
   {
     absl::MutexLock lock(&mutex_);
@@ -77,6 +78,7 @@ PilotAction Pilot::Controller::Beat(absl::Span<const float> observation, double 
         session_.BeginStep({.observation = ToRobot(observation),
                             .reward = reward,
                             .executed = executed.has_value() ? &view : nullptr,
+                            .chooser = chooser,
                             .traceparent = {traceparent.data(), traceparent.size()}},
                            now);
     background_->Wake(this);
@@ -122,7 +124,7 @@ PilotAction Pilot::Controller::TakeOwn(absl::Span<const float> observation) {
 
 PilotAction Pilot::Controller::Finish() {
   const robot::StepResult step = session_.FinishStep(piloting::ReadClocks());
-  return {.value = FromRobot(step.action),
+  return {.value = FromRobot(step.action, step.chooser),
           .source = static_cast<ActionSource>(step.source),
           .age = FromRobot(step.age),
           .beat = beats_++};
@@ -137,7 +139,11 @@ void Pilot::Controller::Wait(absl::Duration deadline) {
 
 std::future<Pilot::Summary> Pilot::Controller::EndEpisode(const EpisodeOutcome& outcome) {
   std::optional<robot::ActionView> executed;
-  if (outcome.executed_action.has_value()) executed = piloting::ViewOf(*outcome.executed_action);
+  robot::ChooserView chooser;
+  if (outcome.executed_action.has_value()) {
+    executed = piloting::ViewOf(outcome.executed_action->action);
+    chooser = piloting::ViewOf(outcome.executed_action->source);
+  }
   std::promise<Summary> summary;
   std::future<Summary> future = summary.get_future();
   absl::MutexLock lock(&mutex_);
@@ -147,7 +153,7 @@ std::future<Pilot::Summary> Pilot::Controller::EndEpisode(const EpisodeOutcome& 
                                            .truncated = outcome.truncated,
                                            .target_return = outcome.target_return,
                                            .observation = outcome.observation},
-                                          executed.has_value() ? &*executed : nullptr);
+                                          executed.has_value() ? &*executed : nullptr, chooser);
   if (serial.has_value()) {
     summaries_.emplace(*serial, std::move(summary));
     background_->Wake(this);

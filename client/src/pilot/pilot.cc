@@ -31,7 +31,7 @@ std::function<ActionView(absl::Span<const float>)> Ordered(
   return
       [fallback = std::move(fallback), own = order](absl::Span<const float> observation) mutable {
         const ActionView action = fallback(own.RobotObservation(observation));
-        return ActionView{own.Action(action.discrete), own.Action(action.continuous)};
+        return ActionView{own.Action(action.discrete), own.Action(action.continuous), action.by};
       };
 }
 
@@ -75,12 +75,12 @@ PilotAction Pilot::Beat(absl::Span<const float> observation, double reward,
                         const std::optional<ActionView>& executed) noexcept {
   std::optional<ActionView> ordered;
   if (executed.has_value()) {
-    ordered.emplace(
-        ActionView{order_.Action(executed->discrete), order_.Action(executed->continuous)});
+    ordered.emplace(ActionView{order_.Action(executed->discrete),
+                               order_.Action(executed->continuous), executed->by});
   }
   PilotAction action = controller_->Beat(order_.Observation(observation), reward, ordered);
   action.value = {order_.RobotAction(action.value.discrete),
-                  order_.RobotAction(action.value.continuous)};
+                  order_.RobotAction(action.value.continuous), action.value.by};
   return action;
 }
 
@@ -88,7 +88,7 @@ std::future<Pilot::Summary> Pilot::EndEpisode(const EpisodeOutcome& outcome) {
   EpisodeOutcome ordered = outcome;
   const auto observation = order_.Observation(outcome.observation);
   ordered.observation.assign(observation.begin(), observation.end());
-  if (ordered.executed_action.has_value()) order_.ToPolicy(&*ordered.executed_action);
+  if (ordered.executed_action.has_value()) order_.ToPolicy(&ordered.executed_action->action);
   return controller_->EndEpisode(ordered);
 }
 

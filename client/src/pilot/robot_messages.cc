@@ -29,6 +29,11 @@ void ToProto(const robot::ActionView& action, const robot::ActionShape& shape,
   }
 }
 
+void ToProto(const robot::ChooserView& chooser, v1::ActionSource* message) {
+  message->set_kind(static_cast<v1::ActionSource::Kind>(chooser.kind));
+  message->set_operator_id(std::string(chooser.operator_id));
+}
+
 void ToProto(const robot::Report& report, v1::BeatReport* message) {
   const auto of = [&](robot::Source source) {
     return report.counts->by_source[static_cast<size_t>(source)];
@@ -56,6 +61,10 @@ absl::Status LostEpisode(absl::string_view reason) {
 robot::ActionView ViewOf(const v1::Action& action) {
   const auto& values = action.continuous().values();
   return {action.discrete(), {values.data(), static_cast<size_t>(values.size())}};
+}
+
+robot::ChooserView ViewOf(const v1::ActionSource& source) {
+  return {static_cast<robot::Chooser>(source.kind()), source.operator_id()};
 }
 
 robot::ActionShape ShapeOf(const v1::ActionSpace& space) {
@@ -87,6 +96,7 @@ robot::Reply ReplyOf(const v1::ActResponse& reply, robot::Error* error) {
                        .durable_episode = reply.durable_episode(),
                        .has_ended = reply.has_ended()};
   if (reply.has_action()) view.action = ViewOf(reply.action());
+  view.chooser = ViewOf(reply.source());
   if (reply.has_ended()) view.episode_return = ReturnOf(reply.ended());
   if (reply.has_error()) {
     *error = ErrorOf(StatusOfItem(reply.error()));
@@ -110,6 +120,7 @@ void ToProto(const robot::StepLog& log, const robot::Request& request, v1::ActRe
     beat->mutable_observation()->Assign(step.observation.begin(), step.observation.end());
     beat->set_reward(step.reward);
     ToProto(step.executed, log.shape(), beat->mutable_executed());
+    ToProto(step.chooser, beat->mutable_source());
   }
   for (uint64_t number = request.skipped; number < request.begin; ++number) {
     message->add_skipped_rewards(log.RewardOf(number));
@@ -132,7 +143,9 @@ void EndToProto(const robot::StepLog& log, v1::EndEpisodeRequest* message) {
   message->set_truncated(outcome.truncated);
   if (outcome.target_return.has_value()) message->set_target_return(*outcome.target_return);
   message->mutable_observation()->Assign(outcome.observation.begin(), outcome.observation.end());
-  ToProto(episode.last.back().executed.view(), log.shape(), message->mutable_executed_action());
+  const robot::KeptStep& last = episode.last.back();
+  ToProto(last.executed.view(), log.shape(), message->mutable_executed_action());
+  ToProto(last.chooser.view(), message->mutable_executed_source());
   message->set_episode(episode.index);
   message->set_steps(static_cast<int64_t>(episode.steps));
 }

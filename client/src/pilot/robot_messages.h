@@ -28,8 +28,14 @@ inline std::span<const float> ToRobot(absl::Span<const float> values) {
 inline robot::ActionView ToRobot(const ActionView& action) {
   return {action.discrete, ToRobot(action.continuous)};
 }
-inline ActionView FromRobot(const robot::ActionView& action) {
-  return {action.discrete, {action.continuous.data(), action.continuous.size()}};
+inline robot::ChooserView ToRobot(const ChosenBy& by) {
+  return {static_cast<robot::Chooser>(by.kind), {by.operator_id.data(), by.operator_id.size()}};
+}
+inline ActionView FromRobot(const robot::ActionView& action, const robot::ChooserView& by = {}) {
+  return {action.discrete,
+          {action.continuous.data(), action.continuous.size()},
+          {static_cast<v1::ActionSource::Kind>(by.kind),
+           {by.operator_id.data(), by.operator_id.size()}}};
 }
 
 // Returns the time of both clocks of the client (steady_time.h).
@@ -41,6 +47,7 @@ inline constexpr absl::string_view kClosed = "the pilot was closed";
 
 // Returns a view of `action`, which is valid as long as that is not changed.
 robot::ActionView ViewOf(const v1::Action& action);
+robot::ChooserView ViewOf(const v1::ActionSource& source);
 robot::ActionShape ShapeOf(const v1::ActionSpace& space);
 robot::Opening OpeningOf(const v1::OpenSessionResponse& opened);
 // Returns what an error means for the session. REQUIRES: it is one.

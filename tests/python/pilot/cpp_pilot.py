@@ -53,6 +53,9 @@ class CppPilot:
 
     def beat(self, observation, reward=0.0, *, executed_action=None):
         line = {"observation": [number(x) for x in observation], "reward": number(reward)}
+        if isinstance(executed_action, spikeserve.Executed):
+            line |= {"source": executed_action.kind, "operator_id": executed_action.operator_id}
+            executed_action = executed_action.action
         if executed_action is not None:
             line["executed"] = [number(x) for x in executed_action]
         action = self._ask(do="beat", **line)

@@ -20,6 +20,7 @@ from test_pilot import (  # noqa: F401
     test_a_stored_session_goes_on_after_its_server_was_killed,
     test_an_answer_that_is_stale_is_never_executed,
     test_an_end_that_never_arrived_is_sent_again,
+    test_each_beat_says_who_chose_its_action,
     test_episodes_that_end_while_the_link_is_cut_are_not_lost,
     test_five_seconds_without_a_cable_cost_no_action,
     test_nothing_that_a_robot_passes_makes_a_beat_fail,

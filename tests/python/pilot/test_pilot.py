@@ -7,11 +7,14 @@ import tempfile
 import time
 from unittest import mock
 
+import cbor2
 import numpy as np
 import pytest
 import spikeserve
 import spikeserve.piloting.link
 from restartable_server import RestartableServer, restartable_server
+from security import until
+from serving import SHIPPED_POLICIES, running_server
 from spikeserve.piloting import robot_clock
 from spikeserve.wire import METHODS
 
@@ -431,6 +434,26 @@ def test_what_a_safety_layer_executes_is_what_the_server_remembers(client, fly):
         flight.episodes[-1].append(([0.1, 0.2, 0.3], 0.5, flight.actions[-1].action))
         flight.end()
         flight.check_session(client)
+
+
+def test_each_beat_says_who_chose_its_action(tmp_path, fly):
+    sources = {"fresh": "policy", "held": "held", "local": "local", "safe": "safe"}
+    with running_server(SHIPPED_POLICIES, flags=[f"--record_dir={tmp_path}"]) as addresses:
+        with (
+            spikeserve.Client(addresses.grpc) as client,
+            fly(client, local=False, session=spikeserve.SessionOptions(record=True)) as flight,
+        ):
+            flight.until("fresh")
+            flight.fly(3)
+            torque = spikeserve.Executed(np.float32([0.125]), "operator", "anna")
+            flight.actions.append(flight.pilot.beat([0.1, 0.2, 0.3], 0.5, executed_action=torque))
+            flight.end()
+            assert flight.summaries[0].result(WAIT).steps == len(flight.actions)
+            expected = [sources[action.source] for action in flight.actions]
+            expected[-2] = "operator:anna"
+        until(lambda: list(tmp_path.rglob("*.cbor")))
+    (path,) = tmp_path.rglob("*.cbor")
+    assert cbor2.loads(path.read_bytes())["episodes"][0]["served"]["sources"] == expected
 
 
 def test_nothing_that_a_robot_passes_makes_a_beat_fail(client, fly):

@@ -5,16 +5,22 @@ import json
 import os
 import shutil
 
+import cbor2
+import grpc
 import gymnasium
+import h5py
 import numpy as np
 import pytest
 import spikeserve
+from beating import Robot
 from policy_file import read_policy, write_policy
 from security import until
-from serving import DEPLOY, run, running_server
+from serving import DEPLOY, metric, page_of, run, running_server, series
+from spikeserve.executed import SOURCES
 
 CARTPOLE = DEPLOY / "policies/cartpole/1/policy.safetensors"
 PENDULUM = DEPLOY / "policies/pendulum"
+STEPS = "spikeserve_steps_total"
 OBSERVATIONS = np.random.default_rng(1).normal(0, 0.05, (30, 4)).astype("f4")
 # The first float32 beyond the bound of Pendulum's torque, which six digits would print as 2.
 JUST_OUTSIDE = np.nextafter(np.float32(2), np.float32(3))
@@ -31,12 +37,12 @@ def server(tmp_path_factory):
     shutil.copytree(PENDULUM, folder / "pendulum")
     recordings = tmp_path_factory.mktemp("recordings")
     with running_server(folder, flags=[f"--record_dir={recordings}"]) as addresses:
-        yield addresses.grpc, recordings
+        yield addresses, recordings
 
 
 @pytest.fixture
 def client(server):
-    with spikeserve.Client(server[0]) as opened:
+    with spikeserve.Client(server[0].grpc) as opened:
         yield opened
 
 
@@ -84,7 +90,7 @@ def test_every_client_sends_it(server, client):
     assert cost(batched) == expected
 
     async def play_async():
-        async with spikeserve.AsyncClient(server[0]) as asynchronous:
+        async with spikeserve.AsyncClient(server[0].grpc) as asynchronous:
             session = await asynchronous.open_session("left")
             await session.act(first)
             answers = [await session.act(second, 1.0, executed_action=1)]
@@ -139,6 +145,72 @@ def test_an_action_outside_the_space_is_refused_and_changes_nothing(client, poli
         assert session.act(observation, 1.0).step == 1
 
 
+def test_each_step_says_who_chose_its_action(server, client, tmp_path):
+    """In the recording, the metrics, the page of the session, the replay and Minari's dataset."""
+    addresses, recordings = server
+    Executed = spikeserve.Executed
+    with client.open_session("left", spikeserve.SessionOptions(record=True)) as session:
+        labels = {"policy": "left"}
+        before = {source: sum(series(addresses, STEPS, source=source, **labels)) for source in SOURCES}
+        told = [
+            None,  # the policy, as it is the answered action
+            0,  # the same
+            1,  # not known
+            Executed(1, "operator", "anna"),
+            Executed(0, "operator"),  # agrees
+            Executed(1, "safety_layer"),
+            Executed(1, "policy"),  # an older answer
+        ]
+        session.act(OBSERVATIONS[0])
+        for step, executed in enumerate(told):
+            session.act(OBSERVATIONS[step + 1], 1.0, executed_action=executed)
+        page = json.loads(page_of(addresses, f"/session.json?session={session.session_id}"))
+        assert page["last_source"] == "policy"
+        session.end_episode(1.0, executed_action=Executed(1, "operator", "Åsa"))
+        page = json.loads(page_of(addresses, f"/session.json?session={session.session_id}"))
+        assert page["last_source"] == "operator:Åsa"
+    sources = "policy policy unknown operator:anna operator safety_layer policy operator:Åsa".split()
+    path = recordings / session.opening.recording / "000000.cbor"
+    until(path.exists)
+    served = cbor2.loads(path.read_bytes())["episodes"][0]["served"]
+    assert served["sources"] == sources
+    for source, count in before.items():
+        expected = sum(text.partition(":")[0] == source for text in sources)
+        assert metric(addresses, STEPS, source=source, **labels) == count + expected, source
+    replay = run("spikectl", "replay", f"--recording={path}", f"--server={addresses.grpc}", "--json")
+    assert json.loads(replay.stdout)["steps_by_source"]["operator:anna"] == 1
+    if "SPIKETRAIN_PROGRAM" in os.environ:
+        run("spiketrain", "dataset", f"--recordings={path.parent}", f"--out={tmp_path}/served-v0")
+        with h5py.File(tmp_path / "served-v0/data/main_data.hdf5") as file:
+            written = file["episode_0/infos/source"][:].tolist()
+        assert [SOURCES[kind] for kind in written[:-1]] == [text.partition(":")[0] for text in sources]
+
+
+@pytest.mark.parametrize(
+    "source, message",
+    [
+        ({"kind": 8}, "executed_source.kind: expected 0 to 7, received 8"),
+        ({"kind": -1}, "executed_source.kind: expected 0 to 7, received -1"),
+        ({"kind": 2, "operator_id": "x" * 129}, "operator_id: expected at most 128 bytes from operator, received 129"),
+        ({"kind": 1, "operator_id": "x"}, "operator_id: expected at most 0 bytes from policy, received 1"),
+        ({"operator_id": "x"}, "operator_id: expected at most 0 bytes from unknown, received 1"),
+    ],
+)
+def test_a_source_that_is_none_is_refused_and_changes_nothing(server, source, message):
+    service = server[0].agent
+    robot = Robot(service, policy="left")
+    robot.act()
+    executed = {"executed_action": {"discrete": 1}, "executed_source": source}
+    robot.is_refused(robot.request(**executed), message)
+    ended = {"session_id": robot.id, "reward": 0.0, **executed}
+    with pytest.raises(grpc.RpcError, match=message):
+        service.EndEpisode(**ended)
+    beats = [dict(robot.beats[0], source=source)]
+    robot.is_refused(robot.request(history=1) | {"history": beats}, rf"history\[0\]: .*{message}")
+    without = robot.request(executed_source={"kind": 2})
+    robot.is_refused(without, "executed_action: expected an index from 0 to 1, received none")
+
+
 def test_what_is_no_action_is_refused_before_it_is_sent(client):
     with client.open_session("pendulum") as session:
         session.act(np.zeros(3))
@@ -149,7 +221,7 @@ def test_what_is_no_action_is_refused_before_it_is_sent(client):
 
 @pytest.mark.parametrize("sample", [False, True])
 def test_recordings_hold_it_and_replay_honours_it(server, client, tmp_path, sample):
-    address, recordings = server
+    addresses, recordings = server
     options = spikeserve.SessionOptions(record=True, sample=sample, seed=5)
     answered, executed = [], []
     with (
@@ -170,7 +242,7 @@ def test_recordings_hold_it_and_replay_honours_it(server, client, tmp_path, samp
 
     folder = recordings / recording
     until(lambda: len(list(folder.glob("*.cbor"))) == 2)  # another thread of the server writes the episodes
-    replay = run("spikectl", "replay", f"--recording={folder}", f"--server={address}", "--json")
+    replay = run("spikectl", "replay", f"--recording={folder}", f"--server={addresses.grpc}", "--json")
     result = json.loads(replay.stdout)
     assert result["identical"] and result["decisions"] == len(answered)
     if "SPIKETRAIN_PROGRAM" in os.environ:

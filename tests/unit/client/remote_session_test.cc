@@ -128,8 +128,10 @@ void ExpectEveryFieldSet(const google::protobuf::Message& message,
 }
 
 TEST_F(RemoteSessionTest, EveryFieldOfTheContractCanBeSet) {
-  v1::Action executed;
-  executed.set_discrete(1);
+  v1::ActionSource source;
+  source.set_kind(v1::ActionSource::OPERATOR);
+  ExecutedAction executed({}, source);
+  executed.action.set_discrete(1);
   RemoteSession session = Open();
   ASSERT_TRUE(session.Act(observation_, 0.0).ok());
   // The session counts its decisions and steps. The beats, and the ends of episodes behind them,

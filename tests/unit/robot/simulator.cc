@@ -116,11 +116,17 @@ class Simulator {
     std::vector<KnownStep>& steps = episodes_.back().steps;
     const ActionView replaced = {.discrete = static_cast<int64_t>(Draw(100))};
     const bool is_replaced = !steps.empty() && Draw(10) == 0;
+    const bool is_named = replaced.discrete % 2 == 0;
+    if (is_replaced && (is_named || all_.back().executed != replaced.discrete)) {
+      choosers_.back() = is_named ? Chooser::kOperator : Chooser::kUnknown;
+    }
     if (is_replaced) steps.back().executed = all_.back().executed = replaced.discrete;
-    const bool is_step = robot_.BeginStep({.observation = observation,
-                                           .reward = step.reward,
-                                           .executed = is_replaced ? &replaced : nullptr},
-                                          Clock());
+    const bool is_step = robot_.BeginStep(
+        {.observation = observation,
+         .reward = step.reward,
+         .executed = is_replaced ? &replaced : nullptr,
+         .chooser = {.kind = is_replaced && is_named ? Chooser::kOperator : Chooser::kUnknown}},
+        Clock());
     ASSERT_EQ(is_step, sees || !all_.empty());
     if (!is_step) return;
     all_.push_back(step);
@@ -140,11 +146,15 @@ class Simulator {
     if (choice == Choice::kOwnAction) robot_.TakeOwn(Draw(4) == 0 ? nullptr : &own);
     const StepResult result = robot_.FinishStep(Clock());
     steps.back().executed = all_.back().executed = result.action.discrete;
+    choosers_.push_back(result.chooser.kind);
     CheckAction(result, sees);
     RunUntil(begin + kPeriod);
   }
 
   void CheckAction(const StepResult& result, bool sees) {
+    constexpr Chooser kChoosers[] = {Chooser::kPolicy, Chooser::kHeld, Chooser::kLocal,
+                                     Chooser::kSafe};
+    ASSERT_EQ(result.chooser.kind, kChoosers[static_cast<size_t>(result.source)]);
     const int64_t action = result.action.discrete;
     const uint64_t number = all_.size() - 1;
     const uint64_t first = all_.size() - episodes_.back().steps.size();
@@ -330,6 +340,7 @@ class Simulator {
       const StepView step = robot_.step_log().StepOf(*request.episode, i);
       ASSERT_EQ(step.observation.empty(), !all_[i].observation.has_value());
       ASSERT_EQ(step.executed.discrete, all_[i].executed) << "a history has another action";
+      ASSERT_EQ(step.chooser.kind, choosers_[i]) << "a history names another chooser";
     }
   }
 
@@ -510,7 +521,8 @@ class Simulator {
   RobotSession robot_;
 
   std::vector<KnownStep> all_;
-  std::vector<Time> observed_;  // of all_
+  std::vector<Chooser> choosers_;  // of the executed actions of all_
+  std::vector<Time> observed_;     // of all_
   std::vector<Episode> episodes_{1};
   uint64_t base_ = 0;  // serial number of the first episode of the server's session
   uint64_t next_fresh_ = 0;

@@ -33,6 +33,7 @@ from spikeserve.errors import (
     UnimplementedError,
 )
 from spikeserve.evaluation import Evaluation, EvaluationStoppedError, evaluate
+from spikeserve.executed import Executed
 from spikeserve.explanation import Attention, Explanation, RoutingGates, SpikeRaster, Token
 from spikeserve.piloting.pilot import Pilot
 from spikeserve.piloting.pilot_options import PilotAction, PilotOptions
@@ -86,6 +87,7 @@ __all__ = [
     "EpisodeSummary",
     "Evaluation",
     "EvaluationStoppedError",
+    "Executed",
     "Explanation",
     "FailedPreconditionError",
     "Feature",

@@ -11,7 +11,7 @@ from spikeserve.async_connection import AsyncConnection
 from spikeserve.errors import SessionLostError, SpikeserveError
 from spikeserve.explanation import Explanation
 from spikeserve.session_handle import SessionHandle
-from spikeserve.values import ActionLike, Decision, EpisodeSummary, SessionState
+from spikeserve.values import Decision, EpisodeSummary, ExecutedLike, SessionState
 
 if TYPE_CHECKING:
     from typing_extensions import Self  # typing has it from Python 3.11 on
@@ -36,7 +36,7 @@ class AsyncSession(SessionHandle[AsyncConnection]):
         reward: float | None = None,
         timeout: float | None = None,
         *,
-        executed_action: ActionLike | None = None,
+        executed_action: ExecutedLike | None = None,
     ) -> Decision:
         """Asyncio form of Session.act."""
         try:
@@ -57,7 +57,7 @@ class AsyncSession(SessionHandle[AsyncConnection]):
         target_return: float | None = None,
         observation: ArrayLike | None = None,
         *,
-        executed_action: ActionLike | None = None,
+        executed_action: ExecutedLike | None = None,
     ) -> EpisodeSummary:
         """Asyncio form of Session.end_episode."""
         ending = self.cursor.end_episode(

@@ -21,7 +21,7 @@ from spikeserve.open_requests import (
 )
 from spikeserve.replicas import Route
 from spikeserve.stream_opener import StreamOpener
-from spikeserve.values import ActionLike, Decision
+from spikeserve.values import Decision, ExecutedLike
 from spikeserve.wire import Message
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class AsyncActStream:
         observation: ArrayLike,
         reward: float | None = None,
         *,
-        executed_action: ActionLike | None = None,
+        executed_action: ExecutedLike | None = None,
     ) -> None:
         """Asyncio form of ActStream.send."""
         await self._reopen_if_broken()
@@ -101,7 +101,7 @@ class AsyncActStream:
         observation: ArrayLike,
         reward: float | None = None,
         *,
-        executed_action: ActionLike | None = None,
+        executed_action: ExecutedLike | None = None,
     ) -> Decision:
         """Asyncio form of ActStream.act."""
         self._open.check_empty()

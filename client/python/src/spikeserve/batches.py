@@ -20,13 +20,13 @@ from spikeserve.errors import (
     was_refused,
 )
 from spikeserve.replicas import Replicas, Route
-from spikeserve.values import ActionLike, Decision
+from spikeserve.values import Decision, ExecutedLike
 from spikeserve.wire import METHODS, Message
 
 T = TypeVar("T")
 
 # The executed action of each row; None: as answered. None in place of the list: all as answered.
-ExecutedActions = Sequence[ActionLike | None] | None
+ExecutedActions = Sequence[ExecutedLike | None] | None
 
 
 def by_server(cursors: Sequence[SessionCursor], replicas: Replicas) -> list[list[int]]:

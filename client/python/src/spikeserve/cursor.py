@@ -11,15 +11,16 @@ from numpy.typing import ArrayLike
 from spikeserve.calls import Call, Opened
 from spikeserve.check import check
 from spikeserve.errors import NotFoundError, SpikeserveError, expected_decision, make_error
+from spikeserve.executed import source_to_wire
 from spikeserve.explanation import Explanation
 from spikeserve.feature_order import FeatureOrder
 from spikeserve.replicas import Route
 from spikeserve.trace_context import active_traceparent
 from spikeserve.unacknowledged import Unacknowledged
 from spikeserve.values import (
-    ActionLike,
     Decision,
     EpisodeSummary,
+    ExecutedLike,
     SessionState,
     action_to_wire,
     observation_array,
@@ -61,7 +62,7 @@ class SessionCursor:
         observation: ArrayLike,
         reward: float | None,
         timeout: float | None = None,
-        executed_action: ActionLike | None = None,
+        executed_action: ExecutedLike | None = None,
     ) -> Call[Decision]:
         """Describes Session.act. The response moves the cursor to the next step."""
         check(self.step == 0 or reward is not None, "reward", "one after step 0", None)
@@ -71,6 +72,7 @@ class SessionCursor:
             observation=observation_array(self.order.observation(observation)),
             reward=0.0 if self.step == 0 or reward is None else float(reward),
             executed_action=action_to_wire(self.order.executed(executed_action)),
+            executed_source=source_to_wire(executed_action),
             decision=self.decision,
             traceparent=active_traceparent(),  # for streams, whose metadata is that of one call
         )
@@ -92,7 +94,7 @@ class SessionCursor:
         truncated: bool = False,
         target_return: float | None = None,
         observation: ArrayLike | None = None,
-        executed_action: ActionLike | None = None,
+        executed_action: ExecutedLike | None = None,
     ) -> Call[EpisodeSummary]:
         """Describes Session.end_episode. The response moves the cursor to step 0."""
         request = METHODS["EndEpisode"].request(
@@ -105,6 +107,7 @@ class SessionCursor:
             if observation is None
             else observation_array(self.order.observation(observation)),
             executed_action=action_to_wire(self.order.executed(executed_action)),
+            executed_source=source_to_wire(executed_action),
             episode=self.episode,
             steps=None if self.episode is None else self.step,
         )

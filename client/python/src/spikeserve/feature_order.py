@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spikeserve.check import check, unmasked
+from spikeserve.executed import Executed
 
 if TYPE_CHECKING:
-    from spikeserve.values import ActionLike, Decision, Opening
+    from spikeserve.values import ActionLike, Decision, ExecutedLike, Opening
 
 Indices = NDArray[np.int64]
 
@@ -51,8 +52,10 @@ class FeatureOrder:
             return observation  # what checks the shape names it
         return np.asarray(unmasked(observation, "observation"), np.float32)[self.taken]
 
-    def executed(self, action: ActionLike | None) -> Any:
+    def executed(self, action: ExecutedLike | None) -> Any:
         """Returns an executed action of the robot as one of the policy."""
+        if isinstance(action, Executed):
+            return replace(action, action=self.executed(action.action))
         taken = self.taken_actions
         if action is None or taken is None:
             return action

@@ -26,7 +26,7 @@ from spikeserve.lines import SILENCE_SECONDS
 from spikeserve.retry import Patience
 from spikeserve.session_handle import AnySession
 from spikeserve.stream_opener import StreamOpener
-from spikeserve.values import ActionLike, Decision
+from spikeserve.values import Decision, ExecutedLike
 from spikeserve.wire import Message
 
 
@@ -73,7 +73,7 @@ class OpenRequests(Generic[AnySession]):
         session: AnySession,
         observation: ArrayLike,
         reward: float | None,
-        executed_action: ActionLike | None,
+        executed_action: ExecutedLike | None,
     ) -> Message:
         """Returns the request to send. ValueError if the session has an open request already."""
         session_id = session.session_id

@@ -11,7 +11,7 @@ from spikeserve.connection import Connection
 from spikeserve.errors import SessionLostError, SpikeserveError
 from spikeserve.explanation import Explanation
 from spikeserve.session_handle import SessionHandle
-from spikeserve.values import ActionLike, Decision, EpisodeSummary, SessionState
+from spikeserve.values import Decision, EpisodeSummary, ExecutedLike, SessionState
 
 if TYPE_CHECKING:
     from typing_extensions import Self  # typing has it from Python 3.11 on
@@ -45,7 +45,7 @@ class Session(SessionHandle[Connection]):
         reward: float | None = None,
         timeout: float | None = None,
         *,
-        executed_action: ActionLike | None = None,
+        executed_action: ExecutedLike | None = None,
     ) -> Decision:
         """Returns the decision at this step and moves to the next step.
 
@@ -79,7 +79,7 @@ class Session(SessionHandle[Connection]):
         target_return: float | None = None,
         observation: ArrayLike | None = None,
         *,
-        executed_action: ActionLike | None = None,
+        executed_action: ExecutedLike | None = None,
     ) -> EpisodeSummary:
         """Sends the last reward, ends the episode and moves to step 0 of the next episode.
 

@@ -23,7 +23,7 @@ from spikeserve.open_requests import (
 from spikeserve.replicas import Route
 from spikeserve.session import Session
 from spikeserve.stream_opener import StreamOpener
-from spikeserve.values import ActionLike, Decision
+from spikeserve.values import Decision, ExecutedLike
 from spikeserve.wire import Message
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class ActStream:
         observation: ArrayLike,
         reward: float | None = None,
         *,
-        executed_action: ActionLike | None = None,
+        executed_action: ExecutedLike | None = None,
     ) -> None:
         """Sends a request for the decision at the step of `session`. Does not wait.
 
@@ -175,7 +175,7 @@ class ActStream:
         reward: float | None = None,
         timeout: float | None = None,
         *,
-        executed_action: ActionLike | None = None,
+        executed_action: ExecutedLike | None = None,
     ) -> Decision:
         """Sends and receives. ValueError if another request is under way."""
         self._open.check_empty()

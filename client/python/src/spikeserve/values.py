@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spikeserve.check import check, unmasked
+from spikeserve.executed import Executed
 from spikeserve.spaces import ActionSpace, action_space_from_wire
 from spikeserve.wire import Message, message_class
 
@@ -17,6 +18,7 @@ from spikeserve.wire import Message, message_class
 Action = int | NDArray[np.float32]
 # The same as an agent passes it.
 ActionLike = int | np.integer[Any] | ArrayLike
+ExecutedLike = ActionLike | Executed
 
 
 @dataclass(frozen=True)
@@ -401,12 +403,15 @@ def _flat(values: ArrayLike) -> NDArray[np.float32]:
     return np.asarray(values, np.float32).ravel()
 
 
-def action_to_wire(action: ActionLike | None) -> Message | None:
+def action_to_wire(action: ExecutedLike | None) -> Message | None:
     """Converts an executed action. None: the action was executed as answered.
 
     An integer is an index of a Discrete space; an array of one dimension is an action of a Box.
     ValueError for anything else.
     """
+    if isinstance(action, Executed):
+        check(action.action is not None, "executed_action", "an action with a source", "None")
+        action = action.action
     if action is None:
         return None
     array = np.asarray(unmasked(action, "executed_action"))

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from spikeserve.check import check
+from spikeserve.executed import SOURCES, Executed
 from spikeserve.piloting.pilot_options import PilotOptions
 from spikeserve.piloting.robot_messages import from_robot
 from spikeserve.values import Action
@@ -70,7 +71,9 @@ class LocalEngine:
     def play(self, work: Mapping[str, Any]) -> Action:
         """Plays a step, or the end of an episode. Returns the decision; 0 if there is none."""
         given = work["executed"]
-        executed = None if given is None else from_robot(given)
+        executed = None
+        if given is not None:
+            executed = Executed(from_robot(given), SOURCES[work["source"]], work["operator_id"])
         if work["is_end"]:
             self._session.end_episode(
                 work["reward"],

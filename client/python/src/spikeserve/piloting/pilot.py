@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spikeserve.connection import Connection
+from spikeserve.executed import source_of
 from spikeserve.piloting import robot_clock
 from spikeserve.piloting.link import Link
 from spikeserve.piloting.pilot_options import PilotAction, PilotOptions
@@ -27,7 +28,7 @@ from spikeserve.piloting.robot_messages import (
 from spikeserve.piloting.server_session import ServerSession, nanoseconds
 from spikeserve.stream_opener import StreamOpener
 from spikeserve.trace_context import active_traceparent
-from spikeserve.values import ActionLike, EpisodeSummary
+from spikeserve.values import EpisodeSummary, ExecutedLike
 
 if TYPE_CHECKING:
     from typing_extensions import Self  # typing has it from Python 3.11 on
@@ -90,13 +91,14 @@ class Pilot:
         observation: ArrayLike,
         reward: float = 0.0,
         *,
-        executed_action: ActionLike | None = None,
+        executed_action: ExecutedLike | None = None,
     ) -> PilotAction:
         """Returns the action for an observation, at most `budget` seconds later.
 
         `reward` is for the action of the beat before; the first beat of an episode ignores it.
         `executed_action` is what the robot executed in the beat before, if it differs from the
-        returned action, for example because a safety layer clipped it.
+        returned action, for example because a safety layer clipped it; `Executed` says who chose
+        it.
 
         Raises ValueError as long as no observation was valid: the robot is not wired right. Later,
         a beat whose observation has another size, or a number that is not finite, has a held or a
@@ -106,10 +108,12 @@ class Pilot:
         deadline = began + self._wait
         seen, wrong = observation_of(observation, self._size, self._order)
         executed = to_robot(executed_action, self._space, self._order)
+        source = source_of(executed_action)
         traceparent, earned = active_traceparent(), number_of(reward)
         machine, changed = self._machine, self._link.changed
         with changed:
-            if not machine.begin_step(seen, earned, executed, traceparent, began, robot_now):
+            step = seen, earned, executed, source, traceparent
+            if not machine.begin_step(*step, began, robot_now):
                 raise ValueError(wrong or machine.invalid_observation())
             sees = machine.sees()
             if not sees:
@@ -136,7 +140,7 @@ class Pilot:
         target_return: float | None = None,
         observation: ArrayLike | None = None,
         *,
-        executed_action: ActionLike | None = None,
+        executed_action: ExecutedLike | None = None,
     ) -> Future[EpisodeSummary]:
         """Ends the episode; the next beat begins another one. Never waits, and never raises.
 
@@ -153,9 +157,10 @@ class Pilot:
         target = None if target_return is None else number_of(target_return)
         executed = to_robot(executed_action, self._space, self._order)
         ending = number_of(reward), bool(terminated), bool(truncated), target, last, executed
+        source = source_of(executed_action)
         with self._link.changed:
             steps, lost_steps = self._machine.running_steps(), self._machine.lost_steps()
-            serial = self._machine.end_episode(*ending)
+            serial = self._machine.end_episode(*ending, source)
             if serial is not None:
                 self._link.await_end(serial, summary)
             elif steps > 0:

@@ -20,6 +20,7 @@ from spikeserve.errors import (
     expected_episode,
     make_error,
 )
+from spikeserve.executed import Executed
 from spikeserve.feature_order import FeatureOrder
 from spikeserve.spaces import ActionSpace, Box
 from spikeserve.wire import Message
@@ -55,6 +56,8 @@ def to_robot(
     action: Any, space: ActionSpace, order: FeatureOrder = _SAME
 ) -> int | NDArray[np.float32] | None:
     """Returns an action as the machine takes it; what is none as one that it refuses."""
+    if isinstance(action, Executed):
+        action = action.action
     if action is None:
         return None
     try:
@@ -126,6 +129,7 @@ def take_reply(machine: Any, reply: Message, now: int, robot_now: int) -> tuple[
         error,
         reply.next_step,
         action,
+        (reply.source.kind, reply.source.operator_id),
         reply.observed_at,
         reply.wiring.is_safe_action,
         reply.durable_decision,
