@@ -285,4 +285,3 @@ def test_without_a_policy_for_the_environment_it_says_what_there_is(tmp_path):
     with running_server(tmp_path) as server:
         expected = "no policy for Acrobot-v1 is served; the server has cartpole-v1/1"
         assert_one_line(server, expected, "run", "--env=Acrobot-v1")
-    assert_one_line(server, f"no server could be reached at {server.grpc}", "policies")

@@ -115,6 +115,7 @@ def test_the_clients_take_the_server_from_the_environment_and_a_file(program, ar
         failed = [threads.submit(run, program, *arguments, *flags, **variables) for _, flags, variables in runs]
         for (port, *_), each in zip(runs, failed, strict=True):
             assert f"no server could be reached at 127.0.0.1:{port}" in each.result().stderr
+            assert each.result().stderr.count("\n") == 1
 
 
 def test_a_section_of_a_file_holds_the_flags_of_a_command(tmp_path):

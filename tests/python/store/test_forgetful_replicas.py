@@ -24,9 +24,9 @@ def expects(decision):
 
 def out_of_order(decision):
     """Returns a google.rpc.Status that names the expected decision, as server/base/expected_decision.cc does."""
-    pair = b"\x0a\x11expected_decision\x12" + bytes([len(str(decision))]) + str(decision).encode()
     status = STATUS(code=grpc.StatusCode.FAILED_PRECONDITION.value[0])
-    status.details.add(type_url="type.googleapis.com/google.rpc.ErrorInfo", value=b"\x1a" + bytes([len(pair)]) + pair)
+    info = message_class("ErrorInfo", "google.rpc")(metadata={"expected_decision": str(decision)})
+    status.details.add().Pack(info)
     return status.SerializeToString()
 
 
