@@ -16,9 +16,6 @@ constexpr double kShortest = 1e-6;  // seconds; the lower end of the first bucke
 // The durations of a session's first decisions count.
 constexpr int64_t kMostDecisions = 1000;
 
-// Ranges of training that are plausible.
-constexpr double kPlausible = 10.0;
-
 // Returns the lower ends of the buckets and the upper end of the last one, in seconds. Each octave
 // has the fractions of the first one, so the ends do not depend on the C library's functions.
 constexpr std::array<double, DurationCounts::kBuckets + 1> LowerEnds() {
@@ -82,7 +79,7 @@ void DurationCounts::Add(const DurationCounts& other) {
 PlausibleReturns PlausibleReturns::Of(const Policy& policy) {
   const auto middle = static_cast<double>(policy.return_offset);
   const double target = std::abs(static_cast<double>(policy.target_return) - middle);
-  const double reach = kPlausible * std::max(static_cast<double>(policy.return_scale), target);
+  const double reach = kTimesTrained * std::max(static_cast<double>(policy.return_scale), target);
   if (reach == 0.0) return {};  // a policy that knows no range
   return {.low = middle - reach, .high = middle + reach};
 }

@@ -49,12 +49,15 @@ class DurationCounts {
 
 // The returns that a policy can have earned; others are implausible.
 struct PlausibleReturns {
+  static constexpr double kTimesTrained = 10.0;
   double low = -std::numeric_limits<double>::infinity();
   double high = std::numeric_limits<double>::infinity();
 
   // Returns ten times the range for which the policy was trained, on either side of its middle:
   // return_offset and return_scale, or target_return if that lies further away.
   static PlausibleReturns Of(const Policy& policy);
+  // Returns the width of the range for which the policy was trained; infinite if it knows none.
+  double TrainedRange() const { return (high - low) / kTimesTrained; }
   bool Contain(double episode_return) const {
     return std::isfinite(episode_return) && episode_return >= low && episode_return <= high;
   }

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <numeric>
+#include <utility>
 
 namespace spikeserve {
 namespace {
@@ -90,6 +91,8 @@ CenteredReturns CenterReturns(const VersionEvidence::Counts& new_version,
   const double factor = VarianceFactor(fresh.size() + old.size(), tenants);
   centered.new_version.variance *= factor;
   centered.stable_version.variance *= factor;
+  centered.new_values = std::move(fresh);
+  centered.stable_values = std::move(old);
   return centered;
 }
 

@@ -46,6 +46,8 @@ EvidenceTotal TotalOf(const VersionEvidence::Counts& counts, const std::string* 
 struct CenteredReturns {
   TrimmedMean new_version;
   TrimmedMean stable_version;
+  std::vector<double> new_values = {};  // in any order
+  std::vector<double> stable_values = {};
 };
 
 // Compares the tenants that have sessions on both versions, except `without`.

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <map>
 #include <utility>
 
@@ -26,13 +27,15 @@ struct Evidence {
   EvidenceTotal fresh;
   EvidenceTotal stable;
   CenteredReturns centered;
+  double trained_range = 0.0;
 };
 
 Evidence Gather(const VersionEvidence::Counts& fresh, const VersionEvidence::Counts& stable,
-                const std::string* without) {
+                const std::string* without, double trained_range) {
   return {.fresh = TotalOf(fresh, without),
           .stable = TotalOf(stable, without),
-          .centered = CenterReturns(fresh, stable, without)};
+          .centered = CenterReturns(fresh, stable, without),
+          .trained_range = trained_range};
 }
 
 // A comparison, the size of typical observations, and the values that a sentence shows.
@@ -40,17 +43,39 @@ struct Judged {
   Comparison comparison;
   double scale = 0.0;
   std::string values;
+  // The observations in [0, 1], of which lower ones are worse, and by how much a mean may be lower;
+  // empty: so many that their means are normal.
+  std::vector<Observed> fresh = {};
+  std::vector<Observed> stable = {};
+  double margin = 0.0;
 };
 
 double ShareOf(int64_t part, int64_t all) {
   return all == 0 ? 0.0 : static_cast<double>(part) / static_cast<double>(all);
 }
 
+// Returns values whose middle is 0 in units of `range`, as numbers in [0, 1].
+std::vector<Observed> InRange(const std::vector<double>& values, double range) {
+  std::vector<Observed> observed;
+  for (const double value : values) {
+    observed.push_back({.value = std::clamp(0.5 + value / range, 0.0, 1.0)});
+  }
+  return observed;
+}
+
 Judged JudgeReturn(double margin, const Evidence& evidence) {
   const TrimmedMean& fresh = evidence.fresh.returns;
   const TrimmedMean& stable = evidence.stable.returns;
-  const auto& [centered_fresh, centered_stable] = evidence.centered;
+  const auto& [centered_fresh, centered_stable, new_values, stable_values] = evidence.centered;
   const double allowed = margin * std::abs(stable.mean);
+  const bool few = std::min(centered_fresh.count, centered_stable.count) < kFewestNormal;
+  double range = evidence.trained_range;
+  if (few && std::isinf(range)) {
+    range = std::numeric_limits<double>::min();
+    for (const auto* values : {&new_values, &stable_values}) {
+      for (const double value : *values) range = std::max(range, 2.0 * std::abs(value));
+    }
+  }
   return {{.difference = centered_stable.mean - allowed - centered_fresh.mean,
            .new_variance = centered_fresh.variance,
            .stable_variance = centered_stable.variance,
@@ -58,11 +83,14 @@ Judged JudgeReturn(double margin, const Evidence& evidence) {
            .stable_count = centered_stable.count},
           std::max(std::abs(stable.mean), std::abs(fresh.mean)),
           absl::StrFormat("mean return %.4g over %d sessions, stable version %.4g over %d",
-                          fresh.mean, fresh.count, stable.mean, stable.count)};
+                          fresh.mean, fresh.count, stable.mean, stable.count),
+          InRange(few ? new_values : std::vector<double>(), range),
+          InRange(few ? stable_values : std::vector<double>(), range),
+          allowed / range};
 }
 
 Judged JudgeErrors(double margin, const Evidence& evidence) {
-  const auto& [fresh, stable, centered] = evidence;
+  const EvidenceTotal &fresh = evidence.fresh, &stable = evidence.stable;
   const double fresh_share = ShareOf(fresh.failed_sessions, fresh.sessions);
   const double stable_share = ShareOf(stable.failed_sessions, stable.sessions);
   // If there is no difference, both shares are those of all sessions together. One failure that has
@@ -78,7 +106,10 @@ Judged JudgeErrors(double margin, const Evidence& evidence) {
           1.0,
           absl::StrFormat("%d of %d sessions had errors, stable version %d of %d",
                           fresh.failed_sessions, fresh.sessions, stable.failed_sessions,
-                          stable.sessions)};
+                          stable.sessions),
+          {{0.0, fresh.failed_sessions}, {1.0, fresh.sessions - fresh.failed_sessions}},
+          {{0.0, stable.failed_sessions}, {1.0, stable.sessions - stable.failed_sessions}},
+          margin};
 }
 
 // Compares the share of slow decisions: those above the stable version's 99th percentile with the
@@ -119,9 +150,12 @@ std::string FindWorse(const std::vector<RolloutCondition>& conditions, const Evi
   const double threshold = portable::Log(static_cast<double>(conditions.size()) / false_finds);
   for (const RolloutCondition& condition : conditions) {
     const Judged judged = Judge(condition, evidence);
-    if (LogWorseRatio(judged.comparison, judged.scale) < threshold) continue;
-    return absl::StrFormat("%s is worse: %s (margin %g)", ToString(condition.measure),
-                           judged.values, condition.margin);
+    const auto& [comparison, scale, values, fresh, stable, margin] = judged;
+    if (LogWorseRatio(comparison, scale) < threshold) continue;
+    const bool few = std::min(comparison.new_count, comparison.stable_count) < kFewestNormal;
+    if (few && !fresh.empty() && LogBettingRatio(fresh, stable, margin) < threshold) continue;
+    return absl::StrFormat("%s is worse: %s (margin %g)", ToString(condition.measure), values,
+                           condition.margin);
   }
   return "";
 }
@@ -154,10 +188,10 @@ std::vector<RolloutCondition> DefaultConditions() {
 
 Verdict JudgeRollout(const std::vector<RolloutCondition>& conditions,
                      const VersionEvidence::Counts& new_version,
-                     const VersionEvidence::Counts& stable_version) {
+                     const VersionEvidence::Counts& stable_version, double trained_range) {
   using Kind = Verdict::Kind;
-  const std::string all =
-      FindWorse(conditions, Gather(new_version, stable_version, nullptr), kFalseAborts);
+  const std::string all = FindWorse(
+      conditions, Gather(new_version, stable_version, nullptr, trained_range), kFalseAborts);
   std::vector<std::string> tenants = TenantsBySessions(new_version, stable_version);
   if (tenants.size() > 1) {
     if (tenants.size() > kMostLeftOut) tenants.resize(kMostLeftOut);
@@ -165,7 +199,7 @@ Verdict JudgeRollout(const std::vector<RolloutCondition>& conditions,
     const double false_finds =
         all.empty() ? kFalseAborts / static_cast<double>(tenants.size()) : kFalseAborts;
     for (std::string& tenant : tenants) {
-      const Evidence others = Gather(new_version, stable_version, &tenant);
+      const Evidence others = Gather(new_version, stable_version, &tenant, trained_range);
       const std::string without = FindWorse(conditions, others, false_finds);
       if (all.empty() == without.empty()) continue;
       const int64_t fewest = std::min(others.fresh.sessions, others.stable.sessions);
@@ -185,7 +219,7 @@ Verdict JudgeRollout(const std::vector<RolloutCondition>& conditions,
 Shortfall ShortfallOf(const std::vector<RolloutCondition>& conditions,
                       const VersionEvidence::Counts& new_version,
                       const VersionEvidence::Counts& stable_version) {
-  const Evidence evidence = Gather(new_version, stable_version, nullptr);
+  const Evidence evidence = Gather(new_version, stable_version, nullptr, /*trained_range=*/1.0);
   Shortfall most;
   for (const RolloutCondition& condition : conditions) {
     const Comparison comparison = Judge(condition, evidence).comparison;

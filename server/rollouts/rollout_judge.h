@@ -40,11 +40,13 @@ struct Verdict {
 // Judges the evidence of now. If only one tenant has sessions in the roll-out, they decide. Of more
 // than kMostLeftOut tenants, those with the most sessions are left out in turn, because no other
 // has more than a twentieth of the sessions. kFalseAborts is divided by the number of conditions
-// (Bonferroni).
+// (Bonferroni). Of fewer than kFewestNormal sessions (sequential_test.h), returns further than half
+// of `trained_range` from the middle of their tenant count as at this end; infinite: of the largest
+// distance, by which the probability is not certain.
 inline constexpr size_t kMostLeftOut = 20;
 Verdict JudgeRollout(const std::vector<RolloutCondition>& conditions,
                      const VersionEvidence::Counts& new_version,
-                     const VersionEvidence::Counts& stable_version);
+                     const VersionEvidence::Counts& stable_version, double trained_range);
 
 // How many more sessions (for p99: decisions) of each version a comparison by all conditions needs.
 struct Shortfall {

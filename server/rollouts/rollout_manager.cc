@@ -273,8 +273,10 @@ std::string RolloutManager::FindAbort(const std::string& policy, const CatalogPo
     }
   }
   Running& running = running_[policy];
+  const Policy& stable = served.versions.at(rollout.stable_version)->policy();
   const Verdict verdict =
-      JudgeRollout(rollout.abort_if, progress.new_version, progress.stable_version);
+      JudgeRollout(rollout.abort_if, progress.new_version, progress.stable_version,
+                   PlausibleReturns::Of(stable).TrainedRange());
   const bool is_disputed = verdict.kind == Verdict::Kind::kDisputed;
   running.disputed_seconds =
       is_disputed && !verdict.contradicted ? running.disputed_seconds + passed_seconds : 0.0;

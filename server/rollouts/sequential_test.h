@@ -6,13 +6,15 @@
 // at every second must not use the threshold of a test that is looked at once: sooner or later
 // chance would exceed it. This one may be looked at any number of times: if the new version is not
 // worse, the probability that the ratio ever reaches 1/alpha is at most alpha, as far as the means
-// are normal, which they are for many observations.
+// are normal, which they are for many observations. For few, bets decide as well.
 //
 // Pure functions; safe to call from many threads.
 #ifndef SERVER_ROLLOUTS_SEQUENTIAL_TEST_H_
 #define SERVER_ROLLOUTS_SEQUENTIAL_TEST_H_
 
 #include <cstdint>
+
+#include "absl/types/span.h"
 
 namespace spikeserve {
 
@@ -33,6 +35,23 @@ inline constexpr int64_t kFewestObservations = 20;
 // minus infinity with fewer than kFewestObservations on a side. If neither side varies, a variance
 // of (`scale` / 1000)^2 is assumed; `scale` is the size of typical observations.
 double LogWorseRatio(const Comparison& comparison, double scale);
+
+// `count` observations with the same value, in [0, 1].
+struct Observed {
+  double value = 0.0;
+  int64_t count = 1;
+};
+
+// As far as fewer observations of a version than these are compared, LogBettingRatio() has to
+// agree, because their means need not be normal.
+inline constexpr int64_t kFewestNormal = 100;
+
+// Returns the logarithm of what bets have won that the mean of `fresh` is below the mean of
+// `stable` by more than `margin` (Waudby-Smith and Ramdas, "Estimating means of bounded random
+// variables by betting", 2024). If it is not, the probability that this ever reaches 1/alpha is at
+// most alpha, for any number of observations in [0, 1] of any distribution. 0 without observations.
+double LogBettingRatio(absl::Span<const Observed> fresh, absl::Span<const Observed> stable,
+                       double margin);
 
 }  // namespace spikeserve
 

@@ -25,6 +25,7 @@ using Kind = Verdict::Kind;
 const std::vector<RolloutCondition> kReturnOnly = {{RolloutMeasure::kReturn, 0.0}};
 constexpr char kTenant[] = "";
 constexpr PlausibleReturns kAnyReturn;
+const double kAnyRange = kAnyReturn.TrainedRange();
 
 void Decide(SessionListener& listener, double compute_seconds) {
   Session session;
@@ -65,7 +66,7 @@ class Arm {
 };
 
 Verdict JudgeReturns(const Arm& fresh, const Arm& stable) {
-  return JudgeRollout(kReturnOnly, fresh.Read(), stable.Read());
+  return JudgeRollout(kReturnOnly, fresh.Read(), stable.Read(), kAnyRange);
 }
 
 TEST(SequentialTest, EqualsTheIntegralOverTheMixture) {
@@ -87,6 +88,35 @@ TEST(SequentialTest, EqualsTheIntegralOverTheMixture) {
     ratio += kStep * density * std::exp((z * effect - effect * effect / 2.0) / unit);
   }
   EXPECT_NEAR(LogWorseRatio(comparison, /*scale=*/1.0), std::log(ratio), 1e-6);
+}
+
+// What the package confseq 0.0.11 computes, by its normal_log_mixture(s, v,
+// v_opt=25.315438421184947, alpha_opt=0.05, is_one_sided=True), whose v_opt is that of effects of
+// scale 0.5, with s the difference in deviations and v = 1, both divided by 1 / new_count + 1 /
+// stable_count.
+TEST(SequentialTest, EqualsConfseq) {
+  const std::vector<std::pair<Comparison, double>> cases = {
+      {{1.3, 4.0, 9.0, 40, 25}, 1.31710782029929},
+      {{0.2, 1.0, 1.0, 100, 100}, 0.226945328897684},
+      {{-0.5, 1.0, 2.0, 150, 300}, -3.3501409499275},
+      {{5.0, 2500.0, 1600.0, 256, 20000}, -0.196585720486791},
+      {{0.4, 0.21, 0.25, 1000, 120}, 32.6591518518031}};
+  for (const auto& [comparison, expected] : cases) {
+    EXPECT_NEAR(LogWorseRatio(comparison, /*scale=*/1.0), expected, 1e-12);
+  }
+}
+
+// What confseq 0.0.11 computes: the logarithm of the mean of betting_mart(x, m) over the stakes s,
+// with theta=1, trunc_scale=1 and the constant bets s / m; of the new version for 1 - x and 1 - m,
+// added to that of the stable version, at the least of all m.
+TEST(BettingTest, EqualsConfseq) {
+  const std::vector<Observed> fresh = {{0.2}, {0.4}, {0.1}, {0.5}, {0.3}, {0.2}, {0.45}};
+  const std::vector<Observed> stable = {{0.7}, {0.9}, {0.6}, {0.8}, {0.75}, {1.0}};
+  EXPECT_NEAR(LogBettingRatio(fresh, stable, 0.0), 1.1218506686222218, 1e-12);
+  EXPECT_NEAR(LogBettingRatio(fresh, stable, 0.1), 0.7690228102869591, 1e-12);
+  EXPECT_NEAR(LogBettingRatio({{{0.0, 15}, {1.0, 10}}}, {{{1.0, 30}, {0.0, 1}}}, 0.01),
+              6.256559734050466, 1e-12);
+  EXPECT_EQ(LogBettingRatio({}, stable, 0.0), 0.0);
 }
 
 TEST(SequentialTest, StaysFiniteFarFromTheHypothesis) {
@@ -164,6 +194,28 @@ TEST(RolloutJudge, EqualVersionsAreNotAborted) {
   }
 }
 
+// A tenth of the new version's sessions earns all of the difference, which a trimmed mean leaves
+// out. The means are equal, and as long as sessions are few, that is what counts.
+TEST(RolloutJudge, RareSuccessesOfFewSessionsAreNotLeftOut) {
+  constexpr int kRollouts = 40, kSessions = 9;
+  std::mt19937_64 random(7);
+  int aborted = 0;
+  for (int rollout = 0; rollout < kRollouts; ++rollout) {
+    Arm fresh, stable;
+    Kind found = Kind::kNotWorse;
+    for (int64_t played = 0; played + kSessions < kFewestNormal; played += kSessions) {
+      for (int session = 0; session < kSessions; ++session) {
+        fresh.Play({std::bernoulli_distribution(0.1)(random) ? 400.0 : Normal(random, 178.0, 5.0)});
+        stable.Play({Normal(random, 200.2, 5.0)});
+      }
+      found = JudgeRollout(kReturnOnly, fresh.Read(), stable.Read(), /*trained_range=*/500.0).kind;
+      if (found == Kind::kWorse) break;
+    }
+    aborted += found == Kind::kWorse;
+  }
+  EXPECT_LE(aborted, kRollouts * kFalseAborts);
+}
+
 // The episodes of one session depend on each other: a robot has its own wear and its own place.
 TEST(RolloutJudge, EpisodesOfASessionAreNoIndependentEvidence) {
   const double aborted =
@@ -206,20 +258,23 @@ TEST(RolloutJudge, AWorseVersionIsFound) {
   }
   EXPECT_THAT(JudgeReturns(fresh, stable).reason, HasSubstr("return is worse: mean return 18"));
   EXPECT_EQ(JudgeReturns(stable, fresh).kind, Kind::kNotWorse);
-  EXPECT_EQ(JudgeRollout({{RolloutMeasure::kReturn, 0.1}}, fresh.Read(), stable.Read()).kind,
-            Kind::kNotWorse);
+  EXPECT_EQ(
+      JudgeRollout({{RolloutMeasure::kReturn, 0.1}}, fresh.Read(), stable.Read(), kAnyRange).kind,
+      Kind::kNotWorse);
 }
 
 TEST(RolloutJudge, ReturnsThatNeverVaryAreCompared) {
   Arm fresh, stable;
   for (int session = 0; session < kFewestObservations; ++session) {
-    EXPECT_EQ(JudgeRollout(DefaultConditions(), fresh.Read(), stable.Read()).kind, Kind::kNotWorse);
+    EXPECT_EQ(JudgeRollout(DefaultConditions(), fresh.Read(), stable.Read(), kAnyRange).kind,
+              Kind::kNotWorse);
     fresh.Play({499.0});
     stable.Play({500.0});
   }
-  EXPECT_THAT(JudgeRollout(DefaultConditions(), fresh.Read(), stable.Read()).reason,
+  EXPECT_THAT(JudgeRollout(DefaultConditions(), fresh.Read(), stable.Read(), kAnyRange).reason,
               HasSubstr("mean return 499 over 20 sessions, stable version 500 over 20"));
-  EXPECT_EQ(JudgeRollout(DefaultConditions(), stable.Read(), stable.Read()).kind, Kind::kNotWorse);
+  EXPECT_EQ(JudgeRollout(DefaultConditions(), stable.Read(), stable.Read(), kAnyRange).kind,
+            Kind::kNotWorse);
 }
 
 // Attacks: `liars` of every ten sessions of the new version tell `lie`.
@@ -308,7 +363,8 @@ TEST(RolloutJudge, SessionsWithErrorsAreCountedOnce) {
   EXPECT_EQ(fresh.Read()[kTenant].failed_sessions, 25);
   EXPECT_EQ(fresh.Read()[kTenant].sessions, 100);
   const auto judge = [&](double margin) {
-    return JudgeRollout({{RolloutMeasure::kErrors, margin}}, fresh.Read(), stable.Read());
+    return JudgeRollout({{RolloutMeasure::kErrors, margin}}, fresh.Read(), stable.Read(),
+                        kAnyRange);
   };
   EXPECT_THAT(judge(0.01).reason,
               HasSubstr("errors is worse: 25 of 100 sessions had errors, stable version 0 of 100"));
@@ -333,7 +389,7 @@ TEST(RolloutJudge, ASlowTailIsFoundAndItsMarginIsAllowed) {
   PlayWithSlowTails(fresh, stable, 0.01);
   EXPECT_NEAR(stable.Read()[kTenant].durations.Quantile(0.99), 0.01, 0.001);
   const auto judge = [&](const Arm& judged, double margin) {
-    return JudgeRollout({{RolloutMeasure::kP99, margin}}, judged.Read(), stable.Read());
+    return JudgeRollout({{RolloutMeasure::kP99, margin}}, judged.Read(), stable.Read(), kAnyRange);
   };
   EXPECT_THAT(judge(fresh, 0.25).reason, HasSubstr("p99 is worse"));
   EXPECT_EQ(judge(fresh, 3.0).kind, Kind::kNotWorse);
@@ -344,8 +400,9 @@ TEST(RolloutJudge, ATailThatIsLessThanFiveMillisecondsSlowerIsNoReason) {
   Arm fresh, stable;
   PlayWithSlowTails(fresh, stable, 0.0015);
   for (const double margin : {0.0, 0.25}) {
-    EXPECT_EQ(JudgeRollout({{RolloutMeasure::kP99, margin}}, fresh.Read(), stable.Read()).kind,
-              Kind::kNotWorse);
+    EXPECT_EQ(
+        JudgeRollout({{RolloutMeasure::kP99, margin}}, fresh.Read(), stable.Read(), kAnyRange).kind,
+        Kind::kNotWorse);
   }
 }
 
