@@ -54,7 +54,8 @@ StateSize StateSizeOf(const Policy& policy) {
   const int64_t words = int64_t{size.words} * config.ticks * config.heads;
   int64_t bytes = 10 * 8 + 11 * 4 + 4 + 2 * kCostsBytes + 4 + 4 * actions + action +
                   4 * actions * d + HistorySize(config) * (4 + 4 * observations + action);
-  bytes += 4 * (d + size.widest + slots + config.heads);                  // x, sums, weights, gates
+  // x, sums, weights, gates, merged
+  bytes += 4 * (d + size.widest + slots + config.heads + config.merged_size());
   bytes += words * size.word_bits / 8 * (2 * config.layers * slots + 1);  // keys, values, query
   bytes = RoundUp(bytes, 2) + 2 * (size.widest + int64_t{config.ticks} * size.widest);
   bytes += d + size.text_bytes;
@@ -67,7 +68,7 @@ StateSize StateSizeOf(const Policy& policy) {
 int64_t LargestOfAttention(const Policy& policy) {
   const ModelConfig& config = policy.config;
   const int64_t keys = int64_t{3} * config.context;
-  const int64_t overlap = int64_t{config.ticks} * config.head_size();
+  const int64_t overlap = int64_t{config.plane_ticks()} * config.head_size();
   int64_t scale = 0;
   for (const LayerWeights& layer : policy.weights.layers) {
     for (const int16_t value : layer.fixed_point.attention_scale.values) {
@@ -137,13 +138,14 @@ std::string Sizes(const Policy& policy, const EmitOptions& options, absl::string
   define("CONCAT", int{config.merge == Merge::kConcat});
   define("ROUTING", int{config.has_routing()});
   define("ROUTING_HIDDEN", config.has_routing() ? config.routing_hidden_size : 0);
+  define("GATE_FACTOR", config.gate_factor());
   define("SIGMOID", int{config.gate == Gate::kSigmoid});
   define("PHASES", int{config.has_phase()});
   define("NORMS", int{config.has_norms()});
   define("RELATIVE", int{config.relative_bias});
   define("CHANGES", int{config.observation_changes});
-  const int leak = config.leak_shift();
-  define("LEAKED(v)", absl::StrCat("(((v) + ", 1 << (leak - 1), ") >> ", leak, ")"));
+  define("LEAKED(v)", absl::StrCat("(((v) * ", config.leak(), " + 128) >> 8)"));
+  define("BY_TICK", int{config.attention == AttentionTicks::kByTick});
   define("INPUT_UNIT", absl::StrCat(1 << config.input_fraction, ".0f"));
   define("RETURN_OFFSET", CNumber(policy.return_offset));
   define("RETURN_SCALE", CNumber(policy.return_scale));

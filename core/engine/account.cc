@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "core/contract/dcheck.h"
+#include "core/engine/token_costs.h"
 
 namespace spikeserve {
 namespace {
@@ -34,8 +35,12 @@ constexpr double kNormElement = kAdd32 + kAdd16 + kMultiply16 + 2 * kAdd32 + kSh
 constexpr double kResidualLimit = 2 * kCompare16;
 // The membrane gets the current and is compared with the threshold.
 constexpr double kMembraneUpdate = kAdd16 + kCompare16;
-// The leak is subtracted, with the bit that rounds it as the borrow, and the bias is added.
-constexpr double kMembraneLeak = 2 * kAdd16;
+// The leak is the sum of its signed binary digits, shifted; they are subtracted, with the bit that
+// rounds them as the borrow, and the bias is added.
+double MembraneLeak(const ModelConfig& config) {
+  const auto leak = static_cast<unsigned>(config.leak());
+  return (std::popcount(leak ^ (3 * leak)) + 1) * kAdd16;
+}
 // Multiplied by the reciprocal of the sum of the weights, and rounded.
 constexpr double kScaling = kMultiply16 + kAdd32;
 
@@ -69,10 +74,6 @@ uint64_t LimitedElements(const Counts& counts, const ModelConfig& config) {
   return config.has_norms() ? 0 : counts.coder_gains;
 }
 
-uint64_t KeyBytes(const ModelConfig& config, int neurons) {
-  return (static_cast<uint64_t>(config.ticks) * static_cast<uint64_t>(neurons) + 7) / 8;
-}
-
 // Returns the bytes of the weights of all layers. Those of the embeddings and the head are few.
 double WeightMemory(const ModelConfig& config) {
   const double d = config.hidden_size;
@@ -84,9 +85,9 @@ double WeightMemory(const ModelConfig& config) {
 
 // Returns the bytes of a token's key and value in a layer.
 double StoredBytes(const ModelConfig& config) {
-  const auto d = static_cast<double>(config.hidden_size);
-  if (config.is_dense()) return 2 * d;
-  return static_cast<double>(KeyBytes(config, config.hidden_size)) + d;
+  if (config.is_dense()) return 2.0 * config.hidden_size;
+  return Number(SpikeBytes(config.ticks, config.hidden_size) +
+                ValueBytes(config, config.ticks, config.hidden_size));
 }
 
 }  // namespace
@@ -108,7 +109,7 @@ std::array<PricedOperation, kPricedOperations> OperationsOf(const Counts& counts
       same("float_multiply_accumulate", counts.multiply_accumulates - integers,
            kFloatMultiplyAccumulate),
       same("membrane_update", counts.membrane_updates, kMembraneUpdate),
-      same("membrane_leak", counts.membrane_leaks, kMembraneLeak),
+      same("membrane_leak", counts.membrane_leaks, MembraneLeak(config)),
       same("coder_element", counts.coder_gains, Comparisons(config) * kCompare16),
       same("coder_spike", CoderSpikes(counts), kAdd8),
       {"attention_product", Number(counts.attention_products), attention.narrow, attention.wide},

@@ -49,8 +49,7 @@ struct Counts {
 
   // The next six are counted in integer arithmetic only.
   uint64_t membrane_ticks = 0;  // LIF neurons times ticks, whether they were updated or not
-  // Ticks for which a membrane leaked and integrated its bias, one subtraction and one addition
-  // each. They end with the last input spike.
+  // Ticks for which a membrane leaked and integrated its bias. They end with the last input spike.
   uint64_t membrane_leaks = 0;
   // Those of integer_multiply_accumulates whose activation has 16 bits instead of 8.
   uint64_t wide_multiply_accumulates = 0;
@@ -59,9 +58,9 @@ struct Counts {
   // rows are read when their neuron fires, and each other map whole, once for all new tokens.
   uint64_t weight_bytes = 0;
   // Bytes of keys, values and running sums of values that are read or written: of a token that is
-  // stored, T d key bits, d value counts, and for each nonzero one a 16-bit sum twice read and
-  // written; of a row of a head that is computed, the keys and values of all its tokens; of every
-  // other row, the head's running sums.
+  // stored, T d key bits, its values (ValueBytes()), and for each nonzero one a 16-bit sum twice
+  // read and written; of a row of a head that is computed, the keys and values of all its tokens;
+  // of every other row, the head's running sums.
   uint64_t attention_bytes = 0;
 
   // Except in integer arithmetic, the following depend only on the sizes of the model and on the

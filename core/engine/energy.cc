@@ -32,8 +32,9 @@ constexpr std::array<EnergyModelInfo, kEnergyModels> kInfos = {{
      .source = "Horowitz, ISSCC 2014: 45 nm, 0.9 V, float32"},
     {.counts =
          "0.03 pJ an accumulate, 0.23 pJ a multiply-accumulate in 8 bits and 0.43 pJ one with "
-         "a 16-bit activation; in integer 0.1 pJ a membrane update and a leak, 0.05 pJ each of "
-         "the comparisons that find a coder's period, 0.1 pJ an attention product, 0.9 pJ a "
+         "a 16-bit activation; in integer 0.1 pJ a membrane update, 0.05 pJ each of the additions "
+         "of a leak and of the comparisons that find a coder's period, 0.1 pJ an attention "
+         "product, 0.9 pJ a "
          "scaling, 1.15 pJ a term of a softmax, 0.23 pJ a gate product, 3.15 pJ an element of a "
          "norm, 0.1 pJ an element that is limited "
          "without one; in dense policies 0.23 pJ an attention product; 0.03 pJ a spike of a coder; "

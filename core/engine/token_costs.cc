@@ -38,4 +38,13 @@ uint64_t SharedWeightBytes(const ModelConfig& config, TokenKind kind, int inputs
   return bytes + size(config.layers) * layer + size(actions) * d * sizeof(float);
 }
 
+uint64_t SpikeBytes(int ticks, int neurons) {
+  return (static_cast<uint64_t>(ticks) * static_cast<uint64_t>(neurons) + 7) / 8;
+}
+
+uint64_t ValueBytes(const ModelConfig& config, int ticks, int neurons) {
+  return config.attention == AttentionTicks::kByTick ? SpikeBytes(ticks, neurons)
+                                                     : static_cast<uint64_t>(neurons);
+}
+
 }  // namespace spikeserve

@@ -23,6 +23,11 @@ void AddTokenCosts(const ModelConfig& config, TokenKind kind, int keys, Counts* 
 // head of `actions` outputs. Pure and thread-safe.
 uint64_t SharedWeightBytes(const ModelConfig& config, TokenKind kind, int inputs, int actions);
 
+// Return the bytes of the spikes of `neurons` neurons at `ticks` ticks, and of values in integer
+// arithmetic: spikes, or one count a neuron if attention takes all ticks together.
+uint64_t SpikeBytes(int ticks, int neurons);
+uint64_t ValueBytes(const ModelConfig& config, int ticks, int neurons);
+
 }  // namespace spikeserve
 
 #endif  // CORE_ENGINE_TOKEN_COSTS_H_

@@ -19,22 +19,26 @@ absl::Status CheckInteger(const ModelConfig& config) {
   absl::Status status = CheckRange("input_fraction", config.input_fraction, ModelLimits::kFraction);
   status.Update(CheckRange("residual_fraction", config.residual_fraction, ModelLimits::kFraction));
   if (config.is_dense()) return status;
-  if (config.leak_shift() == 0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("membrane_decay: expected 1 - 2^-k for a k from 1 to 8 in integers, received ",
-                     config.membrane_decay));
+  if (config.leak() == 0) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "membrane_decay: expected 1 - m / 256 for an m from 1 to 128 in integers, received ",
+        config.membrane_decay));
   }
   status.Update(CheckRange("ticks", config.ticks, ModelLimits::kIntegerTicks));
+  if (config.attention == AttentionTicks::kAllTicks && config.has_routing() &&
+      config.merge == Merge::kConcat && config.gate == Gate::kSigmoid) {
+    return absl::InvalidArgumentError(
+        "attention: expected shiftmax_by_tick with concatenated heads and sigmoid gates, received "
+        "shiftmax, which multiplied these gates by the heads; quantize the float32 policy again");
+  }
   return status;
 }
 
 }  // namespace
 
-int ModelConfig::leak_shift() const {
-  for (int k = 1; k <= 8; ++k) {
-    if (membrane_decay == 1.0f - 1.0f / static_cast<float>(1 << k)) return k;
-  }
-  return 0;
+int ModelConfig::leak() const {
+  const float leak = (1.0f - membrane_decay) * 256.0f;
+  return leak >= 1.0f && leak <= 128.0f && leak == std::floor(leak) ? static_cast<int>(leak) : 0;
 }
 
 absl::Status ModelConfig::Validate() const {

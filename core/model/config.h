@@ -57,6 +57,14 @@ constexpr std::array<EnumName<Arithmetic>, 2> EnumNames(Arithmetic) {
   return {{{Arithmetic::kFloat32, "float32"}, {Arithmetic::kInteger, "integer"}}};
 }
 
+// Which ticks of a token attention in Arithmetic::kInteger takes together
+// (docs/design/integer.md#attention): kByTick, as in float32, each at which the query fires and all
+// others; kAllTicks, a model of its own for T > 1 in files of former releases, all of them.
+enum class AttentionTicks { kByTick, kAllTicks };
+constexpr std::array<EnumName<AttentionTicks>, 2> EnumNames(AttentionTicks) {
+  return {{{AttentionTicks::kByTick, "shiftmax_by_tick"}, {AttentionTicks::kAllTicks, "shiftmax"}}};
+}
+
 struct ModelConfig {
   Mode mode = Mode::kFull;
   int hidden_size = 128;         // d
@@ -79,6 +87,7 @@ struct ModelConfig {
   // query and key in tokens.
   bool relative_bias = false;
   // The following belong to Arithmetic::kInteger.
+  AttentionTicks attention = AttentionTicks::kByTick;
   int input_fraction = 8;      // fraction bits of the embeddings' inputs
   int residual_fraction = 10;  // fraction bits of the residual stream
 
@@ -90,21 +99,29 @@ struct ModelConfig {
   int head_size() const { return hidden_size / heads; }  // d_h
   bool is_dense() const { return mode == Mode::kDense; }
   bool is_integer() const { return arithmetic == Arithmetic::kInteger; }
+  // Returns the parts of a token's spikes that attention can separate in integers: 1, or T.
+  int attention_planes() const { return attention == AttentionTicks::kByTick ? ticks : 1; }
+  int plane_ticks() const { return ticks / attention_planes(); }
   bool has_norms() const { return norm == NormKind::kLayer; }
   bool has_phase() const { return mode == Mode::kPos || mode == Mode::kFull; }
   bool has_routing() const { return mode == Mode::kRoute || mode == Mode::kFull; }
   // Returns the number of inputs of the query, key and value projections: d, or d + H with phase
   // spikes (eq. 4.6).
   int attention_inputs() const { return hidden_size + (has_phase() ? heads : 0); }
+  // Returns the factor of the gates: H for the softmax of concatenated heads, so that uniform gates
+  // are 1, and 1 otherwise.
+  int gate_factor() const {
+    return has_routing() && merge == Merge::kConcat && gate == Gate::kSoftmax ? heads : 1;
+  }
   // Returns the number of inputs of the attention's output projection: d_h, or d if the heads are
   // concatenated.
   int merged_size() const {
     return is_dense() || merge == Merge::kConcat ? hidden_size : head_size();
   }
 
-  // Returns the k from 1 to 8 for which membrane_decay is 1 - 2^-k, or 0 if there is none. A
-  // membrane in Arithmetic::kInteger leaks V / 2^k.
-  int leak_shift() const;
+  // Returns the m from 1 to 128 for which membrane_decay is 1 - m / 256, or 0 if there is none. A
+  // membrane in Arithmetic::kInteger leaks V * m / 256.
+  int leak() const;
 
   // Returns INVALID_ARGUMENT if a value is out of range. The message names the field, the expected
   // and the received value.

@@ -24,13 +24,13 @@ using nlohmann::ordered_json;
 
 constexpr char kFormat[] = "spikeserve.policy.v1";
 
-// Keys that had other values in former versions, too; the last two of integer arithmetic alone.
-constexpr std::array<std::pair<const char*, const char*>, 3> kFormerChoices = {
-    {{"coder", "lif"}, {"leak", "shift"}, {"attention", "shiftmax"}}};
+// Keys that had other values in former versions, too; the last one of integer arithmetic alone.
+constexpr std::array<std::pair<const char*, const char*>, 2> kFormerChoices = {
+    {{"coder", "lif"}, {"leak", "shift"}}};
 
 // Returns the keys of kFormerChoices that a policy has.
 absl::Span<const std::pair<const char*, const char*>> FormerChoices(const ModelConfig& config) {
-  return absl::MakeConstSpan(kFormerChoices).first(config.is_integer() ? 3 : 1);
+  return absl::MakeConstSpan(kFormerChoices).first(config.is_integer() ? 2 : 1);
 }
 
 // Calls visit(key, member) for every key of `config`; the reader and the writer share this list.
@@ -55,6 +55,7 @@ void VisitConfig(Config& config, Visitor&& visit) {
 // Calls visit(key, member) for every key that only policies in integer arithmetic have.
 template <typename Config, typename Visitor>
 void VisitIntegerConfig(Config& config, Visitor&& visit) {
+  visit("attention", config.attention);
   visit("input_fraction", config.input_fraction);
   visit("residual_fraction", config.residual_fraction);
 }

@@ -13,21 +13,21 @@ namespace spikeserve {
 
 // The update rule. At every tick the membrane leaks and integrates the bias:
 //
-//   V <- sat16(V - leak(V) + b);  leak(V) = V / 2^shift, rounded to the nearest integer, halves up
+//   V <- sat16(V - leak(V) + b);  leak(V) = V * leak / 256, rounded to the nearest integer, halves
+//   up
 //
 // At a tick at which at least one neuron of the input fires, it then integrates the input and may
 // fire. At other ticks it cannot fire, so a membrane needs no update until the next input spike:
 //
 //   V <- sat16(V + I);  s = 1[V >= threshold];  V <- 0 if s = 1
 //
-// sat16 clamps to [-32768, 32767]. A shift of 0 means no leak.
+// sat16 clamps to [-32768, 32767].
 struct ShiftLif {
-  int shift = 4;  // 0 to 8
+  int leak = 16;  // of 256 at every tick, 0 to 128
 
   // Leaks and integrates the bias for one tick.
   void Leak(int16_t bias, int16_t& membrane) const {
-    const int leaked = shift == 0 ? 0 : (membrane + (1 << (shift - 1))) >> shift;
-    membrane = Saturate(membrane - leaked + bias);
+    membrane = Saturate(membrane - ((membrane * leak + 128) >> 8) + bias);
   }
 
   // Integrates the input spikes of the tick that Leak() has reached. Returns whether the neuron

@@ -20,13 +20,6 @@ namespace {
 // Room that the residual stream keeps for updates before they are normed.
 constexpr double kResidualRoom = 1.25;
 
-// Returns the shift n, 1 to 8, whose leak 2^-n is nearest to `leak` on a logarithmic scale.
-int NearestShift(double leak) {
-  int exponent = 0;
-  const double significand = std::frexp(leak, &exponent);  // 0.5 to 1, squared 0.5 half way
-  return std::clamp(significand * significand < 0.5 ? 1 - exponent : -exponent, 1, 8);
-}
-
 // Tabulates the periods of a coder. The neuron fires within n ticks if its current reaches
 // thresholds[n - 1], so if sign * x exceeds the largest number for which it does not.
 PeriodCoder TabulateCoder(const Coder& coder, const std::vector<float>& thresholds, int fraction) {
@@ -121,12 +114,10 @@ class Rounding {
     status.Update(RoundSpiking(attention + ".value", layer.value, inputs, &maps.value));
     status.Update(RoundSpiking(name + ".ffn.hidden", layer.ffn_hidden, config_.hidden_size,
                                &maps.ffn_hidden));
-    // A row of attention sums the overlaps of all ticks, so the scale is that of their mean.
-    status.Update(
-        RoundScores(attention + ".scale", layer.scale, config_.ticks, &fixed.attention_scale));
+    status.Update(RoundScores(attention + ".scale", layer.scale, &fixed.attention_scale));
     if (config_.relative_bias) {
       status.Update(
-          RoundScores(attention + ".relative", layer.relative, 1, &fixed.attention_relative));
+          RoundScores(attention + ".relative", layer.relative, &fixed.attention_relative));
     }
     if (config_.has_routing()) {
       status.Update(RoundMap(name + ".routing.hidden", layer.routing_hidden, 1.0, kGateFraction,
@@ -149,13 +140,11 @@ class Rounding {
     return status;
   }
 
-  // Rounds `scores` / `divisor` to octaves.
-  static absl::Status RoundScores(const std::string& name, const Tensor& scores, int divisor,
+  // Rounds scores to octaves.
+  static absl::Status RoundScores(const std::string& name, const Tensor& scores,
                                   Int16Tensor* rounded) {
     Tensor octaves = scores;
-    for (float& value : octaves.values) {
-      value = static_cast<float>(value * std::numbers::log2e / divisor);
-    }
+    for (float& value : octaves.values) value = static_cast<float>(value * std::numbers::log2e);
     return RoundNumbers(name, octaves, kScaleFraction, rounded);
   }
 
@@ -216,9 +205,9 @@ absl::StatusOr<ModelConfig> ConfigOf(const Policy& policy, const IntegerOptions&
         "mode: expected one whose parts mode ", std::string(ToString(policy.config.mode)),
         " has, received ", std::string(ToString(config.mode))));
   }
-  const double leak = std::max(1.0 - double{config.membrane_decay}, 1.0 / 256.0);
-  const int shift = NearestShift(leak);
-  config.membrane_decay = 1.0f - std::ldexp(1.0f, -shift);
+  const float leak = std::round((1.0f - config.membrane_decay) * 256.0f);
+  config.membrane_decay = 1.0f - std::clamp(leak, 1.0f, 128.0f) / 256.0f;
+  if (config.is_dense()) config.attention = AttentionTicks::kAllTicks;  // there are no ticks
   config.input_fraction = FractionFor(options.largest_input);
   config.residual_fraction = ResidualFraction(policy, options.largest_residual);
   return config;

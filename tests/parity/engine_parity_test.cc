@@ -4,10 +4,12 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <string>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "core/action/action_head.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/engine/factory/trace_decision.h"
 #include "core/engine/prefix_engine.h"
@@ -208,6 +210,18 @@ std::vector<Shape> IntegerShapes() {
   shapes.push_back({.name = "SlowLeak_integer", .config = ConfigOf(32, 4)});
   shapes.back().config.membrane_decay = 1.0f;
   shapes.back().config.arithmetic = Arithmetic::kInteger;
+  // Files of former releases.
+  for (const Mode mode : {Mode::kBaseline, Mode::kFull}) {
+    for (const bool biased : {false, true}) {
+      shapes.push_back({.name = absl::StrCat("AllTicks_", std::string(ToString(mode)),
+                                             biased ? "_biased" : "", "_integer"),
+                        .config = ConfigOf(36, 3)});
+      shapes.back().config.mode = mode;
+      shapes.back().config.arithmetic = Arithmetic::kInteger;
+      shapes.back().config.attention = AttentionTicks::kAllTicks;
+      shapes.back().config.relative_bias = biased;
+    }
+  }
   shapes.push_back({.name = "Stripped_integer", .config = ConfigOf(64, 2)});
   shapes.back().config.mode = Mode::kBaseline;
   shapes.back().config.arithmetic = Arithmetic::kInteger;
@@ -338,6 +352,42 @@ TEST_P(EngineParityTest, PopulationsAreAlive) {
   for (int i = 0; i < kStages; ++i) {
     if (static_cast<Stage>(i) == Stage::kPhase && !shape.config.has_phase()) continue;
     EXPECT_GT(total.spikes_by_stage[i], 0u) << ToString(static_cast<Stage>(i));
+  }
+}
+
+std::vector<float> Logits(const Engine& engine, const Engine::Output& output) {
+  const Policy& policy = engine.policy();
+  return ChooseAction(policy.weights.head, policy.action_space, output.readout, {}, 0).logits;
+}
+
+// Returns the deviation of the logits of the integers from those in float32, as a share of the
+// deviation of these from their mean.
+double LogitError(Shape shape, uint64_t seed) {
+  shape.config.arithmetic = Arithmetic::kFloat32;
+  const auto exact = MakeEngine(MakePolicy(shape, seed));
+  shape.config.arithmetic = Arithmetic::kInteger;
+  const auto rounded = MakeEngine(MakePolicy(shape, seed));
+  const std::vector<Engine::Output> expected = Play(*exact, shape), actual = Play(*rounded, shape);
+  double error = 0.0, sum = 0.0, squares = 0.0;
+  for (int step = 0; step < shape.steps; ++step) {
+    const float logit = Logits(*exact, expected[step])[0];
+    error += std::pow(Logits(*rounded, actual[step])[0] - logit, 2.0);
+    sum += logit;
+    squares += std::pow(logit, 2.0);
+  }
+  return std::sqrt(error / (squares - sum * sum / shape.steps));
+}
+
+// Weights of 8 bits move a few spikes, and one layer moves no spikes of the next ones.
+TEST(IntegerParityTest, LogitsDifferFromFloat32ByRoundingAlone) {
+  for (Shape& shape : Float32Shapes()) {
+    const bool saturates = shape.spread > 1.0f || shape.config.norm == NormKind::kNone;
+    if (shape.config.is_dense() || saturates) continue;
+    shape.steps = 60;
+    shape.config.layers = 1;
+    double total = 0.0;
+    for (const uint64_t seed : {1, 2, 3}) total += LogitError(shape, seed) / 3.0;
+    EXPECT_LT(total, 0.2) << shape.name;
   }
 }
 

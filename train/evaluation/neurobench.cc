@@ -46,9 +46,8 @@ uint64_t DenseProducts(const Policy& policy, TokenKind kind, int inputs) {
   const uint64_t d = size(config.hidden_size);
   const uint64_t ticks = size(config.ticks);
   const uint64_t projection = ticks * size(config.attention_inputs()) * d;
-  // Integer arithmetic routes once for all ticks.
   const uint64_t routing = config.has_routing()
-                               ? (config.is_integer() ? 1 : ticks) *
+                               ? size(config.attention_planes()) *
                                      size(config.routing_hidden_size) * (d + size(config.heads))
                                : 0;
   // The query, routing, the output of the attention, and the FFN, whose input has ticks.

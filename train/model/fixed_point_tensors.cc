@@ -47,10 +47,18 @@ torch::Tensor ForEachRow(const torch::Tensor& x, Function function) {
   return result;
 }
 
-// Returns the weights of shiftmax [B, H, Q, S] before the band is applied.
-torch::Tensor ShiftmaxWeights(const HeadInputs& inputs, const torch::Tensor& scale) {
+// [T, B, S, d] -> [T, B, H, S, d_h]
+torch::Tensor SplitHeads(const torch::Tensor& spikes, const ModelConfig& config) {
+  return spikes.to(torch::kDouble)
+      .unflatten(-1, {config.heads, config.head_size()})
+      .transpose(-2, -3);
+}
+
+// Returns the weights of shiftmax [T, B, H, Q, S] for the overlaps, before the band is applied.
+torch::Tensor ShiftmaxWeights(const HeadInputs& inputs, const torch::Tensor& overlaps,
+                              const torch::Tensor& scale) {
   constexpr double kOutside = -1e15;  // less than any score
-  torch::Tensor scores = inputs.overlaps * scale;
+  torch::Tensor scores = overlaps * scale;
   if (inputs.biases.defined()) scores = scores + inputs.biases;
   const torch::Tensor best = scores.masked_fill(inputs.band.logical_not(), kOutside).amax(-1, true);
   const torch::Tensor octaves = RoundScaled(best - scores, std::ldexp(1.0, -kScaleFraction));
@@ -94,35 +102,43 @@ torch::Tensor CodeSpikes(const PeriodCoder& coder, const torch::Tensor& x) {
 
 torch::Tensor AttendInIntegers(const HeadInputs& inputs, const Int16Tensor& scale,
                                const ModelConfig& config) {
-  const torch::Tensor shiftmax = ShiftmaxWeights(inputs, Numbers(scale).view({-1, 1, 1}));
-  const bool weighs_all = inputs.biases.defined();
-  const torch::Tensor weights =
-      (weighs_all ? shiftmax : torch::where(inputs.fires, shiftmax, torch::ones_like(shiftmax))) *
-      inputs.band;
-  const torch::Tensor attended = torch::matmul(weights, inputs.values);
-  return RoundQuotient(attended * std::ldexp(1.0, kGateFraction),
-                       weights.sum(-1, true) * config.ticks)
+  SPIKESERVE_DCHECK(config.attention == AttentionTicks::kByTick);
+  const torch::Tensor query = SplitHeads(inputs.query, config);
+  const torch::Tensor overlaps =
+      torch::matmul(query, SplitHeads(inputs.key, config).transpose(-1, -2));
+  torch::Tensor weights = ShiftmaxWeights(inputs, overlaps, Numbers(scale).view({-1, 1, 1}));
+  const torch::Tensor fires = query.amax(-1, true) > 0.0;  // [T, B, H, Q, 1]
+  if (!inputs.biases.defined()) weights = torch::where(fires, weights, torch::ones_like(weights));
+  weights = weights * inputs.band;
+  torch::Tensor sums = torch::matmul(weights, SplitHeads(inputs.value, config));
+  torch::Tensor totals = weights.sum(-1, true);
+  // The ticks without a query spike are one group.
+  const torch::Tensor silent = fires.any(2, true).logical_not();
+  const auto group = [&silent](const torch::Tensor& x) {
+    return torch::where(silent, (x * silent).sum(0, true), x);
+  };
+  return RoundQuotient(group(sums) * std::ldexp(1.0, kGateFraction), group(totals))
       .clamp_max(kLargestAttended);
 }
 
 torch::Tensor MergeInIntegers(const FixedPointLayer& layer, const ModelConfig& config,
                               const torch::Tensor& y) {
-  const double unit = std::ldexp(1.0, -kGateFraction);
   const bool concat = config.merge == Merge::kConcat;
-  torch::Tensor merged = concat ? y.flatten(-2) : y.sum(-2);
+  torch::Tensor heads = y.transpose(2, 3);  // [T, B, Q, H, d_h]
+  double unit = concat ? 1.0 : config.heads;
   if (config.has_routing()) {
     const torch::Tensor hidden =
-        ApplyMap(layer.routing_hidden, y.flatten(-2)).clamp(0, kLargestResidual);
+        ApplyMap(layer.routing_hidden, heads.flatten(-2)).clamp(0, kLargestResidual);
     const torch::Tensor gates =
         ForEachRow(ApplyMap(layer.routing_gate, hidden),
                    [&config](std::vector<int32_t>& row) { GateScores(config, row); });
-    const torch::Tensor gated = gates.unsqueeze(-1) * y;
-    // The gates of concatenated heads are multiplied by H, so that uniform gates are 1.
-    merged = RoundScaled(concat ? gated.flatten(-2) * config.heads : gated.sum(-2), unit);
-  } else if (!concat) {
-    merged = RoundQuotient(merged, torch::full({1}, config.heads, torch::kDouble));
+    heads = gates.unsqueeze(-1) * heads * config.gate_factor();
+    unit = std::ldexp(1.0, kGateFraction);
   }
-  return merged.clamp_max(kLargestAttended);
+  const torch::Tensor sums =
+      concat ? heads.sum(0).flatten(-2) : heads.sum(std::vector<int64_t>{0, 3});
+  return RoundQuotient(sums, torch::full({1}, unit * config.ticks, torch::kDouble))
+      .clamp_max(kLargestAttended);
 }
 
 }  // namespace spikeserve

@@ -39,21 +39,21 @@ torch::Tensor Normalize(const FixedPointNorm& norm, const torch::Tensor& x);
 // Returns the spikes (0 or 1, float32) of a coder for x [..., d]: [T, ..., d].
 torch::Tensor CodeSpikes(const PeriodCoder& coder, const torch::Tensor& x);
 
-// One head per second dimension.
+// Spikes, 0 or 1, and which tokens see each other.
 struct HeadInputs {
-  torch::Tensor overlaps;  // s: [B, H, Q, S]
-  torch::Tensor fires;     // whether a query neuron fires, bool: [B, H, Q, 1]
-  torch::Tensor values;    // spike counts: [B, H, S, d_h]
-  torch::Tensor band;      // whether a token attends to another, bool: [Q, S]
-  torch::Tensor biases;    // of the scores: [H, Q, S], or undefined without biases
+  torch::Tensor query;   // [T, B, Q, d]
+  torch::Tensor key;     // [T, B, S, d]
+  torch::Tensor value;   // [T, B, S, d]
+  torch::Tensor band;    // whether a token attends to another, bool: [Q, S]
+  torch::Tensor biases;  // of the scores: [H, Q, S], or undefined without biases
 };
 
-// Returns y with kGateFraction fraction bits: [B, H, Q, d_h]. `scale` is [H]. REQUIRES: attention
-// by shiftmax.
+// Returns y with kGateFraction fraction bits: [T, B, H, Q, d_h], equal at all ticks at which the
+// query does not fire. REQUIRES: attention by tick.
 torch::Tensor AttendInIntegers(const HeadInputs& inputs, const Int16Tensor& scale,
                                const ModelConfig& config);
 
-// Returns the merged heads of y [B, Q, H, d_h], with kGateFraction fraction bits: [B, Q,
+// Returns the merged heads of y [T, B, H, Q, d_h], with kGateFraction fraction bits: [B, Q,
 // merged_size].
 torch::Tensor MergeInIntegers(const FixedPointLayer& layer, const ModelConfig& config,
                               const torch::Tensor& y);

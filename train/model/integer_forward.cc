@@ -37,7 +37,7 @@ class IntegerPass {
         p_(parameters),
         coder_(coder),
         clips_(clips),
-        band_(BandMask(clips.timesteps.size(1), config_.context, torch::kCPU) == 0.0) {}
+        mask_(BandMask(clips.timesteps.size(1), config_.context, torch::kCPU)) {}
 
   ModelOutput Run() {
     Fixed x = Embed();
@@ -118,7 +118,7 @@ class IntegerPass {
   // Returns the spikes [T, B, tokens, neurons] of the population `name` for input spikes [T, B,
   // tokens, in].
   torch::Tensor Fire(const torch::Tensor& input, const std::string& name, Stage stage, int layer) {
-    const IntegerLifOptions options = {.neuron = ShiftLif{config_.leak_shift()},
+    const IntegerLifOptions options = {.neuron = ShiftLif{config_.leak()},
                                        .threshold = maps_.threshold(name),
                                        .scale = maps_.scale(name),
                                        .ticks = config_.ticks,
@@ -130,49 +130,29 @@ class IntegerPass {
     return spikes;
   }
 
-  // [T, B, tokens, d] -> [B, H, tokens, T d_h]
-  torch::Tensor HeadSpikes(const torch::Tensor& spikes) const {
-    return spikes.unflatten(-1, {config_.heads, config_.head_size()})
-        .permute({1, 3, 2, 0, 4})
-        .flatten(-2);
-  }
-
-  // Returns y of each token and head, [B, Q, H, d_h], with kGateFraction fraction bits.
-  Fixed Attend(const torch::Tensor& q, const torch::Tensor& k, const torch::Tensor& v, int layer) {
-    const torch::Tensor asking = HeadSpikes(q);
-    // At most T d_h, which float32 holds exactly.
-    const torch::Tensor overlaps = torch::matmul(asking, HeadSpikes(k).transpose(-1, -2));
-    const torch::Tensor counts =
-        v.sum(0).unflatten(-1, {config_.heads, config_.head_size()}).transpose(1, 2);
-    const torch::Tensor band = IsLast(layer) ? StateTokens(band_, 0) : band_;
+  // Returns y of each tick, token and head, [T, B, H, Q, d_h], with kGateFraction fraction bits.
+  Fixed AttendHeads(const torch::Tensor& q, const torch::Tensor& k, const torch::Tensor& v,
+                    int layer) {
+    const auto asking = [&](const torch::Tensor& of_all) {
+      return IsLast(layer) ? StateTokens(of_all, -2) : of_all;
+    };
+    const std::string attention = absl::StrCat("layers.", layer, ".attention");
     const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
-    HeadInputs inputs = {.overlaps = overlaps.detach().to(torch::kDouble),
-                         .fires = asking.detach().amax(-1, true) > 0.0,
-                         .values = counts.detach().to(torch::kDouble),
-                         .band = band,
+    const int64_t tokens = mask_.size(-1);
+    HeadInputs inputs = {.query = q.detach(),
+                         .key = k.detach(),
+                         .value = v.detach(),
+                         .band = asking(mask_) == 0.0,
                          .biases = {}};
-    if (config_.relative_bias) inputs.biases = Biases(Numbers(weights.attention_relative), layer);
+    torch::Tensor mask = mask_;
+    if (config_.relative_bias) {
+      inputs.biases = asking(RelativeBiases(Numbers(weights.attention_relative), tokens));
+      mask = mask + RelativeBiases(p_[attention + ".relative"], tokens);
+    }
     const torch::Tensor level = AttendInIntegers(inputs, weights.attention_scale, config_);
     const torch::Tensor real =
-        torch::matmul(Weights(overlaps, band, layer), counts / config_.ticks);
-    return {level.transpose(1, 2),
-            StraightThrough(level * std::ldexp(1.0, -kGateFraction), real).transpose(1, 2)};
-  }
-
-  // Returns the biases of the scores of a layer from those by distance, [H, Q, S].
-  torch::Tensor Biases(const torch::Tensor& relative, int layer) const {
-    const torch::Tensor biases = RelativeBiases(relative, band_.size(-1));
-    return IsLast(layer) ? StateTokens(biases, 1) : biases;
-  }
-
-  // Returns the weights of the tokens from which the gradient comes, [B, H, Q, S].
-  torch::Tensor Weights(const torch::Tensor& overlaps, const torch::Tensor& band, int layer) const {
-    const torch::Tensor& scale = p_[absl::StrCat("layers.", layer, ".attention.scale")];
-    torch::Tensor scores = overlaps * scale.view({-1, 1, 1}) / config_.ticks;
-    if (config_.relative_bias) {
-      scores = scores + Biases(p_[absl::StrCat("layers.", layer, ".attention.relative")], layer);
-    }
-    return torch::softmax(scores.masked_fill(band.logical_not(), -1e9), -1);
+        Attend(q, k, v, p_[attention + ".scale"], asking(mask), config_.heads);
+    return {level, StraightThrough(level * std::ldexp(1.0, -kGateFraction), real)};
   }
 
   // Returns the layer's output, [B, 3n, d]. The last layer computes queries and outputs only for
@@ -187,8 +167,8 @@ class IntegerPass {
     const torch::Tensor q = Fire(asking, attention + ".query", Stage::kQuery, layer);
     const torch::Tensor k = Fire(coded, attention + ".key", Stage::kKey, layer);
     const torch::Tensor v = Fire(coded, attention + ".value", Stage::kValue, layer);
-    const Fixed y = Attend(q, k, v, layer);
-    const torch::Tensor merged = RouteHeads(p_, name, config_, y.real.transpose(1, 2).unsqueeze(0));
+    const Fixed y = AttendHeads(q, k, v, layer);
+    const torch::Tensor merged = RouteHeads(p_, name, config_, y.real);
     const torch::Tensor merged_level = MergeInIntegers(weights, config_, y.level);
     const Fixed residual =
         IsLast(layer) ? Fixed{StateTokens(x.level, 1), StateTokens(x.real, 1)} : x;
@@ -223,7 +203,7 @@ class IntegerPass {
   const Parameters& p_;
   const LifOptions coder_;
   const ClipTensors& clips_;
-  const torch::Tensor band_;  // whether token i attends to token j: [3n, 3n], bool
+  const torch::Tensor mask_;  // see BandMask, [3n, 3n]
   torch::Tensor phase_;       // [T, B, 3n, H]
   ModelOutput output_;
 };

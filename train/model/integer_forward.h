@@ -3,7 +3,7 @@
 // rounded_maps.h) and uses surrogate gradients for the spikes.
 //
 // Each number is computed twice: as integers, and in float32 from the float parameters, from which
-// the gradient comes. Attention's gradient is that of a softmax over the mean overlap of all ticks.
+// the gradient comes.
 #ifndef TRAIN_MODEL_INTEGER_FORWARD_H_
 #define TRAIN_MODEL_INTEGER_FORWARD_H_
 
@@ -18,7 +18,7 @@ namespace spikeserve {
 // Runs the policy `rounded`, which is QuantizeToInteger() of a policy with the values of
 // `parameters`, on all clips. `maps` are those of `rounded`, `coder` the neurons of the policy's
 // coders before it was rounded, and the surrogate of all neurons. Thread-safe as long as nothing
-// changes the tensors. REQUIRES: not dense, attention by shiftmax.
+// changes the tensors. REQUIRES: not dense, attention by tick.
 ModelOutput ForwardInIntegers(const Policy& rounded, const RoundedMaps& maps,
                               const Parameters& parameters, const LifOptions& coder,
                               const ClipTensors& clips);

@@ -117,7 +117,7 @@ struct IntegerLifFunction : torch::autograd::Function<IntegerLifFunction> {
     context->save_for_backward(
         {current, options.threshold, options.scale, options.bias, options.events});
     context->saved_data["ticks"] = static_cast<int64_t>(options.ticks);
-    context->saved_data["leak"] = static_cast<int64_t>(options.neuron.shift);
+    context->saved_data["leak"] = static_cast<int64_t>(options.neuron.leak);
     SaveSurrogate(options.surrogate, context);
     return spikes;
   }

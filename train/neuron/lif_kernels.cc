@@ -109,8 +109,7 @@ inline __attribute__((always_inline)) void IntegerDistances(const IntegerLifRang
 
 // Returns the factor by which a membrane decays.
 float DecayOf(const IntegerLifRange& range) {
-  const int shift = range.neuron.shift;
-  return shift == 0 ? 1.0f : 1.0f - std::ldexp(1.0f, -shift);
+  return 1.0f - static_cast<float>(range.neuron.leak) / 256.0f;
 }
 
 // The rows of a backward pass over `size` neurons from `begin` on.

@@ -24,22 +24,39 @@ static int next_token(spike_token* token, spike_token last) {
   return 1;
 }
 
-/* Returns the neurons of a head of a token that fire at some tick. */
-static uint32_t nonzero_neurons(spike_word (*spikes)[SPIKE_WORDS]) {
+/* Ticks that attention takes together: those from `first` on that are not active, or an active one
+   alone. Without SPIKE_BY_TICK none is active, and the only group are all ticks. */
+typedef struct {
+  const uint8_t* active; /* whether the query fires, [SPIKE_TICKS] */
+  int first, ticks;
+} spike_group;
+
+static int in_group(const spike_group* group, int t) {
+  return t == group->first || (!group->active[t] && !group->active[group->first]);
+}
+
+/* Returns the values of a head of a token that are not 0: spikes, or neurons that fire. */
+static uint32_t nonzero_values(spike_word (*spikes)[SPIKE_WORDS], const spike_group* group) {
   uint32_t count = 0;
   int t, w;
   for (w = 0; w < SPIKE_WORDS; ++w) {
     spike_word any = 0;
-    for (t = 0; t < SPIKE_TICKS; ++t) any = (spike_word)(any | spikes[t][w]);
-    count += ones(any);
+    for (t = 0; t < SPIKE_TICKS; ++t) {
+      if (!in_group(group, t)) continue;
+      if (SPIKE_BY_TICK) count += ones(spikes[t][w]);
+      any = (spike_word)(any | spikes[t][w]);
+    }
+    if (!SPIKE_BY_TICK) count += ones(any);
   }
   return count;
 }
 
 /* Adds `weight` times the spikes of a head to the sums [SPIKE_HEAD_SIZE]. */
-static void add_values(int32_t* sums, spike_word (*spikes)[SPIKE_WORDS], int32_t weight) {
+static void add_values(int32_t* sums, spike_word (*spikes)[SPIKE_WORDS], const spike_group* group,
+                       int32_t weight) {
   int t, w, k;
-  for (t = 0; t < SPIKE_TICKS; ++t) {
+  for (t = group->first; t < SPIKE_TICKS; ++t) {
+    if (!in_group(group, t)) continue;
     for (w = 0; w < SPIKE_WORDS; ++w) {
       spike_word bits = spikes[t][w];
       for (k = w * SPIKE_WORD_BITS; bits != 0; bits = (spike_word)(bits >> 1), ++k) {
@@ -49,24 +66,47 @@ static void add_values(int32_t* sums, spike_word (*spikes)[SPIKE_WORDS], int32_t
   }
 }
 
+/* Returns the sums of values that are not 0 of all ticks of a group but its first one. */
+static uint32_t nonzero_sums(const spike_state* s, int layer, int head, spike_token last,
+                             const spike_group* group) {
+  uint32_t count = 0;
+  int t, w;
+  for (t = group->first + 1; SPIKE_BY_TICK && t < SPIKE_TICKS; ++t) {
+    if (!in_group(group, t)) continue;
+    for (w = 0; w < SPIKE_WORDS; ++w) {
+      spike_token token = {0, 0};
+      spike_word any = 0;
+      token.timestep = band_of(s, last);
+      do {
+        any = (spike_word)(any | s->values[layer][slot_of(token)][head][t][w]);
+      } while (next_token(&token, last));
+      count += ones(any);
+    }
+  }
+  return count;
+}
+
 /* Sets s->weights to the weights of the keys of a row, in the order of the band. Returns their
    sum; 0: no query neuron fires, so that all weigh the same. */
 static int32_t weigh_keys(spike_state* s, int layer, int head, spike_token last,
-                          spike_costs* costs) {
-  const int fires = nonzero_neurons(s->query[head]) != 0;
+                          const spike_group* group, spike_costs* costs) {
+  const int fires = nonzero_values(s->query[head], group) != 0;
+  const int spike_bytes = (group->ticks * SPIKE_HEAD_SIZE + 7) / 8;
   spike_token token = {0, 0};
   int32_t best = INT32_MIN, sum = 0;
   uint32_t overlaps = 0;
   int n = 0, i, t, w;
   if (!fires && !SPIKE_RELATIVE) {
-    costs->attention_bytes += 2 * SPIKE_HEAD_SIZE;
+    costs->attention_bytes += (uint32_t)2 * SPIKE_HEAD_SIZE * (SPIKE_BY_TICK ? group->ticks : 1);
+    costs->attention_products += nonzero_sums(s, layer, head, last, group);
     return 0;
   }
   token.timestep = band_of(s, last);
   do {
     spike_word(*key)[SPIKE_WORDS] = s->keys[layer][slot_of(token)][head];
     uint32_t overlap = 0;
-    for (t = 0; fires && t < SPIKE_TICKS; ++t) {
+    for (t = group->first; fires && t < SPIKE_TICKS; ++t) {
+      if (!in_group(group, t)) continue;
       for (w = 0; w < SPIKE_WORDS; ++w) overlap += ones(s->query[head][t][w] & key[t][w]);
     }
     overlaps += overlap;
@@ -74,7 +114,7 @@ static int32_t weigh_keys(spike_state* s, int layer, int head, spike_token last,
   } while (next_token(&token, last));
   costs->softmax_terms += (uint32_t)n;
   costs->attention_bytes +=
-      (uint32_t)(n * ((fires ? (SPIKE_TICKS * SPIKE_HEAD_SIZE + 7) / 8 : 0) + SPIKE_HEAD_SIZE));
+      (uint32_t)(n * ((fires ? spike_bytes : 0) + (SPIKE_BY_TICK ? spike_bytes : SPIKE_HEAD_SIZE)));
   costs->attention_products += overlaps + (SPIKE_RELATIVE ? (uint32_t)n : 0);
   for (i = 0; i < n; ++i) {
     s->weights[i] *= layers[layer].scale[head];
@@ -89,13 +129,14 @@ static int32_t weigh_keys(spike_state* s, int layer, int head, spike_token last,
   return sum;
 }
 
-/* Sets s->sums to the attention of a token, [SPIKE_HEADS][SPIKE_HEAD_SIZE], with 8 fraction bits.
- */
-static void attend(spike_state* s, int layer, spike_token last, spike_costs* costs) {
+/* Sets s->sums to the attention of a token for a group of ticks, [SPIKE_HEADS][SPIKE_HEAD_SIZE],
+   with 8 fraction bits. */
+static void attend(spike_state* s, int layer, spike_token last, const spike_group* group,
+                   spike_costs* costs) {
   int head, k;
   for (head = 0; head < SPIKE_HEADS; ++head) {
     int32_t* y = s->sums + head * SPIKE_HEAD_SIZE;
-    int32_t sum = weigh_keys(s, layer, head, last, costs);
+    int32_t sum = weigh_keys(s, layer, head, last, group, costs);
     const int is_mean = sum == 0;
     spike_token token = {0, 0};
     int n = 0;
@@ -106,27 +147,31 @@ static void attend(spike_state* s, int layer, spike_token last, spike_costs* cos
       const int32_t weight = is_mean ? 1 : s->weights[n];
       ++n;
       if (weight == 0) continue;
-      if (!is_mean) costs->attention_products += nonzero_neurons(value);
-      add_values(y, value, weight);
+      if (!is_mean) costs->attention_products += nonzero_values(value, group);
+      add_values(y, value, group, weight);
     } while (next_token(&token, last));
     if (is_mean) sum = n;
     for (k = 0; k < SPIKE_HEAD_SIZE; ++k) {
       if (y[k] == 0) continue;
       ++costs->attention_scalings;
-      y[k] = limit(round_divide(256 * y[k], sum * SPIKE_TICKS), 0, 255);
+      y[k] = limit(round_divide(256 * y[k], sum * group->ticks), 0, 255);
     }
   }
 }
 
 /* Counts what a token leaves behind: its key, its value, and its part of the sum of all values. */
 static void count_stored(spike_state* s, int layer, int slot, spike_costs* costs) {
+  const uint8_t active[SPIKE_TICKS] = {0};
+  const uint32_t spike_bytes = (SPIKE_TICKS * SPIKE_HIDDEN + 7) / 8;
+  spike_group all = {NULL, 0, SPIKE_TICKS};
   uint32_t sums = 0;
   int head;
+  all.active = active;
   for (head = 0; head < SPIKE_HEADS; ++head)
-    sums += 2 * nonzero_neurons(s->values[layer][slot][head]);
+    sums += 2 * nonzero_values(s->values[layer][slot][head], &all);
   if (SPIKE_RELATIVE) sums = 0;
   costs->attention_products += sums;
-  costs->attention_bytes += (SPIKE_TICKS * SPIKE_HIDDEN + 7) / 8 + SPIKE_HIDDEN + 4 * sums;
+  costs->attention_bytes += spike_bytes + (SPIKE_BY_TICK ? spike_bytes : SPIKE_HIDDEN) + 4 * sums;
 }
 
 #if SPIKE_ROUTING
@@ -160,8 +205,8 @@ static void route(spike_state* s, const spike_layer* layer, spike_costs* costs) 
 }
 #endif
 
-/* Sets s->input to the merged heads. */
-static void merge(spike_state* s, const spike_layer* layer, spike_costs* costs) {
+/* Adds the heads in s->sums, times their gates and the ticks of their group, to s->merged. */
+static void add_heads(spike_state* s, const spike_layer* layer, int ticks, spike_costs* costs) {
   int k;
 #if SPIKE_ROUTING
   int16_t* const y = s->drive[0]; /* which no population needs now */
@@ -172,16 +217,36 @@ static void merge(spike_state* s, const spike_layer* layer, spike_costs* costs) 
   (void)layer;
   (void)costs;
 #endif
-  for (k = 0; k < SPIKE_MERGED; ++k) {
-    int32_t sum = s->sums[k];
-    int h;
-    for (h = 1; !SPIKE_CONCAT && h < SPIKE_HEADS; ++h) sum += s->sums[h * SPIKE_HEAD_SIZE + k];
-    if (SPIKE_ROUTING) {
-      sum = round_shift(SPIKE_CONCAT ? sum * SPIKE_HEADS : sum, 8);
-    } else if (!SPIKE_CONCAT) {
-      sum = round_divide(sum, SPIKE_HEADS);
+  for (k = 0; k < SPIKE_HIDDEN; ++k) s->merged[k % SPIKE_MERGED] += ticks * s->sums[k];
+}
+
+/* Sets s->input to the merged attention of a token. */
+static void attend_and_merge(spike_state* s, int layer, spike_token last, spike_costs* costs) {
+  const int32_t unit = SPIKE_ROUTING ? 256 : SPIKE_CONCAT ? 1 : SPIKE_HEADS;
+  uint8_t active[SPIKE_TICKS];
+  spike_group group = {NULL, 0, 0};
+  int h, k, t, w, silent = SPIKE_TICKS, first_silent = -1;
+  for (t = SPIKE_TICKS - 1; t >= 0; --t) {
+    spike_word any = 0;
+    for (h = 0; SPIKE_BY_TICK && h < SPIKE_HEADS; ++h) {
+      for (w = 0; w < SPIKE_WORDS; ++w) any = (spike_word)(any | s->query[h][t][w]);
     }
-    s->input[k] = (int16_t)limit(sum, -32768, 255);
+    active[t] = any != 0;
+    silent -= active[t];
+    if (!active[t]) first_silent = t;
+  }
+  group.active = active;
+  memset(s->merged, 0, sizeof(s->merged));
+  for (t = 0; t < SPIKE_TICKS; ++t) {
+    if (!active[t] && t != first_silent) continue;
+    group.first = t;
+    group.ticks = active[t] ? 1 : silent;
+    attend(s, layer, last, &group, costs);
+    add_heads(s, &layers[layer], group.ticks, costs);
+  }
+  for (k = 0; k < SPIKE_MERGED; ++k) {
+    const int32_t sum = s->merged[k] * SPIKE_GATE_FACTOR;
+    s->input[k] = (int16_t)limit(round_divide(sum, unit * SPIKE_TICKS), 0, 255);
   }
 }
 
@@ -202,8 +267,7 @@ static void run_token(spike_state* s, spike_token token, const spike_mapped* emb
     count_stored(s, layer, slot, costs);
     if (layer + 1 == SPIKE_LAYERS && !is_state) return;
     fire(s, &w->query, token.timestep, s->query, SPIKE_QUERY, costs);
-    attend(s, layer, token, costs);
-    merge(s, w, costs);
+    attend_and_merge(s, layer, token, costs);
     add_map(s, &w->attention_output, costs);
     code(s, &w->ffn_coder, SPIKE_FFN_IN, costs);
     fire(s, &w->ffn_hidden, token.timestep, NULL, SPIKE_FFN_HIDDEN, costs);

@@ -88,6 +88,7 @@ typedef struct {
   int32_t sums[SPIKE_WIDEST];         /* the outputs of a map */
   int32_t weights[3 * SPIKE_CONTEXT]; /* of the keys of a row */
   int32_t gates[SPIKE_HEADS];
+  int32_t merged[SPIKE_MERGED]; /* the heads, summed over the ticks */
   /* The keys and values of the last timesteps, a ring: [layers][slots][heads][ticks][words]. */
   spike_word keys[SPIKE_LAYERS][3 * SPIKE_CONTEXT][SPIKE_HEADS][SPIKE_TICKS][SPIKE_WORDS];
   spike_word values[SPIKE_LAYERS][3 * SPIKE_CONTEXT][SPIKE_HEADS][SPIKE_TICKS][SPIKE_WORDS];

@@ -8,6 +8,7 @@
 
 #include "core/engine/counting.h"
 #include "core/engine/fixed_point_maps.h"
+#include "core/engine/token_costs.h"
 #include "core/math/fixed_point.h"
 #include "core/neuron/phase.h"
 #include "core/neuron/shift_lif.h"
@@ -22,6 +23,10 @@ struct Fired {
   SpikeTrain spikes;  // [T][neurons]
   Integers counts;    // [neurons]
 };
+
+// The ticks of a token that attention takes together: some of the planes, which
+// ModelConfig::attention_planes() counts.
+using Group = std::vector<int>;
 
 // The weights of the keys of one head, and their sum.
 struct Row {
@@ -153,7 +158,7 @@ class IntegerReferencePass {
 
   // Returns the spikes of a population that receives `inputs` [T][in].
   Fired Fire(const IntegerPopulation& population, const SpikeTrain& inputs, size_t token) {
-    const ShiftLif lif = {config_.leak_shift()};
+    const ShiftLif lif = {config_.leak()};
     const size_t outputs = population.bias.values.size();
     Fired fired = MakeFired(config_.ticks, outputs);
     std::vector<int16_t> membranes(outputs, 0);
@@ -200,10 +205,11 @@ class IntegerReferencePass {
         inputs[tick].insert(inputs[tick].end(), phase[tick].begin(), phase[tick].end());
       }
       keys_.push_back(Fire(weights.integer.key, inputs, i));
-      values_.push_back(Fire(weights.integer.value, inputs, i));
+      const Fired value = Fire(weights.integer.value, inputs, i);
+      values_.push_back(Planes(value));
       AddSpikes(i, Stage::kCoder, layer, coded.spikes);
       AddSpikes(i, Stage::kKey, layer, keys_[i].spikes);
-      AddSpikes(i, Stage::kValue, layer, values_[i].spikes);
+      AddSpikes(i, Stage::kValue, layer, value.spikes);
       CountStoring(i);
       // In the last layer, only the state token's output is used.
       if (last_layer && tokens_[i].kind != TokenKind::kState) continue;
@@ -218,57 +224,95 @@ class IntegerReferencePass {
     return tokens_[j].timestep > tokens_[i].timestep - config_.context;
   }
 
-  static uint64_t Nonzero(const Fired& fired) {
-    return fired.counts.size() - std::count(fired.counts.begin(), fired.counts.end(), 0);
+  int TicksOf(const Group& group) const {
+    return static_cast<int>(group.size()) * config_.plane_ticks();
   }
 
-  // Returns the bytes of the key bits of `neurons` neurons.
-  uint64_t KeyBytes(int neurons) const {
-    return (static_cast<uint64_t>(config_.ticks) * static_cast<uint64_t>(neurons) + 7) / 8;
+  // Returns the spike counts of each plane, [planes][neurons].
+  std::vector<Integers> Planes(const Fired& fired) const {
+    std::vector<Integers> planes(config_.attention_planes(), Integers(fired.counts.size(), 0));
+    for (int tick = 0; tick < config_.ticks; ++tick) {
+      for (size_t k = 0; k < fired.counts.size(); ++k) {
+        planes[tick / config_.plane_ticks()][k] += fired.spikes[tick][k];
+      }
+    }
+    return planes;
+  }
+
+  // Returns the groups of planes: each at which the query fires, and all others together.
+  std::vector<Group> Groups(const Fired& query) const {
+    std::vector<Group> groups;
+    Group silent;
+    for (int plane = 0; plane < config_.attention_planes(); ++plane) {
+      if (Fires(query, {plane}, 0, config_.hidden_size)) {
+        groups.push_back({plane});
+      } else {
+        silent.push_back(plane);
+      }
+    }
+    if (!silent.empty()) groups.push_back(silent);
+    return groups;
   }
 
   // Counts the bytes of the key and the value of a token, the additions by which its values enter
   // the running sum, and the subtractions by which they will leave it. Biases need no such sum.
   void CountStoring(size_t i) {
     if (!IsNew(i)) return;
-    const uint64_t sums = config_.relative_bias ? 0 : 2 * Nonzero(values_[i]);
+    uint64_t sums = 0;
+    for (const Integers& plane : values_[i]) {
+      sums += 2 * (plane.size() - std::count(plane.begin(), plane.end(), 0));
+    }
+    if (config_.relative_bias) sums = 0;
     counts_.attention_products += sums;
-    counts_.attention_bytes += KeyBytes(config_.hidden_size) +
-                               static_cast<uint64_t>(config_.hidden_size) +
+    counts_.attention_bytes += SpikeBytes(config_.ticks, config_.hidden_size) +
+                               ValueBytes(config_, config_.ticks, config_.hidden_size) +
                                sums * 2 * sizeof(int16_t);
   }
 
-  // Returns the sum over the ticks of the number of neurons of a head that fire in both.
-  int64_t Overlap(const Fired& query, const Fired& key, int head) const {
+  // Calls visit(tick) for the ticks of a group.
+  template <class Visit>
+  void ForEachTick(const Group& group, Visit visit) const {
+    for (const int plane : group) {
+      for (int n = 0; n < config_.plane_ticks(); ++n) visit(plane * config_.plane_ticks() + n);
+    }
+  }
+
+  // Returns the number of neurons of a head that fire in both, summed over the ticks of a group.
+  int64_t Overlap(const Fired& query, const Fired& key, const Group& group, int head) const {
     int64_t overlap = 0;
-    for (int tick = 0; tick < config_.ticks; ++tick) {
+    ForEachTick(group, [&](int tick) {
       for (int k = head * config_.head_size(); k < (head + 1) * config_.head_size(); ++k) {
         overlap += query.spikes[tick][k] & key.spikes[tick][k];
       }
-    }
+    });
     return overlap;
   }
 
-  bool Fires(const Fired& query, int head) const {
-    const auto first = query.counts.begin() + head * config_.head_size();
-    return std::any_of(first, first + config_.head_size(), [](int32_t count) { return count > 0; });
+  // Returns whether one of `size` neurons from `first` on fires in a group.
+  bool Fires(const Fired& query, const Group& group, int first, int size) const {
+    bool fires = false;
+    ForEachTick(group, [&](int tick) {
+      const auto begin = query.spikes[tick].begin() + first;
+      fires |= std::count(begin, begin + size, 1) > 0;
+    });
+    return fires;
   }
-
-  // Returns whether the weights of a head's row are computed. Otherwise all of them are 1.
-  bool HasWeights(const Fired& query, int head) const {
-    return config_.relative_bias || Fires(query, head);
+  bool HeadFires(const Fired& query, const Group& group, int head) const {
+    return Fires(query, group, head * config_.head_size(), config_.head_size());
   }
 
   // Returns the weights of the tokens `band`, the last of which asks.
-  Row WeighKeys(int layer, const Fired& query, const std::vector<size_t>& band, int head,
-                bool is_new) {
+  Row WeighKeys(int layer, const Fired& query, const Group& group, const std::vector<size_t>& band,
+                int head, bool is_new) {
     std::vector<int64_t> overlaps;
-    for (const size_t j : band) overlaps.push_back(Overlap(query, keys_[j], head));
+    for (const size_t j : band) overlaps.push_back(Overlap(query, keys_[j], group, head));
     if (is_new) {
       counts_.softmax_terms += band.size();
-      const int size = config_.head_size();
-      const uint64_t key_bytes = Fires(query, head) ? KeyBytes(size) : 0;
-      counts_.attention_bytes += band.size() * (key_bytes + static_cast<uint64_t>(size));
+      const int ticks = TicksOf(group);
+      const uint64_t key_bytes =
+          HeadFires(query, group, head) ? SpikeBytes(ticks, config_.head_size()) : 0;
+      counts_.attention_bytes +=
+          band.size() * (key_bytes + ValueBytes(config_, ticks, config_.head_size()));
       if (config_.relative_bias) counts_.attention_products += band.size();
       for (const int64_t overlap : overlaps) counts_.attention_products += overlap;
     }
@@ -289,36 +333,54 @@ class IntegerReferencePass {
     return row;
   }
 
-  // Returns y_h of one token and head with kGateFraction fraction bits: [d_h].
-  Integers AttendHead(int layer, const Fired& query, size_t i, int head) {
+  // Returns the sum of the weighted values of neuron k over the planes of a group. If `is_mean`,
+  // the planes have running sums.
+  int64_t WeighValues(const Row& row, bool is_mean, const Group& group,
+                      const std::vector<size_t>& band, int k, bool is_new) {
+    int64_t sum = 0;
+    for (const int plane : group) {
+      int64_t of_plane = 0;
+      for (size_t n = 0; n < band.size(); ++n) {
+        const int64_t product = row.weights[n] * values_[band[n]][plane][k];
+        of_plane += product;
+        if (is_new && !is_mean && product != 0) ++counts_.attention_products;
+      }
+      if (is_new && is_mean && plane != group.front() && of_plane != 0) {
+        ++counts_.attention_products;
+      }
+      sum += of_plane;
+    }
+    return sum;
+  }
+
+  // Returns y_h of one token, head and group of ticks with kGateFraction fraction bits: [d_h].
+  Integers AttendHead(int layer, const Fired& query, const Group& group, size_t i, int head) {
     std::vector<size_t> band;
     for (size_t j = 0; j <= i; ++j) {
       if (IsInBand(i, j)) band.push_back(j);
     }
-    Row row;
-    if (HasWeights(query, head)) row = WeighKeys(layer, query, band, head, IsNew(i));
-    const bool is_mean = row.sum == 0;
-    if (IsNew(i) && !HasWeights(query, head)) {
-      counts_.attention_bytes += static_cast<uint64_t>(config_.head_size()) * sizeof(int16_t);
+    // Without weights that are computed, all are 1.
+    const bool is_mean = !config_.relative_bias && !HeadFires(query, group, head);
+    Row row = {std::vector<int64_t>(band.size(), 1), static_cast<int64_t>(band.size())};
+    if (!is_mean) {
+      row = WeighKeys(layer, query, group, band, head, IsNew(i));
+    } else if (IsNew(i)) {
+      counts_.attention_bytes +=
+          group.size() * static_cast<uint64_t>(config_.head_size()) * sizeof(int16_t);
     }
-    if (is_mean) row = {std::vector<int64_t>(band.size(), 1), static_cast<int64_t>(band.size())};
     Integers y;
     for (int k = head * config_.head_size(); k < (head + 1) * config_.head_size(); ++k) {
-      int64_t sum = 0;
-      for (size_t n = 0; n < band.size(); ++n) {
-        const int32_t count = values_[band[n]].counts[k];
-        sum += row.weights[n] * count;
-        // The mean is known as a running sum.
-        if (IsNew(i) && !is_mean && row.weights[n] != 0 && count != 0) ++counts_.attention_products;
-      }
+      const int64_t sum = WeighValues(row, is_mean, group, band, k, IsNew(i));
       if (IsNew(i) && sum != 0) ++counts_.attention_scalings;
-      const int64_t attended = RoundDivide(sum << kGateFraction, row.sum * config_.ticks);
+      const int64_t attended = RoundDivide(sum << kGateFraction, row.sum * TicksOf(group));
       y.push_back(static_cast<int32_t>(std::min<int64_t>(attended, kLargestAttended)));
     }
     if (trace_ != nullptr && i + 1 == tokens_.size()) {
-      for (const int64_t weight : row.weights) {
-        attention_.push_back(static_cast<float>(weight) / static_cast<float>(row.sum));
-      }
+      ForEachTick(group, [&](int tick) {
+        for (const int64_t weight : row.weights) {
+          attention_[tick].push_back(static_cast<float>(weight) / static_cast<float>(row.sum));
+        }
+      });
     }
     return y;
   }
@@ -326,54 +388,57 @@ class IntegerReferencePass {
   // Returns the gates over the heads with kGateFraction fraction bits, [H].
   Integers Gates(const FixedPointLayer& layer, const Integers& y, size_t i) {
     AddMultiplies(i, layer.routing_hidden, y, /*wide=*/false);
-    AddSharedReads(i, layer.routing_hidden);
     Integers hidden = ApplyMap(layer.routing_hidden, y);
     for (int32_t& h : hidden) h = std::clamp(h, 0, kLargestResidual);
     AddMultiplies(i, layer.routing_gate, hidden, /*wide=*/true);
-    AddSharedReads(i, layer.routing_gate);
     Integers gates = ApplyMap(layer.routing_gate, hidden);
     const uint64_t terms = GateScores(config_, gates);
     if (IsNew(i)) counts_.softmax_terms += terms;
     return gates;
   }
 
-  // Merges the heads y [d] into [d_h] or [d].
-  Integers MergeHeads(int layer, const Integers& y, size_t i) {
+  // Adds the heads y [d] of a group, times its ticks and gates, to `sums` [merged_size].
+  void AddHeads(int layer, const Integers& y, const Group& group, size_t i,
+                std::vector<int64_t>* sums) {
     const int size = config_.head_size();
     const bool concat = config_.merge == Merge::kConcat;
-    Integers gates;
+    Integers gates(config_.heads, 1);
     if (config_.has_routing()) {
       gates = Gates(policy_.weights.layers[layer].fixed_point, y, i);
       if (IsNew(i)) counts_.gate_products += y.size();
-      RecordGates(layer, i, gates);
+      ForEachTick(group, [&](int tick) { gates_[tick] = gates; });
     }
-    Integers merged(config_.merged_size(), 0);
     for (int k = 0; k < config_.hidden_size; ++k) {
-      merged[concat ? k : k % size] += gates.empty() ? y[k] : gates[k / size] * y[k];
+      (*sums)[concat ? k : k % size] += int64_t{TicksOf(group)} * gates[k / size] * y[k];
     }
-    for (int32_t& value : merged) {
-      if (!gates.empty()) {
-        // The gates of concatenated heads are multiplied by H, so that uniform gates are 1.
-        value = static_cast<int32_t>(
-            RoundShift(concat ? int64_t{value} * config_.heads : value, kGateFraction));
-      } else if (!concat) {
-        value = static_cast<int32_t>(RoundDivide(value, config_.heads));
-      }
-      value = std::min(value, kLargestAttended);
-    }
-    return merged;
   }
 
   void Attention(int layer, const Fired& query, size_t i) {
     const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
-    attention_.clear();
-    Integers y;
-    for (int head = 0; head < config_.heads; ++head) {
-      const Integers part = AttendHead(layer, query, i, head);
-      y.insert(y.end(), part.begin(), part.end());
+    attention_.assign(config_.ticks, {});
+    gates_.assign(config_.ticks, {});
+    std::vector<int64_t> sums(config_.merged_size(), 0);
+    for (const Group& group : Groups(query)) {
+      Integers y;
+      for (int head = 0; head < config_.heads; ++head) {
+        const Integers part = AttendHead(layer, query, group, i, head);
+        y.insert(y.end(), part.begin(), part.end());
+      }
+      AddHeads(layer, y, group, i, &sums);
     }
     RecordAttention(layer, i);
-    const Integers merged = MergeHeads(layer, y, i);
+    if (config_.has_routing()) {
+      RecordGates(layer, i);
+      AddSharedReads(i, weights.routing_hidden);
+      AddSharedReads(i, weights.routing_gate);
+    }
+    const bool concat = config_.merge == Merge::kConcat;
+    const int64_t unit = config_.has_routing() ? 1 << kGateFraction : concat ? 1 : config_.heads;
+    Integers merged;
+    for (const int64_t sum : sums) {
+      merged.push_back(static_cast<int32_t>(std::min<int64_t>(
+          RoundDivide(config_.gate_factor() * sum, unit * config_.ticks), kLargestAttended)));
+    }
     AddMultiplies(i, weights.attention_output, merged, /*wide=*/false);
     AddSharedReads(i, weights.attention_output);
     AddResidual(i, ApplyMap(weights.attention_output, merged), weights.attention_norm);
@@ -404,17 +469,17 @@ class IntegerReferencePass {
     for (size_t j = 0; j <= i; ++j) {
       if (IsInBand(i, j)) trace.keys.push_back(Name(j));
     }
-    for (int tick = 0; tick < config_.ticks; ++tick) {
-      trace.attention.insert(trace.attention.end(), attention_.begin(), attention_.end());
+    for (const std::vector<float>& row : attention_) {
+      trace.attention.insert(trace.attention.end(), row.begin(), row.end());
     }
   }
 
-  void RecordGates(int layer, size_t i, const Integers& gates) {
+  void RecordGates(int layer, size_t i) {
     const int64_t reach = int64_t{config_.layers - 1 - layer} * (config_.context - 1);
     if (trace_ == nullptr || tokens_[i].timestep < tokens_.back().timestep - reach) return;
     LayerTrace& trace = trace_->layers[layer];
     trace.gated.push_back(Name(i));
-    for (int tick = 0; tick < config_.ticks; ++tick) {
+    for (const Integers& gates : gates_) {
       for (const int32_t gate : gates) {
         trace.gates.push_back(std::ldexp(static_cast<float>(gate), -kGateFraction));
       }
@@ -425,11 +490,12 @@ class IntegerReferencePass {
   const ModelConfig& config_;
   const std::vector<Token>& tokens_;
   const size_t first_new_token_;
-  Trace* const trace_;            // may be null
-  std::vector<Integers> x_;       // the residual stream, [tokens][d]
-  std::vector<Fired> keys_;       // of the current layer, [tokens]
-  std::vector<Fired> values_;     // of the current layer, [tokens]
-  std::vector<float> attention_;  // of the last token, [H, keys]
+  Trace* const trace_;                         // may be null
+  std::vector<Integers> x_;                    // the residual stream, [tokens][d]
+  std::vector<Fired> keys_;                    // of the current layer, [tokens]
+  std::vector<std::vector<Integers>> values_;  // counts of the current layer, [tokens][planes][d]
+  std::vector<std::vector<float>> attention_;  // of the last token, [T][H, keys]
+  std::vector<Integers> gates_;                // of the current token, [T][H]
   Counts counts_;
 };
 

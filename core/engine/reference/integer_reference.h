@@ -10,8 +10,8 @@
 namespace spikeserve {
 
 // As ComputeSpikingReference (reference_engine.h), for policies with Arithmetic::kInteger. An
-// attention row holds for all ticks, so each layer's trace repeats it, as well as the gates, at
-// every tick. Thread-safe.
+// attention row holds for a group of ticks, so each layer's trace repeats it, as well as the gates,
+// at each of them. Thread-safe.
 void ComputeIntegerReference(const Policy& policy, const PrefixContext& prefix,
                              Engine::Output* output, Trace* trace);
 

@@ -15,28 +15,42 @@
 
 namespace spikeserve {
 
+// What attention reads in one layer.
+struct IntegerKeys {
+  const ModelConfig& config;
+  const std::vector<int16_t>& scales;  // [H]
+  const int16_t* biases;               // RingBiases() of 3 N slots, or null
+  const IntegerBand& band;
+  const IntegerCache& cache;
+  const uint32_t* query;  // [T][H][W], or null if no neuron fires
+};
+
+// Ticks that attention takes together: some of the planes of IntegerCache.
+using TickGroup = std::vector<int>;
+
+// Sets `groups` to those of a query: each plane at which it fires, and all others together.
+void GroupTicks(const IntegerKeys& keys, std::vector<TickGroup>* groups);
+
 // Buffers of one thread. Their contents do not outlive a call.
 class IntegerAttention {
  public:
-  // Sets y [d] to the outputs of all heads for a query [T][H][W], or null if no neuron fires. A
-  // head whose query does not fire returns the mean of the values, unless there are biases.
-  // `scales` are [H]; `biases` are RingBiases() of 3 N slots, or null. Adds the operations to
-  // `counts`.
-  void Attend(const ModelConfig& config, const std::vector<int16_t>& scales, const int16_t* biases,
-              const IntegerBand& band, const IntegerCache& cache, const uint32_t* query, int16_t* y,
-              Counts* counts);
+  // Sets y [d] to the outputs of all heads for a group of ticks. A head whose query does not fire
+  // returns the mean of the values, unless there are biases. Adds the operations to `counts`.
+  void Attend(const IntegerKeys& keys, const TickGroup& group, int16_t* y, Counts* counts);
 
  private:
   // Sets query_ to the words of a head's query that are not 0.
-  void ReadQuery(const ModelConfig& config, const uint32_t* query, int head);
+  void ReadQuery(const IntegerKeys& keys, const TickGroup& group, int head);
   // Sets weights_ to those of the slots for query_, and returns their sum.
-  // `biases` are those of the head, or null.
-  int32_t WeighKeys(const ModelConfig& config, int32_t scale, const int16_t* biases,
-                    const IntegerBand& band, const kernels::HeadSlots& head, Counts* counts);
+  int32_t WeighKeys(const IntegerKeys& keys, const TickGroup& group, int head, Counts* counts);
+  // Sets sums_ to the weighted values of a head, or to all values if the weights are not computed.
+  void SumValues(const IntegerKeys& keys, const TickGroup& group, int head, bool is_mean,
+                 Counts* counts);
 
   std::vector<kernels::QueryWord> query_;
   AlignedVector<int32_t> overlaps_;  // [slots]
   AlignedVector<int16_t> weights_;   // [slots]
+  AlignedVector<int32_t> plane_;     // sums of one plane, [pad(d_h)]
   AlignedVector<int32_t> sums_;      // [pad(d_h)]
 };
 

@@ -32,19 +32,21 @@ int IntegerBand::Expire(int64_t first) {
 }
 
 IntegerCache::IntegerCache(const ModelConfig& config)
-    : heads_(config.heads),
+    : planes_(config.attention_planes()),
+      heads_(config.heads),
       head_size_(config.head_size()),
       ticks_(config.ticks),
       words_((head_size_ + 31) / 32),
       slots_(PadToLanes(kTokensPerTimestep * config.context, kSlotBlock)),
       keys_(static_cast<size_t>(heads_) * slots_ * ticks_ * words_),
-      values_(static_cast<size_t>(heads_) * slots_ / 2 * PairWidth(head_size_) + kLanes),
-      nonzero_(static_cast<size_t>(heads_) * slots_),
-      sums_(config.hidden_size + kLanes) {}
+      values_(static_cast<size_t>(planes_) * heads_ * slots_ / 2 * PairWidth(head_size_) + kLanes),
+      nonzero_(static_cast<size_t>(planes_) * heads_ * slots_),
+      sums_(planes_ * sums_width()) {}
 
-kernels::HeadSlots IntegerCache::head(int head) const {
-  const auto first = static_cast<size_t>(head) * slots_;
-  return {.keys = keys_.data() + first * ticks_ * words_,
+kernels::HeadSlots IntegerCache::head(int head, int plane) const {
+  const auto slots = static_cast<size_t>(slots_);
+  const size_t first = (static_cast<size_t>(plane) * heads_ + head) * slots;
+  return {.keys = keys_.data() + head * slots * ticks_ * words_,
           .words = ticks_ * words_,
           .values = values_.data() + first / 2 * PairWidth(head_size_),
           .head_size = head_size_,
@@ -60,19 +62,25 @@ void IntegerCache::Store(int slot, const uint32_t* keys, const int16_t* counts) 
       for (int word = 0; word < words_; ++word, key += kSlotBlock) *key = own[word];
     }
   }
-  kernels::StoreValues(counts, values_of(slot));
+  const auto width = static_cast<size_t>(PadToLanes(heads_ * head_size_));
+  for (int plane = 0; plane < planes_; ++plane) {
+    kernels::StoreValues(counts + plane * width, values_of(slot, plane));
+  }
 }
 
-void IntegerCache::Remove(int slot) { kernels::RemoveValues(values_of(slot)); }
+void IntegerCache::Remove(int slot) {
+  for (int plane = 0; plane < planes_; ++plane) kernels::RemoveValues(values_of(slot, plane));
+}
 
-kernels::SlotValues IntegerCache::values_of(int slot) {
+kernels::SlotValues IntegerCache::values_of(int slot, int plane) {
+  const size_t first = static_cast<size_t>(plane) * heads_ * slots_;
   return {.heads = heads_,
           .head_size = head_size_,
           .slots = slots_,
           .slot = slot,
-          .pairs = values_.data(),
-          .nonzero = nonzero_.data(),
-          .sums = sums_.data()};
+          .pairs = values_.data() + first / 2 * PairWidth(head_size_),
+          .nonzero = nonzero_.data() + first,
+          .sums = sums_.data() + plane * sums_width()};
 }
 
 }  // namespace spikeserve

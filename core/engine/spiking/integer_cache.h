@@ -1,5 +1,6 @@
 // Stores the keys and values of one layer over the last N timesteps for attention in integer
-// arithmetic: a key as the bits of its ticks, a value as spike counts, and the sum of all values.
+// arithmetic: a key as the bits of its ticks, a value as spike counts by plane
+// (ModelConfig::attention_planes()), and for each plane the sum of all values.
 //
 // Not thread-safe.
 #ifndef CORE_ENGINE_SPIKING_INTEGER_CACHE_H_
@@ -10,6 +11,7 @@
 
 #include "core/engine/spiking/kernels/integer_attention_kernels.h"
 #include "core/engine/spiking/packed/aligned_vector.h"
+#include "core/engine/spiking/packed/packed_linear.h"
 #include "core/model/config.h"
 
 namespace spikeserve {
@@ -52,28 +54,30 @@ class IntegerCache {
   explicit IntegerCache(const ModelConfig& config);
 
   // Stores a token. `keys` is [T][H][W], where the W = ceil(d_h / 32) words are a head's bits at a
-  // tick; `counts` is [d].
+  // tick; `counts` is [planes][pad(d)].
   void Store(int slot, const uint32_t* keys, const int16_t* counts);
   // Subtracts the values of a token that leaves the band from their sum.
   void Remove(int slot);
 
-  // Returns the keys and values of a head.
-  kernels::HeadSlots head(int head) const;
-  // Returns the sums of the values of all tokens, [d] and kLanes zeros.
-  const int32_t* sums() const { return sums_.data(); }
+  // Returns the keys of a head, and its values in a plane.
+  kernels::HeadSlots head(int head, int plane) const;
+  // Returns the sums of the values of all tokens in a plane, [d] and kLanes zeros.
+  const int32_t* sums(int plane) const { return sums_.data() + plane * sums_width(); }
 
  private:
-  kernels::SlotValues values_of(int slot);
+  kernels::SlotValues values_of(int slot, int plane);
+  size_t sums_width() const { return static_cast<size_t>(heads_) * head_size_ + kLanes; }
 
+  int planes_;
   int heads_;
   int head_size_;
   int ticks_;
   int words_;                       // W
   int slots_;                       // 3 N, in whole blocks
   AlignedVector<uint32_t> keys_;    // [H], see HeadSlots
-  AlignedVector<uint16_t> values_;  // [H], see HeadSlots
-  AlignedVector<int16_t> nonzero_;  // [H], see HeadSlots
-  AlignedVector<int32_t> sums_;     // [d], and kLanes zeros
+  AlignedVector<uint16_t> values_;  // [planes][H], see HeadSlots
+  AlignedVector<int16_t> nonzero_;  // [planes][H], see HeadSlots
+  AlignedVector<int32_t> sums_;     // [planes][d and kLanes zeros]
 };
 
 }  // namespace spikeserve

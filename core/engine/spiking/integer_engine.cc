@@ -64,12 +64,14 @@ struct Scratch {
   AlignedVector<uint32_t> bits;  // [T][pad(d) / 32]
   AlignedVector<uint32_t> keys;  // [T][H][W]
   AlignedVector<uint32_t> query;
-  AlignedVector<int16_t> counts;  // of the values, [pad(d)]
+  AlignedVector<int16_t> counts;  // of the values, [planes][pad(d)]
   AlignedVector<int16_t> hidden;  // [pad(F)]
   AlignedVector<int16_t> y;       // [pad(d)]
   AlignedVector<int16_t> input;   // of a map, padded
   AlignedVector<int32_t> sums;    // outputs of a map, padded
-  std::vector<int32_t> gates;     // [H]
+  AlignedVector<int32_t> merged;  // sums over ticks, [pad(d_h)] or [pad(d)]
+  std::vector<TickGroup> groups;
+  std::vector<int32_t> gates;  // [H]
   IntegerAttention attention;
   kernels::ActiveInputs active;  // of the current map
 };
@@ -86,7 +88,7 @@ class IntegerTokenPass {
       : policy_(policy),
         config_(policy.config),
         packed_(packed),
-        lif_{policy.config.leak_shift()},
+        lif_{policy.config.leak()},
         scratch_(ThreadScratch()) {}
 
   // Computes the next token of the context's timestep from its standardised `input`, and adds its
@@ -181,9 +183,7 @@ class IntegerTokenPass {
     const Drive& drive = scratch_.drives.Build(scratch_.spikes, population, width, &phase);
     CountMembranes(drive, (needs_query ? 3 : 2) * config_.hidden_size);
     counts_->spikes(Stage::kKey) += FireBits(population, drive, 0, scratch_.keys);
-    scratch_.counts.resize(section);
-    counts_->spikes(Stage::kValue) +=
-        kernels::LifCounts(lif_, population, drive, section, section, scratch_.counts.data());
+    CountValues(population, drive, section);
     if (needs_query) {
       query_spikes_ = FireBits(population, drive, 2 * section, scratch_.query);
       counts_->spikes(Stage::kQuery) += query_spikes_;
@@ -193,16 +193,31 @@ class IntegerTokenPass {
     counts_->accumulates += synapses;
     counts_->weight_bytes += synapses;
     // A value enters the sum of all values now, and leaves it later.
-    const int size = config_.hidden_size;
-    const auto sums =
-        config_.relative_bias
-            ? 0
-            : 2 * static_cast<uint64_t>(size - std::count(scratch_.counts.begin(),
-                                                          scratch_.counts.begin() + size, 0));
+    const size_t zeros = std::count(scratch_.counts.begin(), scratch_.counts.end(), 0);
+    const uint64_t sums = config_.relative_bias ? 0 : 2 * (scratch_.counts.size() - zeros);
     counts_->attention_products += sums;
-    counts_->attention_bytes +=
-        static_cast<uint64_t>((config_.ticks * size + 7) / 8 + size) + sums * 2 * sizeof(int16_t);
+    counts_->attention_bytes += SpikeBytes(config_.ticks, config_.hidden_size) +
+                                ValueBytes(config_, config_.ticks, config_.hidden_size) +
+                                sums * 2 * sizeof(int16_t);
     context_->caches[layer].Store(slot, scratch_.keys.data(), scratch_.counts.data());
+  }
+
+  // Sets scratch_.counts to the spike counts of the values, whose first lane is `section`.
+  void CountValues(const PackedIntegerPopulation& population, const Drive& drive, int section) {
+    AlignedVector<int16_t>& counts = scratch_.counts;
+    counts.resize(static_cast<size_t>(config_.attention_planes()) * section);
+    if (config_.attention_planes() == 1) {
+      counts_->spikes(Stage::kValue) +=
+          kernels::LifCounts(lif_, population, drive, section, section, counts.data());
+      return;
+    }
+    scratch_.bits.resize(counts.size() / kLanes);
+    kernels::LifBits(lif_, population, drive, section, section, scratch_.bits.data());
+    for (size_t i = 0; i < counts.size(); ++i) {
+      counts[i] = static_cast<int16_t>(scratch_.bits[i / kLanes] >> (i % kLanes) & 1);
+    }
+    counts_->spikes(Stage::kValue) +=
+        kernels::CountBits(scratch_.bits.data(), static_cast<int>(scratch_.bits.size()));
   }
 
   // Sets `heads` [T][H][W] to the spikes of the d neurons from lane `first` on. Returns their
@@ -227,38 +242,46 @@ class IntegerTokenPass {
     const PackedIntegerLayer& packed = packed_.layers[layer];
     const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
     const int16_t* const biases = config_.relative_bias ? packed.attention_bias.data() : nullptr;
+    const IntegerKeys keys = {.config = config_,
+                              .scales = weights.attention_scale.values,
+                              .biases = biases,
+                              .band = context_->band,
+                              .cache = context_->caches[layer],
+                              .query = query_spikes_ > 0 ? scratch_.query.data() : nullptr};
     scratch_.y.assign(PadToLanes(config_.hidden_size), 0);
-    scratch_.attention.Attend(
-        config_, weights.attention_scale.values, biases, context_->band, context_->caches[layer],
-        query_spikes_ > 0 ? scratch_.query.data() : nullptr, scratch_.y.data(), counts_);
-    MergeHeads(packed);
+    scratch_.merged.assign(PadToLanes(config_.merged_size()), 0);
+    GroupTicks(keys, &scratch_.groups);
+    for (const TickGroup& group : scratch_.groups) {
+      scratch_.attention.Attend(keys, group, scratch_.y.data(), counts_);
+      AddHeads(packed, static_cast<int>(group.size()) * config_.plane_ticks());
+    }
+    MergeHeads();
     Apply(packed.attention_output, scratch_.input);
     Normalize(packed.attention_norm);
   }
 
-  // Sets scratch_.input to the merged heads, [pad(d_h)] or [pad(d)]. Up to 64 heads of at most 255,
-  // with gates of at most 256, keep all sums within 23 bits.
-  void MergeHeads(const PackedIntegerLayer& packed) {
+  // Adds the heads in scratch_.y, times their gates and `ticks`, to scratch_.merged. Up to 64 heads
+  // of at most 255, with gates of at most 256, keep all sums over 255 ticks within 30 bits.
+  void AddHeads(const PackedIntegerLayer& packed, int32_t ticks) {
     const int size = config_.head_size();
     const bool concat = config_.merge == Merge::kConcat;
-    int32_t divisor = concat ? 1 : config_.heads;
-    if (config_.has_routing()) {
-      Route(packed);
-      if (concat) {
-        for (int32_t& gate : scratch_.gates) gate *= config_.heads;
-      }
-      divisor = 1 << kGateFraction;
-    } else {
-      scratch_.gates.assign(config_.heads, 1);
-    }
-    scratch_.sums.assign(PadToLanes(config_.merged_size()), 0);
+    scratch_.gates.assign(config_.heads, 1);
+    if (config_.has_routing()) Route(packed);
+    ticks *= config_.gate_factor();
     for (int head = 0; head < config_.heads; ++head) {
-      int32_t* const sums = scratch_.sums.data() + (concat ? head * size : 0);
+      int32_t* const sums = scratch_.merged.data() + (concat ? head * size : 0);
       const int16_t* const y = scratch_.y.data() + head * size;
-      const int32_t gate = scratch_.gates[head];
+      const int32_t gate = scratch_.gates[head] * ticks;
       for (int k = 0; k < size; ++k) sums[k] += gate * y[k];
     }
-    scratch_.input.resize(scratch_.sums.size());
+  }
+
+  // Sets scratch_.input to the merged heads, [pad(d_h)] or [pad(d)].
+  void MergeHeads() {
+    int32_t divisor = config_.merge == Merge::kConcat ? 1 : config_.heads;
+    if (config_.has_routing()) divisor = 1 << kGateFraction;
+    divisor *= config_.ticks;
+    scratch_.input.resize(scratch_.merged.size());
     if (std::has_single_bit(static_cast<uint32_t>(divisor))) {
       const int shift = std::countr_zero(static_cast<uint32_t>(divisor));
       Limit([=](int32_t sum) { return (sum + divisor / 2) >> shift; });
@@ -267,11 +290,11 @@ class IntegerTokenPass {
     }
   }
 
-  // Sets scratch_.input to the quotients of scratch_.sums.
+  // Sets scratch_.input to the quotients of scratch_.merged.
   template <class Quotient>
   void Limit(Quotient quotient) {
     for (size_t k = 0; k < scratch_.input.size(); ++k) {
-      const int32_t merged = std::min(quotient(scratch_.sums[k]), int32_t{kLargestAttended});
+      const int32_t merged = std::min(quotient(scratch_.merged[k]), int32_t{kLargestAttended});
       scratch_.input[k] = static_cast<int16_t>(merged);
     }
   }

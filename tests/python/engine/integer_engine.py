@@ -56,10 +56,11 @@ class IntegerEngine:
         self.offset, self.scale = (np.float32(metadata[f"return_{name}"]) for name in ("offset", "scale"))
         self.ticks, self.heads, self.size = (self.config[name] for name in ("ticks", "heads", "hidden_size"))
         self.head_size = self.size // self.heads
-        self.leak = round(-math.log2(1 - self.config["membrane_decay"]))
+        self.leak = round(256 * (1 - self.config["membrane_decay"]))
+        self.by_tick = self.config["attention"] == "shiftmax_by_tick"
         self.timestep = 0
         self.observation = None  # of the step before
-        self.caches = [[] for _ in range(self.config["layers"])]  # (timestep, key spikes, value counts)
+        self.caches = [[] for _ in range(self.config["layers"])]  # (timestep, key spikes, value spikes)
         self.spikes = {}
 
     def decide(self, return_to_go, observation, last_action):
@@ -127,7 +128,7 @@ class IntegerEngine:
         membrane = np.zeros_like(bias)
         fired = np.zeros((self.ticks, len(bias)), bool)
         for tick in range(self.ticks):
-            membrane = np.clip(membrane - round_shift(membrane, self.leak) + bias, -32768, 32767)
+            membrane = np.clip(membrane - round_shift(membrane * self.leak, 8) + bias, -32768, 32767)
             if not inputs[tick].any():
                 continue
             membrane = np.clip(membrane + weight @ inputs[tick], -32768, 32767)
@@ -143,7 +144,7 @@ class IntegerEngine:
             name = f"layers.{layer}"
             inputs = np.hstack([self._code(f"{name}.coder", x, "coder"), self._phase()])
             keys = self._fire(f"{name}.attention.key", inputs, "key")
-            values = self._fire(f"{name}.attention.value", inputs, "value").sum(axis=0)
+            values = self._fire(f"{name}.attention.value", inputs, "value")
             self.caches[layer].append((self.timestep, keys, values))
             if layer + 1 == self.config["layers"] and kind != "state":
                 return None
@@ -163,21 +164,44 @@ class IntegerEngine:
         octaves = round_shift(scores.max() - scores, 8)
         return np.where(octaves > 8, 0, 256 >> np.minimum(octaves, 8))
 
+    def _groups(self, query):
+        """Returns the ticks that attention takes together."""
+        if not self.by_tick:
+            return [np.arange(self.ticks)]
+        active = query.any(axis=1)
+        groups = [np.array([tick]) for tick in np.flatnonzero(active)]
+        return groups if active.all() else [*groups, np.flatnonzero(~active)]
+
     def _attend(self, layer, query):
         first = self.timestep - self.config["context"]
         band = [(keys, values) for timestep, keys, values in self.caches[layer] if timestep > first]
         keys = np.stack([key for key, _ in band])
-        values = np.stack([value for _, value in band]).astype(np.int64)
+        values = np.stack([value for _, value in band])
+        is_sum = self.config["merge"] == "sum"
+        routes = self.config["mode"] in ("route", "full")
+        total = 0
+        for group in self._groups(query):
+            y = self._attend_group(layer, query[group], keys[:, group], values[:, group])
+            gates = self._gates(layer, y) if routes else np.ones(self.heads, np.int64)
+            gated = gates[:, None] * y.reshape(self.heads, self.head_size)
+            total = total + len(group) * (gated.sum(axis=0) if is_sum else gated.ravel())
+        if routes and not is_sum and self.config["gate"] == "softmax":
+            total = total * self.heads
+        unit = 256 if routes else self.heads if is_sum else 1
+        return np.minimum(255, round_divide(total, unit * self.ticks))
+
+    def _attend_group(self, layer, query, keys, values):
+        counts = values.sum(axis=1, dtype=np.int64)
         y = np.zeros(self.size, np.int64)
         for head in range(self.heads):
             part = slice(head * self.head_size, (head + 1) * self.head_size)
-            weights = np.ones(len(band), np.int64)
+            weights = np.ones(len(keys), np.int64)
             if query[:, part].any() or self.config.get("relative_bias"):
                 overlaps = (keys[:, :, part] & query[:, part]).sum(axis=(1, 2)).astype(np.int64)
                 weights = self._weights(layer, head, overlaps)
-            total = 256 * (weights[:, None] * values[:, part]).sum(axis=0)
-            y[part] = np.minimum(255, round_divide(total, self.ticks * int(weights.sum())))
-        return self._merge(layer, y)
+            total = 256 * (weights[:, None] * counts[:, part]).sum(axis=0)
+            y[part] = np.minimum(255, round_divide(total, len(query) * int(weights.sum())))
+        return y
 
     def _gates(self, layer, y):
         hidden = np.clip(self._map(f"layers.{layer}.routing.hidden", y), 0, 32767)
@@ -188,13 +212,3 @@ class IntegerEngine:
             return np.array([round_divide(256 * a, 65536 + p) for a, p in zip(own, other, strict=True)])
         powers = [power(max(scores) - score) for score in scores]
         return np.array([round_divide(256 * p, sum(powers)) for p in powers])
-
-    def _merge(self, layer, y):
-        y = y.reshape(self.heads, self.head_size)
-        is_sum = self.config["merge"] == "sum"
-        if self.config["mode"] in ("route", "full"):
-            gated = self._gates(layer, y.ravel())[:, None] * y
-            merged = round_shift(gated.sum(axis=0) if is_sum else self.heads * gated.ravel(), 8)
-        else:
-            merged = round_divide(y.sum(axis=0), self.heads) if is_sum else y.ravel()
-        return np.minimum(255, merged)

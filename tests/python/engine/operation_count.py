@@ -15,7 +15,7 @@ INTEGER_PRICES = {
     "wide mac": 0.43,
     "float mac": 4.6,
     "update": 0.1,
-    "leak": 0.1,
+    "leak": 0.05,  # an addition; a leak has one for each signed binary digit, and one for the bias
     "comparison": 0.05,
     "coder spike": 0.03,
     "attention": 0.1,
@@ -99,6 +99,10 @@ class CountedIntegerEngine(Counted, IntegerEngine):
 
     prices = INTEGER_PRICES
 
+    def _token(self, kind, inputs):
+        self.whole = set()  # maps that were read
+        return super()._token(kind, inputs)
+
     def _count_head(self, _):
         self.moved["weights"] += 4 * self.tensors["head.weight"].size
 
@@ -112,7 +116,8 @@ class CountedIntegerEngine(Counted, IntegerEngine):
         self.done["wide mac" if name.startswith("embed.") or name.endswith("routing.gate") else "mac"] += count
         if name.endswith("ffn.output"):
             self.moved["weights"] += count
-        elif name.startswith("embed.") or self.kind == "state":  # one reading serves all new tokens
+        elif name not in self.whole and (name.startswith("embed.") or self.kind == "state"):
+            self.whole.add(name)  # one reading serves all new tokens, and groups of ticks
             self.moved["weights"] += weight.size
         return super()._map(name, x)
 
@@ -120,38 +125,44 @@ class CountedIntegerEngine(Counted, IntegerEngine):
         synapses, neurons = self._synapses(name, inputs)
         events = np.flatnonzero(inputs.any(axis=1)) + 1
         self.done["update"] += neurons * len(events)
-        self.done["leak"] += neurons * int(events.max(initial=0))
+        digits = (self.leak ^ (3 * self.leak)).bit_count()
+        self.done["leak"] += neurons * int(events.max(initial=0)) * (digits + 1)
         self.moved["weights"] += synapses
         self.moved["neurons"] += 8 * neurons * len(events)
         fired = super()._fire(name, inputs, stage)
         if name.endswith("key"):
             self.moved["keys and values"] += (self.ticks * neurons + 7) // 8
         if name.endswith("value"):
-            values = 0 if self.config.get("relative_bias") else int(fired.any(axis=0).sum())
+            nonzero = int(fired.sum() if self.by_tick else fired.any(axis=0).sum())
+            values = 0 if self.config.get("relative_bias") else nonzero
             self.done["attention"] += 2 * values  # into the running sum and out of it
-            self.moved["keys and values"] += neurons + 2 * values * 4
+            self.moved["keys and values"] += self._value_bytes(self.ticks, neurons) + 2 * values * 4
         return fired
 
-    def _attend(self, layer, query):
-        first = self.timestep - self.config["context"]
-        band = [(keys, values) for timestep, keys, values in self.caches[layer] if timestep > first]
-        size = self.head_size
+    def _value_bytes(self, ticks, neurons):
+        return (ticks * neurons + 7) // 8 if self.by_tick else neurons
+
+    def _attend_group(self, layer, query, keys, values):
+        size, ticks = self.head_size, len(query)
         for head in range(self.heads):
             part = slice(head * size, (head + 1) * size)
-            values = np.stack([value[part] for _, value in band])
+            planes = values[:, :, part] if self.by_tick else values[:, :, part].any(axis=1, keepdims=True)
             fires, has_biases = bool(query[:, part].any()), bool(self.config.get("relative_bias"))
             if not fires and not has_biases:
-                self.done["scaling"] += int(values.any(axis=0).sum())
-                self.moved["keys and values"] += 2 * size
+                sums = planes.any(axis=0)
+                self.done["attention"] += int(sums[1:].sum())
+                self.done["scaling"] += int(sums.any(axis=0).sum())
+                self.moved["keys and values"] += 2 * size * len(sums)
                 continue
-            overlaps = np.array([(keys[:, part] & query[:, part]).sum() for keys, _ in band])
+            overlaps = (keys[:, :, part] & query[:, part]).sum(axis=(1, 2))
             weights = self._weights(layer, head, overlaps)
-            met = (weights[:, None] != 0) & (values != 0)
-            self.done["attention"] += int(overlaps.sum()) + int(met.sum()) + has_biases * len(band)
-            self.done["scaling"] += int(met.any(axis=0).sum())
-            self.done["softmax"] += len(band)
-            self.moved["keys and values"] += len(band) * (fires * ((self.ticks * size + 7) // 8) + size)
-        return super()._attend(layer, query)
+            met = (weights != 0)[:, None, None] & planes
+            self.done["attention"] += int(overlaps.sum()) + int(met.sum()) + has_biases * len(keys)
+            self.done["scaling"] += int(met.any(axis=(0, 1)).sum())
+            self.done["softmax"] += len(keys)
+            key_bytes = fires * ((ticks * size + 7) // 8)
+            self.moved["keys and values"] += len(keys) * (key_bytes + self._value_bytes(ticks, size))
+        return super()._attend_group(layer, query, keys, values)
 
     def _gates(self, layer, y):
         self.done["gate"] += len(y)
@@ -160,7 +171,7 @@ class CountedIntegerEngine(Counted, IntegerEngine):
 
     def memories(self):
         d, _, neurons = self._layer_sizes()
-        token = (self.ticks * d + 7) // 8 + d
+        token = (self.ticks * d + 7) // 8 + self._value_bytes(self.ticks, d)
         return {
             "weights": self._weights_of_layers(1),
             "neurons": neurons,

@@ -48,11 +48,11 @@ class IntegerPolicyFileTest : public DirectoryTest {
   }
 };
 
-TEST_F(IntegerPolicyFileTest, TheLeakIsTheNearestShift) {
-  for (const auto& [decay, shift] : {std::pair(0.95f, 4), {0.5f, 1}, {0.9f, 3}, {1.0f, 8}}) {
+TEST_F(IntegerPolicyFileTest, TheLeakIsTheNearest) {
+  for (const auto& [decay, leak] : {std::pair(0.95f, 13), {0.5f, 128}, {0.9f, 26}, {1.0f, 1}}) {
     ModelConfig config = SmallConfig();
     config.membrane_decay = decay;
-    EXPECT_EQ(QuantizeToInteger(SmallPolicy(config))->config.leak_shift(), shift) << decay;
+    EXPECT_EQ(QuantizeToInteger(SmallPolicy(config))->config.leak(), leak) << decay;
   }
 }
 
@@ -96,12 +96,22 @@ TEST_F(IntegerPolicyFileTest, NumbersOutOfRangeAreRefused) {
 TEST_F(IntegerPolicyFileTest, ConfigsThatTheArithmeticLacksAreRefused) {
   EXPECT_EQ(MessageAfter(SetConfig("coder", "bernoulli")),
             "config.coder: expected lif, received \"bernoulli\"");
-  EXPECT_EQ(MessageAfter(SetConfig("membrane_decay", 0.95)),
-            "membrane_decay: expected 1 - 2^-k for a k from 1 to 8 in integers, received 0.95");
+  EXPECT_EQ(
+      MessageAfter(SetConfig("membrane_decay", 0.95)),
+      "membrane_decay: expected 1 - m / 256 for an m from 1 to 128 in integers, received 0.95");
   EXPECT_EQ(MessageAfter(SetConfig("leak", "none")),
             "config.leak: expected shift, received \"none\"");
   EXPECT_EQ(MessageAfter(SetConfig("attention", "linear")),
-            "config.attention: expected shiftmax, received \"linear\"");
+            "config.attention: expected shiftmax_by_tick or shiftmax, received \"linear\"");
+  EXPECT_EQ(MessageAfter([](Safetensors& c) {
+              for (const auto& [key, value] :
+                   {std::pair("attention", "shiftmax"), {"merge", "concat"}, {"gate", "sigmoid"}}) {
+                SetConfig(key, value)(c);
+              }
+            }),
+            "attention: expected shiftmax_by_tick with concatenated heads and sigmoid gates, "
+            "received shiftmax, which multiplied these gates by the heads; quantize the float32 "
+            "policy again");
   EXPECT_EQ(MessageAfter(SetConfig("ticks", 256)), "ticks: expected 1 to 255, received 256");
   EXPECT_EQ(MessageAfter(SetConfig("input_fraction", 15)),
             "input_fraction: expected 1 to 14, received 15");

@@ -40,7 +40,7 @@ class ModelConfig:
     relative_bias: bool = False
     # The following belong to arithmetic integer (docs/design/integer.md).
     leak: str = "shift"
-    attention: str = "shiftmax"
+    attention: str = "shiftmax_by_tick"
     input_fraction: int = 8  # fraction bits of the embeddings' inputs
     residual_fraction: int = 10  # fraction bits of the residual stream
 
@@ -53,7 +53,7 @@ class ModelConfig:
         "arithmetic": ("float32", "integer"),
         "norm": ("layer", "none"),
         "leak": ("shift",),
-        "attention": ("shiftmax",),
+        "attention": ("shiftmax_by_tick", "shiftmax"),
     }
     # The largest sizes that the server accepts.
     LIMITS: ClassVar[dict[str, int]] = {
@@ -89,8 +89,8 @@ class ModelConfig:
         check(self.has_norms or not self.is_dense, "norm", "layer in mode dense", repr(self.norm))
         if self.is_integer and not self.is_dense:
             check(self.ticks <= 255, "ticks", "at most 255 with arithmetic integer", self.ticks)
-            fits = self.membrane_decay in [1 - 2.0**-k for k in range(1, 9)]
-            expected = "1 - 2^-k for a k from 1 to 8 in integers"
+            fits = self.membrane_decay in [1 - m / 256 for m in range(1, 129)]
+            expected = "1 - m / 256 for an m from 1 to 128 in integers"
             check(fits, "membrane_decay", expected, self.membrane_decay)
 
     @property

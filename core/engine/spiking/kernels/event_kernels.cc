@@ -78,10 +78,11 @@ void SumRowsImpl(const PackedIntegerPopulation& population, const int32_t* membe
 // on_spike(tick, v, spike) for each vector at each tick with an input spike, in which a lane that
 // fires is -1 and the others are 0.
 template <int kVectors, class OnSpike>
-HWY_INLINE void RunLif(int shift, const PackedIntegerPopulation& population,
+HWY_INLINE void RunLif(const ShiftLif& lif, const PackedIntegerPopulation& population,
                        const Drive<int16_t>& drive, int last_tick, int lane, OnSpike on_spike) {
   const I16 d;
-  const auto one = hn::Set(d, int16_t{1});
+  // A product with it is rounded as RoundShift(V * leak, 8).
+  const auto leak = hn::Set(d, static_cast<int16_t>(lif.leak * 128));
   const int* offsets = drive.offsets.data();
   const int16_t* const* terms = drive.terms.data();
   const int16_t* bias = Opaque(population.bias.data() + lane);
@@ -90,12 +91,7 @@ HWY_INLINE void RunLif(int shift, const PackedIntegerPopulation& population,
   for (int v = 0; v < kVectors; ++v) membrane[v] = hn::Zero(d);
   for (int tick = 0, k = 0; tick < last_tick; ++tick) {
     for (int v = 0; v < kVectors; ++v) {
-      if (shift > 0) {
-        // V / 2^shift, rounded to the nearest integer, without an overflow.
-        const auto rounding = hn::And(hn::ShiftRightSame(membrane[v], shift - 1), one);
-        const auto leaked = hn::Add(hn::ShiftRightSame(membrane[v], shift), rounding);
-        membrane[v] = hn::Sub(membrane[v], leaked);
-      }
+      membrane[v] = hn::Sub(membrane[v], hn::MulFixedPoint15(membrane[v], leak));
       membrane[v] = hn::SaturatedAdd(membrane[v], hn::LoadU(d, bias + v * kVector16));
     }
     const int end = offsets[tick + 1];
@@ -135,7 +131,7 @@ void LifBitsImpl(const ShiftLif& lif, const PackedIntegerPopulation& population,
   const size_t stride = width / 8;
   ForEachBlock<kLifVectors, kVector16>(0, width, [&](int lane, auto vectors) HWY_ATTR {
     uint8_t* const block = bytes + lane / 8;
-    RunLif<vectors>(lif.shift, population, drive, last_tick, first + lane,
+    RunLif<vectors>(lif, population, drive, last_tick, first + lane,
                     [d, block, stride](int tick, int v, auto spike) HWY_ATTR {
                       StoreMask(d, hn::MaskFromVec(spike), block + tick * stride, v);
                     });
@@ -149,7 +145,7 @@ uint64_t LifCountsImpl(const ShiftLif& lif, const PackedIntegerPopulation& popul
   ForEachBlock<kLifVectors, kVector16>(0, width, [&](int lane, auto vectors) HWY_ATTR {
     VecI16 count[vectors];
     for (int v = 0; v < vectors; ++v) count[v] = hn::Zero(d);
-    RunLif<vectors>(lif.shift, population, drive, last_tick, first + lane,
+    RunLif<vectors>(lif, population, drive, last_tick, first + lane,
                     [&](int, int v, auto spike) HWY_ATTR {
                       count[v] = hn::Sub(count[v], spike);  // a lane that fires is -1
                     });

@@ -33,9 +33,10 @@ class SlotsTest : public testing::TestWithParam<ModelConfig> {
  protected:
   struct Token {
     std::vector<uint32_t> keys;   // [T][H][W]
-    std::vector<int16_t> counts;  // [d], and kLanes more
+    std::vector<int16_t> counts;  // [planes][pad(d)], and kLanes more
   };
 
+  size_t width() const { return static_cast<size_t>(PadToLanes(config_.hidden_size)); }
   int words() const { return (config_.head_size() + 31) / 32; }
 
   std::vector<uint32_t> DrawBits(uint64_t stream, int token) const {
@@ -60,10 +61,13 @@ class SlotsTest : public testing::TestWithParam<ModelConfig> {
     for (int n = 0; n < 3; ++n) {
       const int slot = band_.Add(timestep);
       const int number = static_cast<int>(3 * timestep) + n;
-      Token token{DrawBits(11, number), std::vector<int16_t>(config_.hidden_size + kLanes)};
-      for (int k = 0; k < config_.hidden_size; ++k) {
-        token.counts[k] =
-            static_cast<int16_t>(std::max(0, Draw(-config_.ticks, config_.ticks, 12, number, k)));
+      const int planes = config_.attention_planes(), most = config_.plane_ticks();
+      Token token{DrawBits(11, number), std::vector<int16_t>(planes * width() + kLanes)};
+      for (int plane = 0; plane < planes; ++plane) {
+        for (int k = 0; k < config_.hidden_size; ++k) {
+          const int count = std::max(0, Draw(-most, most, 12, number, 4096 * plane + k));
+          token.counts[plane * width() + k] = static_cast<int16_t>(count);
+        }
       }
       cache_.Store(slot, token.keys.data(), token.counts.data());
       tokens_[slot] = std::move(token);
@@ -84,10 +88,12 @@ TEST_P(SlotsTest, OverlapsAndWeighedValuesEqualTheEquation) {
     const int size = config_.head_size();
     for (int64_t timestep = 0; timestep < 2 * config_.context + 1; ++timestep) {
       Advance(timestep);
+      const int plane = static_cast<int>(timestep) % config_.attention_planes();
+      const size_t values = plane * width();
       for (int k = 0; k < config_.hidden_size; ++k) {
         int32_t sum = 0;
-        for (const auto& [slot, token] : tokens_) sum += token.counts[k];
-        ASSERT_EQ(cache_.sums()[k], sum);
+        for (const auto& [slot, token] : tokens_) sum += token.counts[values + k];
+        ASSERT_EQ(cache_.sums(plane)[k], sum);
       }
       const std::vector<uint32_t> bits = DrawBits(13, static_cast<int>(timestep));
       for (int head = 0; head < config_.heads; ++head) {
@@ -111,19 +117,18 @@ TEST_P(SlotsTest, OverlapsAndWeighedValuesEqualTheEquation) {
           weights[slot] = static_cast<int16_t>(std::max(0, Draw(-9000, 32767, 14, slot, head)));
           if (slot / kernels::kSlotBlock == 1) weights[slot] = 0;
           for (int k = 0; k < size; ++k) {
-            const int16_t count = token.counts[head * size + k];
+            const int16_t count = token.counts[values + head * size + k];
             sums[k] += weights[slot] * count;
             nonzero += weights[slot] != 0 && count != 0;
           }
         }
         std::vector<int32_t> computed(band_.used_slots(), -7);
-        EXPECT_EQ(kernels::Overlaps(query, cache_.head(head), band_.held(), band_.used_slots(),
-                                    computed.data()),
+        const kernels::HeadSlots own = cache_.head(head, plane);
+        EXPECT_EQ(kernels::Overlaps(query, own, band_.held(), band_.used_slots(), computed.data()),
                   overlap);
         EXPECT_EQ(computed, overlaps);
         computed.assign(PadToLanes(size), -7);
-        EXPECT_EQ(kernels::WeighValues(weights.data(), cache_.head(head), band_.used_slots(),
-                                       computed.data()),
+        EXPECT_EQ(kernels::WeighValues(weights.data(), own, band_.used_slots(), computed.data()),
                   nonzero);
         computed.resize(size);
         EXPECT_EQ(computed, sums);
@@ -135,10 +140,20 @@ TEST_P(SlotsTest, OverlapsAndWeighedValuesEqualTheEquation) {
 INSTANTIATE_TEST_SUITE_P(
     Sizes, SlotsTest,
     testing::Values(ModelConfig{.hidden_size = 128, .heads = 4, .ticks = 10, .context = 20},
+                    ModelConfig{.hidden_size = 128,
+                                .heads = 4,
+                                .ticks = 10,
+                                .context = 20,
+                                .attention = AttentionTicks::kAllTicks},
                     ModelConfig{.hidden_size = 64, .heads = 8, .ticks = 1, .context = 7},
                     ModelConfig{.hidden_size = 33, .heads = 3, .ticks = 3, .context = 5},
                     ModelConfig{.hidden_size = 150, .heads = 2, .ticks = 70, .context = 6},
-                    ModelConfig{.hidden_size = 5, .heads = 1, .ticks = 255, .context = 1}));
+                    ModelConfig{.hidden_size = 5, .heads = 1, .ticks = 255, .context = 1},
+                    ModelConfig{.hidden_size = 5,
+                                .heads = 1,
+                                .ticks = 255,
+                                .context = 1,
+                                .attention = AttentionTicks::kAllTicks}));
 
 }  // namespace
 }  // namespace spikeserve

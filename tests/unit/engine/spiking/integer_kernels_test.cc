@@ -67,8 +67,8 @@ TEST(IntegerKernelsTest, NeuronsAtTheEndsOfTheirRangesEqualTheEquation) {
   OnEverySimdTarget([] {
     for (const int width : {32, 96, 512 + 32}) {
       const Extremes extremes(width);
-      for (const int shift : {0, 1, 4, 8}) {
-        const ShiftLif lif = {shift};
+      for (const int leak : {0, 1, 13, 16, 128}) {
+        const ShiftLif lif = {leak};
         const auto spikes = extremes.Spikes(lif);
         std::vector<uint32_t> bits(static_cast<size_t>(kTicks) * width / 32);
         kernels::LifBits(lif, extremes.population, extremes.drive, 0, width, bits.data());
@@ -81,7 +81,7 @@ TEST(IntegerKernelsTest, NeuronsAtTheEndsOfTheirRangesEqualTheEquation) {
           for (int tick = 0; tick < kTicks; ++tick) {
             const uint32_t word = bits[(static_cast<size_t>(tick) * width + k) / 32];
             ASSERT_EQ((word >> (k % 32) & 1u) != 0, spikes[tick][k])
-                << "neuron " << k << ", tick " << tick << ", shift " << shift;
+                << "neuron " << k << ", tick " << tick << ", leak " << leak;
             count += spikes[tick][k];
           }
           ASSERT_EQ(counts[k], count) << "neuron " << k;

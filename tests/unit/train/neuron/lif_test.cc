@@ -182,7 +182,7 @@ TEST_P(LifGradientTest, EqualsTheGraphOverTicks) {
 }
 
 constexpr int64_t kWidth = 26;  // of the population; kNeurons is a multiple of it
-constexpr ShiftLif kShifted = {.shift = 3};
+constexpr ShiftLif kShifted = {.leak = 32};
 
 // Returns options of integer neurons, whose thresholds and biases are at most `size` times the
 // largest ones.

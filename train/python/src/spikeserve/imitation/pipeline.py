@@ -360,7 +360,8 @@ class _Run:
             second_figures = self._play_version(2, quantized)
             lost = self._lost_return(first_figures, second_figures)
             if not lost:
-                second = self._publish_version(2, quantized, second_figures)
+                loss = self._rounding_loss(first_figures, second_figures)
+                second = self._publish_version(2, quantized, second_figures, **loss)
         insight, baselines = self._explain(first, first_figures)
         comparison = insight.comparison
         compared = comparison.warnings if comparison else []
@@ -414,8 +415,14 @@ class _Run:
             "train it through the integers (spiketrain train --arithmetic=integer --init=FILE)"
         ]
 
+    def _rounding_loss(self, before: Figures, after: Figures) -> dict[str, Any]:
+        """Returns the record of what integers lost, as `spiketrain quantize` writes it."""
+        span = max(before.mean - self._chance().mean, 0.0)
+        share = after.falls_by(before)[0] / span if span > 0 else 0.0
+        return {"rounding_loss": {"measure": "return", "range": span, "share": share}}
+
     def _publish_version(
-        self, version: int, source: pathlib.Path, figures: Figures
+        self, version: int, source: pathlib.Path, figures: Figures, **record: Any
     ) -> pathlib.Path:
         """Writes a policy with its evaluation as a version that can be served."""
         name = self._factory.policy_name
@@ -424,7 +431,8 @@ class _Run:
         settings = {"environment": self._factory.name, **self._settings()}
         target = folder / "policy.safetensors"
         if not target.is_file():  # a second writing would order the metadata differently
-            write_with_record(source, target, {"evaluation": evaluation, "imitation": settings})
+            record |= {"evaluation": evaluation, "imitation": settings}
+            write_with_record(source, target, record)
         return target
 
     # Reasons
