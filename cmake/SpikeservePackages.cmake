@@ -35,11 +35,12 @@ install(CODE "
 
 # The C++ client.
 set_target_properties(spikeserve_client PROPERTIES EXPORT_NAME client)
+set_target_properties(spikeserve_datagram PROPERTIES EXPORT_NAME datagram)
 set_target_properties(spikeserve_proto PROPERTIES EXPORT_NAME proto)
 set_target_properties(spikeserve_stubs PROPERTIES EXPORT_NAME stubs)
 # Not libspikeserve_robot, which is the shared library for C.
 set_target_properties(spikeserve_robot PROPERTIES EXPORT_NAME robot OUTPUT_NAME spikeserve_robot_session)
-install(TARGETS spikeserve_client spikeserve_robot spikeserve_stubs spikeserve_proto EXPORT spikeserveTargets
+install(TARGETS spikeserve_client spikeserve_datagram spikeserve_robot spikeserve_stubs spikeserve_proto EXPORT spikeserveTargets
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT client
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 
@@ -122,7 +123,7 @@ It keeps a session for each agent, in files or in Redis, and serves the
 policies in /usr/share/spikeserve/policies.")
 set(CPACK_COMPONENT_CLIENT_DESCRIPTION "C++ client library of spikeserve
 Contains headers, static libraries, a CMake package and a file for pkg-config.
-The engine on a robot also needs libhwy-dev and libssl-dev.")
+The engine on a robot also needs libhwy-dev.")
 set(CPACK_COMPONENT_ROBOT_DESCRIPTION "robot's end of a session of spikeserve
 Gives each control step of a robot an action in time, whatever its link to the
 server does.")
@@ -135,8 +136,8 @@ set(CPACK_COMPONENT_TRAIN_DESCRIPTION "trainer of policies for spikeserve
 The program spiketrain makes datasets, trains Spiking Decision Transformers on
 them, and evaluates policies.")
 set(CPACK_DEBIAN_CLIENT_PACKAGE_SECTION libdevel)
-set(CPACK_DEBIAN_CLIENT_PACKAGE_DEPENDS "libgrpc++-dev, libprotobuf-dev, libabsl-dev")
-set(CPACK_DEBIAN_CLIENT_PACKAGE_RECOMMENDS "libhwy-dev, libssl-dev")
+set(CPACK_DEBIAN_CLIENT_PACKAGE_DEPENDS "libgrpc++-dev, libprotobuf-dev, libabsl-dev, libssl-dev")
+set(CPACK_DEBIAN_CLIENT_PACKAGE_RECOMMENDS "libhwy-dev")
 set(CPACK_DEBIAN_PACKAGE_GENERATE_SHLIBS ON)
 set(CPACK_DEBIAN_PACKAGE_GENERATE_SHLIBS_POLICY ">=")
 set(CPACK_DEBIAN_ROBOT_PACKAGE_SECTION libs)

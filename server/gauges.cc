@@ -1,5 +1,6 @@
 #include "server/gauges.h"
 
+#include <array>
 #include <string>
 #include <utility>
 
@@ -15,6 +16,10 @@ using prometheus::MetricFamily;
 
 MetricFamily GaugeFamily(const char* name, const char* help) {
   return {.name = name, .help = help, .type = prometheus::MetricType::Gauge, .metric = {}};
+}
+
+MetricFamily CounterFamily(const char* name, const char* help) {
+  return {.name = name, .help = help, .type = prometheus::MetricType::Counter, .metric = {}};
 }
 
 void AddGauge(MetricFamily& family, std::vector<ClientMetric::Label> labels, double value) {
@@ -37,8 +42,7 @@ std::vector<ClientMetric::Label> Named(const std::string& policy, int64_t versio
 
 MetricFamily ByLimit(const char* name, const char* help,
                      const ConnectionTable::CountByLimit& counts) {
-  MetricFamily family = {
-      .name = name, .help = help, .type = prometheus::MetricType::Counter, .metric = {}};
+  MetricFamily family = CounterFamily(name, help);
   for (size_t i = 0; i < counts.size(); ++i) {
     ClientMetric metric;
     metric.label = {{"limit", std::string(ToString(static_cast<ConnectionLimit>(i)))}};
@@ -86,6 +90,23 @@ std::vector<MetricFamily> CollectCertificates(const CertificateWatch& certificat
     }
   }
   return {std::move(failing), std::move(expiry)};
+}
+
+std::vector<MetricFamily> CollectDatagrams(const DatagramChannels& datagrams) {
+  constexpr std::array<const char*, kDatagramOutcomes> kNames = {
+      "taken", "malformed", "unknown_key", "replayed", "forged", "refused"};
+  MetricFamily family = CounterFamily(
+      "spikeserve_datagrams_total",
+      "Datagrams that have arrived, by what became of them: taken (a step is answered), or dropped "
+      "without an answer, because they are malformed, name an unknown key, are replayed or forged, "
+      "or their sender has to wait (refused).");
+  for (size_t i = 0; i < kDatagramOutcomes; ++i) {
+    ClientMetric metric;
+    metric.label = {{"outcome", kNames[i]}};
+    metric.counter.value = static_cast<double>(datagrams.count(static_cast<DatagramOutcome>(i)));
+    family.metric.push_back(std::move(metric));
+  }
+  return {std::move(family)};
 }
 
 std::vector<MetricFamily> CollectHeads(const PolicyCatalog& catalog) {

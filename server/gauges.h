@@ -9,6 +9,7 @@
 #include "core/open_sessions/session_store.h"
 #include "prometheus/metric_family.h"
 #include "server/access/certificate_watch.h"
+#include "server/agent/datagram_channels.h"
 #include "server/policies/policy_catalog.h"
 #include "server/transport/transport.h"
 
@@ -39,6 +40,10 @@ std::vector<prometheus::MetricFamily> CollectHeads(const PolicyCatalog& catalog)
 //     one tenant's sessions decide, otherwise 0
 //   spikeserve_policy_rollout_ended_timestamp_seconds{policy,version,state}: Unix time
 std::vector<prometheus::MetricFamily> CollectTraffic(const PolicyCatalog& catalog);
+
+// Returns, read from `datagrams`:
+//   spikeserve_datagrams_total{outcome}: what has arrived on --datagram_listen
+std::vector<prometheus::MetricFamily> CollectDatagrams(const DatagramChannels& datagrams);
 
 // Returns, read from `transport`:
 //   spikeserve_connections{state}: open ones, by state: known or unauthenticated

@@ -66,6 +66,10 @@ void AddServingFlags(Command program, ServerOptions* options) {
   program.Flags("Serving")
       .Add("listen", "HOST:PORT", &options->listen,
            "Address of gRPC, or unix:PATH; port 0: a free one")
+      .Add("datagram_listen", "HOST:PORT", &options->datagram_listen,
+           "Address of datagrams (UDP), with port 0 as above; empty: none")
+      .Add("datagram_advertise", "HOST:PORT", &options->datagram_advertise,
+           "Where robots send datagrams; empty: where the server listens")
       .Add("loops", "N", &options->loops, "Threads that serve connections; 0: one for each core")
       .Add("http_listen", "HOST:PORT", &options->http_listen,
            "Status page and /metrics; empty: none")
@@ -238,6 +242,9 @@ absl::Status Serve(const ServerOptions& options) {
   std::cout << "spikeserve: serving gRPC on " << server->grpc_address() << std::endl;
   if (!options.http_listen.empty()) {
     std::cout << "spikeserve: serving HTTP on " << server->http_address() << std::endl;
+  }
+  if (!options.datagram_listen.empty()) {
+    std::cout << "spikeserve: serving datagrams on " << server->datagram_address() << std::endl;
   }
   stop_signals.Wait();
   server->Stop();

@@ -28,6 +28,26 @@ absl::Status CheckReach(absl::string_view flag, const std::string& listen,
   return options.tls.enabled() ? absl::OkStatus() : refuse("--tls_certificate");
 }
 
+// The key of a channel goes over gRPC, so that datagrams need what gRPC needs.
+absl::Status CheckDatagrams(const ServerOptions& options) {
+  const std::string& advertise = options.datagram_advertise;
+  if (options.datagram_listen.empty()) {
+    return advertise.empty()
+               ? absl::OkStatus()
+               : absl::InvalidArgumentError(absl::StrCat(
+                     "--datagram_advertise: expected none without --datagram_listen, received ",
+                     advertise));
+  }
+  ASSIGN_OR_RETURN(const auto address, ParseAddress("--datagram_listen", options.datagram_listen));
+  RETURN_IF_ERROR(CheckReach("--datagram_listen", options.datagram_listen, options));
+  if (!advertise.empty()) return ParseAddress("--datagram_advertise", advertise).status();
+  if (address.host != "0.0.0.0" && address.host != "[::]") return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("--datagram_advertise: expected the HOST:PORT that robots reach, because "
+                   "--datagram_listen is ",
+                   options.datagram_listen, ", received none"));
+}
+
 absl::Status CheckCounts(const ServerOptions& options) {
   for (const auto& [flag, value] :
        {std::pair("--max_sessions", options.max_sessions),
@@ -61,6 +81,7 @@ absl::Status ServerOptions::Validate() const {
   if (auto status = CheckReach("--listen", listen, *this); !status.ok()) {
     return status;
   }
+  RETURN_IF_ERROR(CheckDatagrams(*this));
   RETURN_IF_ERROR(transport_limits.Validate());
   if (loops < 0 || loops > kMostLoops) {
     return absl::InvalidArgumentError(

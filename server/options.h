@@ -20,7 +20,9 @@ namespace spikeserve {
 
 struct ServerOptions {
   std::string listen = "127.0.0.1:50051";  // gRPC: HOST:PORT or unix:PATH; port 0 picks a free one
-  int64_t loops = 0;                       // threads that serve connections; 0: one for each core
+  std::string datagram_listen;             // UDP: HOST:PORT, as above; empty: no datagrams
+  std::string datagram_advertise;  // HOST:PORT that robots send them to; empty: where it listens
+  int64_t loops = 0;               // threads that serve connections; 0: one for each core
   TransportLimits transport_limits;
   bool reflection_v1alpha = false;             // serve the old version of reflection, too
   std::string http_listen = "127.0.0.1:9464";  // status page, metrics; port 0 as above; or empty

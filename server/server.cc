@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -216,6 +217,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                      }),
       journals_(std::move(store.journals)),
       shadows_(metrics_->registry()),
+      datagrams_(&clock_),
       store_(options.max_sessions, &clock_),
       reaper_(&store_,
               {.compact_after = options.compact_after, .time_to_live = options.session_ttl},
@@ -226,7 +228,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                                                         recordings_.get())),
       session_gate_(&store_, recovery_.get()),
       handler_(registry_.get(), &session_gate_, &shadows_, &clock_, recordings_.get(),
-               {.journals = journals_.get(), .level = options.durability, .files = files_.get()}),
+               {.journals = journals_.get(), .level = options.durability, .files = files_.get()},
+               options.datagram_listen.empty() ? nullptr : &datagrams_),
       audit_(audit_log_.get(), registry_.get(), &store_, options.allow_unrecorded_changes),
       rollouts_(registry_.get(), metrics_.get(), &clock_, &replicas_,
                 [this](const RolloutManager::Change& change) { audit_.Record(change); }),
@@ -239,7 +242,8 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                  .clock = &clock_,
                  .max_message_bytes = options.max_message_bytes,
                  .sessions = &session_gate_,
-                 .tracer = tracer_.get()},
+                 .tracer = tracer_.get(),
+                 .datagrams = options.datagram_listen.empty() ? nullptr : &datagrams_},
                 {.policy = &handler_,
                  .admin = &admin_handler_,
                  .heads = &head_handler_,
@@ -286,10 +290,16 @@ absl::Status Server::StartTransport() {
   }
   metrics_->AddSource([this] { return CollectCertificates(certificates_); });
   metrics_->AddSource([this] { return CollectRobots(store_); });
+  std::optional<Address> datagram_listen;
+  if (!options_.datagram_listen.empty()) {
+    ASSIGN_OR_RETURN(datagram_listen, ParseAddress("--datagram_listen", options_.datagram_listen));
+    metrics_->AddSource([this] { return CollectDatagrams(datagrams_); });
+  }
   ASSIGN_OR_RETURN(
       auto transport,
       Transport::Create(
           {.listen = std::move(address),
+           .datagram_listen = std::move(datagram_listen),
            .limits = options_.transport_limits,
            .loops = options_.loops == 0 ? AvailableCores() : static_cast<int>(options_.loops),
            .tls = tls_.get(),
@@ -297,8 +307,11 @@ absl::Status Server::StartTransport() {
   transport_ = std::move(transport);
   metrics_->AddSource([this] { return CollectConnections(*transport_); });
   grpc_address_ = transport_->address();
+  datagrams_.SetEndpoint(options_.datagram_advertise.empty()
+                             ? transport_->datagram_address().ToString()
+                             : options_.datagram_advertise);
   PublishHealth();
-  services_.Attach(transport_.get());
+  RETURN_IF_ERROR(services_.Attach(transport_.get()));
   memory_trimmer_ = std::make_unique<Periodic>(kTrimInterval, [this] { TrimMemory(); });
   return transport_->Start();
 }

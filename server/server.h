@@ -19,6 +19,7 @@
 #include "server/admin/audit_log.h"
 #include "server/admin/head_handler.h"
 #include "server/admin/rollout_handler.h"
+#include "server/agent/datagram_channels.h"
 #include "server/agent/policy_handler.h"
 #include "server/agent/session_gate.h"
 #include "server/agent/session_recovery.h"
@@ -65,8 +66,12 @@ class Server {
   // Calls Stop() if it was not called.
   ~Server();
 
-  // The addresses that the server listens on, as HOST:PORT. Without HTTP, http_address() is empty.
+  // The addresses that the server listens on, as HOST:PORT. Without HTTP, http_address() is empty,
+  // and without datagrams, datagram_address() is.
   std::string grpc_address() const { return grpc_address_.ToString(); }
+  std::string datagram_address() const {
+    return options_.datagram_listen.empty() ? "" : transport_->datagram_address().ToString();
+  }
   std::string http_address() const { return http_ == nullptr ? "" : http_->address().ToString(); }
 
   // Stops gracefully: refuses new calls with UNAVAILABLE, sets health to NOT_SERVING, and waits at
@@ -115,6 +120,7 @@ class Server {
   SharedFolder policy_folder_;
   const std::unique_ptr<JournalStore> journals_;  // null: no session is stored
   ShadowRunner shadows_;
+  DatagramChannels datagrams_;
   SessionStore store_;
   SessionReaper reaper_;
   const std::unique_ptr<SessionRecovery> recovery_;  // null as `journals_`

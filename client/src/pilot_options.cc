@@ -54,6 +54,7 @@ absl::Status PilotOptions::Validate() const {
   if (in_flight.has_value() && (*in_flight < 1 || *in_flight > kMostInFlight)) {
     return Refuse("in_flight", absl::StrCat("1 to ", kMostInFlight), *in_flight);
   }
+  if (redundancy < 1 || redundancy > 2) return Refuse("redundancy", "1 or 2", redundancy);
   if (kept_beats < 2) return Refuse("kept_beats", "at least 2", kept_beats);
   if (close_timeout < absl::ZeroDuration()) {
     return Refuse("close_timeout", "at least 0", close_timeout);

@@ -44,8 +44,14 @@ std::string LabelText(const std::map<std::string, std::string>& labels);
 // The label that holds the time between two beats of a robot, in seconds.
 inline constexpr char kPeriodLabel[] = "period_seconds";
 
+// The label of a session that was opened for a robot that may send datagrams.
+inline constexpr char kDatagramsLabel[] = "datagrams";
+
 // Returns the time between two beats that the labels hold; zero if they hold none.
 absl::Duration PeriodOf(const std::map<std::string, std::string>& labels);
+
+// The session's keys for datagrams, which the server makes and which end with the entry.
+class SessionDatagrams;
 
 // A session, and the lock that admits one request at a time. Outlives its place in the store as
 // long as a request holds a reference.
@@ -55,6 +61,7 @@ struct SessionEntry {
         tenant(session.options.tenant),
         label_text(LabelText(session.options.labels)),
         period(PeriodOf(session.options.labels)),
+        wants_datagrams(session.options.labels.contains(kDatagramsLabel)),
         agent(std::move(policy), std::move(session), clock),
         robot(period) {}
 
@@ -62,6 +69,7 @@ struct SessionEntry {
   const std::string tenant;      // owner of the session
   const std::string label_text;  // what filters search for labels, without the lock
   const absl::Duration period;   // between two beats of the robot; zero: unknown
+  const bool wants_datagrams;    // its robot may send them
   // Null: none. Set before the entry is shared.
   std::shared_ptr<ShadowSession> shadow;
   std::shared_ptr<SessionQuota> quota;
@@ -72,6 +80,7 @@ struct SessionEntry {
   // Steps that the shadow has not processed yet; null: there is none.
   std::shared_ptr<ShadowSteps> shadow_steps ABSL_GUARDED_BY(mutex);
   RobotLink robot ABSL_GUARDED_BY(mutex);
+  std::shared_ptr<SessionDatagrams> datagrams ABSL_GUARDED_BY(mutex);  // null: none
 };
 
 // Optional properties of a new session, beside its policy and options.

@@ -30,14 +30,17 @@ void RobotSession::Queue(uint64_t number, bool sees, Time now) {
   const bool may_ask = log_.is_current() || (log_.is_one_behind() && EndsOnStream());
   // A step without an observation asks for nothing: it only reports, and brings what was before.
   const bool is_news = sees || (log_.running().steps > 1 && counters_.IsReportDue(now));
-  if (link_ == LinkState::kOnline && is_news && may_ask && in_flight_.size() < window_ &&
-      now >= paused_until_) {
+  while (!datagrams_.empty() && now - datagrams_.front().sent > settings_.oldest) datagrams_.Pop();
+  transport_.Check(datagrams_, now);
+  const Ways ways = OpenWays(now);
+  if ((ways.stream || ways.datagram) && is_news && may_ask && now >= paused_until_) {
     queued_ = {.episode = log_.running().index, .number = number, .sent = now, .asks = sees};
   }
 }
 
 void RobotSession::AskAgain(Now now) {
   if (log_.running().steps == 0 || !in_flight_.empty() || queued_.has_value()) return;
+  if (!datagrams_.empty() && now.steady - datagrams_.front().sent < settings_.oldest) return;
   const uint64_t newest = log_.next() - 1;
   Queue(newest, !log_.At(newest).observation.empty(), now.steady);
 }
@@ -75,11 +78,27 @@ std::optional<uint64_t> RobotSession::ExpectedAnswer(Time deadline) const {
     return request.asks && request.sent + round_trip_.value_or(Time::zero()) <= deadline;
   };
   if (queued_.has_value() && is_due(*queued_)) return queued_->number;
-  for (size_t i = in_flight_.size(); i-- > 0;) {
-    if (in_flight_[i].episode != log_.running().index) return std::nullopt;
-    if (is_due(in_flight_[i])) return in_flight_[i].number;
+  std::optional<uint64_t> newest;
+  for (const InFlight* way : {&in_flight_, &datagrams_}) {
+    for (size_t i = way->size(); i-- > 0 && (*way)[i].episode == log_.running().index;) {
+      if (!is_due((*way)[i])) continue;
+      newest = std::max(newest, std::optional((*way)[i].number));
+      break;
+    }
   }
-  return std::nullopt;
+  return newest;
+}
+
+// A channel belongs to the session, not to the stream: datagrams go on while that is opened again.
+// They keep off the end of an episode, which they could overtake.
+Ways RobotSession::OpenWays(Time now) const {
+  const bool is_open = link_ == LinkState::kOnline && in_flight_.size() < window_;
+  if (!has_session() || log_.is_ending() || !log_.is_current() || !log_.FitsDatagram()) {
+    return {.stream = is_open};
+  }
+  const Ways wanted = transport_.Choose(now);
+  const bool is_wanted = wanted.datagram || (!is_open && transport_.is_offered(now));
+  return {.stream = wanted.stream && is_open, .datagram = is_wanted && datagrams_.size() < window_};
 }
 
 bool RobotSession::TakeAnswer(Now now) {

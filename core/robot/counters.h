@@ -29,6 +29,7 @@ struct Counts {
   uint64_t stale = 0;
   uint64_t late_answers = 0;
   uint64_t cancelled_requests = 0;
+  uint64_t datagram_answers = 0;
   uint64_t reconnects = 0;
   uint64_t reopened = 0;
   uint64_t unequal_returns = 0;

@@ -17,6 +17,7 @@ struct SentRequest {
   Time sent = kLongAgo;
   bool ends = false;  // it ends the episode
   bool asks = true;   // for a decision
+  uint64_t id = 0;    // of a datagram
 };
 
 // A queue, oldest first, in memory of its own.

@@ -9,6 +9,7 @@
 #include "core/robot/action_shape.h"
 #include "core/robot/step_log.h"
 #include "core/robot/time.h"
+#include "core/robot/transport_choice.h"
 
 namespace spikeserve::robot {
 
@@ -71,7 +72,7 @@ struct Task {
     kWait,         // until `time`, or an event
     kForget,       // the session is lost: close the stream, and any call but OpenSession; the
                    // summaries of episodes before `serial` fail because of `reason`
-    kSend,         // `request`, on the stream
+    kSend,         // `request`, by each of `ways`
     kPlay,         // RobotSession::work() on the robot's engine
     kOpenSession,  // with the same id until it is answered
     kOpenStream,   // at a server that has not denied the session
@@ -85,6 +86,9 @@ struct Task {
   Kind kind = Kind::kWait;
   Time time = kNever;
   Request request = {};
+  Ways ways = {};
+  uint64_t datagram = 0;  // number of the datagram, which its answer has, too
+  int copies = 1;         // of the datagram
   uint64_t serial = 0;
   std::string reason = {};
 };

@@ -41,6 +41,7 @@ RobotSession::RobotSession(const Settings& settings, const ActionShape& shape,
       decided_here_({.action = settings.neutral}),
       fitted_(settings.neutral),
       denied_(settings.servers),
+      transport_(settings.sends_datagrams, settings.period),
       window_(settings.most_in_flight),
       pause_(kFirstPause) {
   TakeOpening(opening);
@@ -121,9 +122,12 @@ Task RobotSession::Forget() {
 }
 
 bool RobotSession::MaySend(Time now) const {
-  if (link_ != LinkState::kOnline) return false;
-  if (log_.is_current()) return queued_.has_value() && in_flight_.size() < window_;
-  return MaySendEnd(now);
+  if (log_.is_current()) {
+    if (!queued_.has_value()) return false;
+    const Ways ways = OpenWays(now);
+    return ways.stream || ways.datagram;
+  }
+  return link_ == LinkState::kOnline && MaySendEnd(now);
 }
 
 // A server takes a last step without an observation only together with the end.
@@ -139,19 +143,30 @@ bool RobotSession::MaySendEnd(Time now) const {
 }
 
 Task RobotSession::Send(Time now) {
-  if (log_.is_current()) queued_.reset();
   Task task = {.kind = Task::Kind::kSend, .request = log_.NextRequest()};
+  if (log_.is_current()) {
+    task.ways = OpenWays(now);
+    queued_.reset();
+  }
   Request& request = task.request;
   if (request.episode->has_ended() && EndsOnStream() && log_.FitsOne()) {
     request.ends = true;
     log_.BeginEnd();
   }
   request.report = counters_.TakeReport(now);
-  in_flight_.Push({.episode = request.episode->index,
-                   .number = request.end,
-                   .sent = now,
-                   .ends = request.ends,
-                   .asks = request.asks});
+  const SentRequest sent = {.episode = request.episode->index,
+                            .number = request.end,
+                            .sent = now,
+                            .ends = request.ends,
+                            .asks = request.asks,
+                            .id = next_datagram_};
+  if (task.ways.stream) in_flight_.Push(sent);
+  if (task.ways.datagram) {
+    datagrams_.Push(sent);
+    transport_.OnSent(now);
+    task.datagram = next_datagram_++;
+    task.copies = settings_.redundancy;
+  }
   return task;
 }
 
@@ -185,6 +200,32 @@ Received RobotSession::OnReply(const Reply& reply, Now now) {
     }
   }
   return received;
+}
+
+// The newest answer wins: those to older datagrams tell nothing that it does not.
+Received RobotSession::OnDatagram(uint64_t number, const Reply& reply, Now now) {
+  if (number >= next_datagram_) return {};
+  while (!datagrams_.empty() && datagrams_.front().id < number) datagrams_.Pop();
+  if (datagrams_.empty() || datagrams_.front().id != number || !has_session()) return {};
+  const SentRequest sent = datagrams_.Pop();
+  if (reply.error != nullptr) {
+    // What an error means for the session is left to the stream. One about the order may only mean
+    // that a newer datagram was faster.
+    if (reply.error->retry_after.has_value()) {
+      paused_until_ = now.steady + *reply.error->retry_after;
+    } else if (!reply.error->expected_decision.has_value()) {
+      transport_.OnError();
+    }
+    return {.has_work = true};
+  }
+  transport_.OnAnswer(sent.sent, now.steady);
+  ++counters_.counts().datagram_answers;
+  if (sent.episode == log_.oldest().index) {
+    log_.ForgetDurable(reply.durable_decision, reply.durable_episode);
+    log_.Acknowledge(reply.next_step);
+    if (reply.action.has_value()) TakeDecision(reply, sent, now);
+  }
+  return {.has_work = !log_.is_current() || log_.is_ending() || queued_.has_value()};
 }
 
 std::optional<Settled> RobotSession::TakeEnd(const Reply& reply) {
@@ -350,6 +391,7 @@ void RobotSession::OnPlayed(const ActionView* action, std::string_view text, Tim
 bool RobotSession::Stop() {
   const bool is_open = has_session();
   LeaveStream();
+  datagrams_.Clear();
   local_.Stop();
   answer_.step.reset();
   log_.BeginAgain();
@@ -378,6 +420,8 @@ void RobotSession::GiveUp(std::string_view reason, bool keeps_steps) {
   keeps_steps_ = keeps_steps;
   link_ = LinkState::kGivenUp;
   LeaveStream();
+  datagrams_.Clear();
+  transport_.Withdraw();
 }
 
 void RobotSession::Break(Broken why) {

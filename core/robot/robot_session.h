@@ -49,9 +49,11 @@ struct Settings {
   int ramp_steps = 0;
   size_t most_in_flight = 1;  // at most InFlight::kMost
   size_t kept_steps = 2;
-  size_t servers = 1;        // that may have the session
-  bool has_engine = false;   // on the robot
-  bool shares_head = false;  // the session learns with a fleet
+  size_t servers = 1;            // that may have the session
+  bool has_engine = false;       // on the robot
+  bool shares_head = false;      // the session learns with a fleet
+  bool sends_datagrams = false;  // where the server takes them and they come through
+  int redundancy = 1;            // copies of each datagram
 };
 
 // Where the session is. docs/reference/beats.md names the transitions.
@@ -122,6 +124,11 @@ class RobotSession {
   // The stream that Next has wanted is open, at a server by its number.
   void OnStreamOpened(size_t server);
   Received OnReply(const Reply& reply, Now now);
+  // The server offers a channel of datagrams until then, in the place of the one before.
+  void OnChannel(Time until) { transport_.Offer(until); }
+  // As OnReply, for the answer to the datagram of this number. One that is late, or comes twice,
+  // has no effect.
+  Received OnDatagram(uint64_t number, const Reply& reply, Now now);
   // The stream has ended by itself.
   void OnStreamEnded(const Error& error);
   // The stream is closed. `is_renewed`: a fresh connection has taken the place of its own. Returns
@@ -147,6 +154,8 @@ class RobotSession {
   const LocalSession& local() const { return local_; }
   const LocalWork& work() const { return local_.work(); }
   const InvalidObservation& invalid_observation() const { return invalid_; }
+  // Returns whether steps go as datagrams alone.
+  bool SendsDatagrams(Time now) const { return !transport_.Choose(now).stream; }
   bool sees() const { return sees_; }  // the observation of the last step was valid
   bool is_closing() const { return closes_at_ < kNever; }
   bool shares_head() const { return settings_.shares_head; }
@@ -181,6 +190,8 @@ class RobotSession {
 
   // control_step.cc
   void Queue(uint64_t number, bool sees, Time now);
+  // Returns how a request for the newest step may go now.
+  Ways OpenWays(Time now) const;
   bool AwaitsAnswer(Time deadline) const;
   std::optional<uint64_t> ExpectedAnswer(Time deadline) const;
   bool TakeAnswer(Now now);
@@ -248,7 +259,10 @@ class RobotSession {
   std::vector<bool> denied_;           // by server
   Time denied_since_ = kNever;         // kNever: no server denies it
   std::optional<SentRequest> queued_;  // to be sent
-  InFlight in_flight_;
+  InFlight in_flight_;                 // on the stream
+  InFlight datagrams_;                 // in flight
+  uint64_t next_datagram_ = 0;         // its number
+  TransportChoice transport_;
   size_t window_;                   // most requests in flight
   std::optional<Time> round_trip_;  // smoothed
   Time replied_at_ = kLongAgo;

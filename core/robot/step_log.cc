@@ -65,6 +65,20 @@ uint64_t StepLog::most() const {
   return std::max<uint64_t>(2, std::min(history_limit_, kMostBytes / bytes));
 }
 
+bool StepLog::FitsDatagram() const {
+  // Upper bounds of what is written: the 1,167 bytes of a payload begin with the number of the
+  // request; a message has its session, numbers, a report and a trace; a step has a reward, a
+  // number and a source.
+  constexpr uint64_t kPayload = 1159, kMessage = 240, kStep = 26;
+  const uint64_t action = 4 * shape_.size() + 8;
+  const uint64_t begin = HistoryBegin();
+  const uint64_t skipped = begin - std::min(begin, std::max(acknowledged_, asked().first));
+  const uint64_t steps = HistoryPast() - begin;
+  const uint64_t request =
+      kMessage + 9 * skipped + (steps + 1) * (kStep + 4 * observation_size_ + action);
+  return request <= kPayload;
+}
+
 uint64_t StepLog::Add(std::span<const float> observation, double reward, Time observed_at,
                       std::string_view traceparent) {
   const uint64_t number = next_++;

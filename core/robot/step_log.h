@@ -148,6 +148,8 @@ class StepLog {
   // there are more of them than fit, or this episode has ended, it asks for no decision and carries
   // the oldest ones.
   Request NextRequest() const;
+  // Returns whether it surely fits into a datagram.
+  bool FitsDatagram() const;
   // Returns whether it carries all of them.
   bool FitsOne() const { return HistoryPast() - HistoryBegin() <= most(); }
 

@@ -52,7 +52,7 @@ def play(case, player, seconds, folder, rival):
     with contextlib.ExitStack() as stack:
         site = Site(stack, folder / "link_emulator")
         if case.round_trip is not None:
-            site.link.order("set", case.round_trip / 2, case.loss)
+            site.link.order("set", case.round_trip / 2, case.loss, case.burst)
         robots = start_robots(site, case, player, seconds + case.longer, folder, rival)
         if case.disturb is not None:
             time.sleep(seconds / 4)

@@ -9,6 +9,7 @@ LOSSES = (0.0, 0.01, 0.05)
 CUTS = (1, 5, 30)  # seconds
 PAUSE, RESTART = 2, 1  # seconds
 PLAYERS = ("calls", "openpi", "pilot", "engine")  # robots.cc; "engine" is a pilot with the engine on the robot
+WAYS = ("pilot", "datagram", "twice")  # over a stream, as datagrams, and as two datagrams a step
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,6 +19,7 @@ class Case:
     name: str
     round_trip: float | None = 0.05  # seconds; None: without a link, on the host of the server
     loss: float = 0.0  # share of the packets in each direction
+    burst: float = 0.0  # packets that are lost together, on average; 0: each one is lost by itself
     robots: int = 1
     connections: int = 1  # of all robots
     rate: float = 50.0  # beats a second
@@ -65,6 +67,13 @@ def name_of(round_trip, loss):
 
 
 LINKS = [Case(name_of(r, loss), round_trip=r, loss=loss) for r in ROUND_TRIPS for loss in LOSSES]
+DATAGRAM_LINKS = [
+    *(
+        Case(f"{name_of(r, loss)}, stream and datagrams", round_trip=r, loss=loss, players=WAYS)
+        for r, loss in ((0.05, 0.0), (0.05, 0.01), (0.05, 0.05), (0.1, 0.01), (0.2, 0.01))
+    ),
+    Case("50 ms, 5% lost in bursts of 3, stream and datagrams", loss=0.05, burst=3, players=WAYS),
+]
 EVENTS = [
     *(Case(f"link cut for {seconds} s", disturb=cut(seconds), longer=seconds) for seconds in CUTS),
     Case("connection forgotten by a NAT", disturb=lambda site: site.link.order("forget")),
@@ -88,4 +97,4 @@ FLEETS = [
         )
     ),
 ]
-CASES = [*LINKS, *EVENTS, *FLEETS]
+CASES = [*LINKS, *DATAGRAM_LINKS, *EVENTS, *FLEETS]

@@ -85,7 +85,7 @@ class Site:
 
     def start_servers(self, store, prefix):
         """Starts one server with a "file" store or none (""), or two that share a "redis". `prefix` precedes their commands."""
-        flags = ["--insecure_network"]
+        flags = ["--insecure_network", f"--datagram_listen={SERVER}:0"]
         if store == "file":
             flags += [f"--session_store=file:{self._stack.enter_context(tempfile.TemporaryDirectory())}"]
         if store == "redis":

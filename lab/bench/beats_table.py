@@ -1,6 +1,6 @@
 """Writes the rows of beats_bench.py as tables, between the markers of two pages."""
 
-from beats_cases import EVENTS, FLEETS, LINKS
+from beats_cases import DATAGRAM_LINKS, EVENTS, FLEETS, LINKS, WAYS
 
 BEGIN, END = "<!-- make lab-beats -->\n", "<!-- end of make lab-beats -->"
 EVIDENCE, ANSWER = "lab/evidence/missed-beats.md", "docs/guides/how-far.md"
@@ -10,6 +10,7 @@ NAMES = {
     "pilot": "pilot",
     "engine": "pilot with engine",
 }
+WAY_NAMES = {"pilot": "pilot over a stream", "datagram": "pilot, datagrams", "twice": "pilot, each datagram twice"}
 HEADER = [
     *("robot", "without fresh action", "held", "local", "safe", "no action", "stale", "doubled", "undefined"),
     *("age p50", "p99", "p99.9", "longest without fresh", "return"),
@@ -45,7 +46,7 @@ def table(header, rows):
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
 
 
-def case_table(cases, finished):
+def case_table(cases, finished, names=NAMES):
     rows = []
     for case in cases:
         played = [(name, finished[f"{case.name}: {name}"]) for name in case.players if f"{case.name}: {name}" in finished]
@@ -54,7 +55,7 @@ def case_table(cases, finished):
         for name, row in played:
             returned = "" if row["return"] is None else f"{row['return']:.0f}"
             rungs = shares(row, ("held", "local", "safe", "none"))
-            rows.append([NAMES[name], *rungs, *counts(row), *times(row), returned])
+            rows.append([names[name], *rungs, *counts(row), *times(row), returned])
     return table(HEADER, rows)
 
 
@@ -74,6 +75,7 @@ def all_tables(finished):
     measured = f"Machine: {'; '.join(machines)}. Its load average was {min(loads):.1f} to {max(loads):.1f}.\n"
     parts = [
         *(measured, "### Delay and loss, 50 Hz\n", case_table(LINKS, finished)),
+        *("### Stream and datagrams, 50 Hz\n", case_table(DATAGRAM_LINKS, finished, WAY_NAMES)),
         *("### Events, 50 Hz, 50 ms\n", case_table(EVENTS, finished)),
         *("### Fleets, pilots without engine\n", fleet_table(finished)),
     ]
@@ -89,7 +91,19 @@ def answer_table(finished):
             missed = [row and shares(row, ())[0] or "" for row in played.values()]
             age, engine = times(played["pilot"])[0], played["engine"]
             rows.append([case.name, *missed, age, f"{engine['return']:.0f}" if engine else ""])
-    return table(["round trip, or event at 50 ms", *NAMES.values(), "age, pilot", "return, engine"], rows)
+    return table(["round trip, or event at 50 ms", *NAMES.values(), "age, pilot", "return, engine"], rows) + way_table(finished)
+
+
+def way_table(finished):
+    """Returns what one lost packet holds back, by the way that the steps of a pilot go."""
+    rows = []
+    for case in DATAGRAM_LINKS:
+        played = [finished.get(f"{case.name}: {name}") for name in WAYS]
+        if all(played):
+            ages = (times(row)[1] for row in played)
+            rows.append([case.name.split(", stream")[0], *(shares(row, ())[0] for row in played), *ages])
+    header = ["round trip", *WAY_NAMES.values(), *(f"age p99, {name}" for name in ("stream", "datagrams", "twice"))]
+    return "\nThe same by the way that the steps of a pilot go, without an engine:\n\n" + table(header, rows) if rows else ""
 
 
 def pages(root, finished):

@@ -6,7 +6,8 @@
 // makes the device "link" in the namespaces of two processes, prints "ready", and does what the
 // lines of its standard input say, until its end:
 //
-//   set DELAY LOSS   seconds in each direction, share of lost packets
+//   set DELAY LOSS BURST   seconds in each direction, share of lost packets, and how many of them
+//                    follow each other on average (Gilbert's model); 0: each one is lost by itself
 //   cut              drops everything
 //   heal             ends cut
 //   forget           drops the packets of the connections that it has seen, as a NAT that has
@@ -88,7 +89,7 @@ class Link {
     words >> what;
     if (what == "set") {
       double seconds = 0.0;
-      words >> seconds >> loss_;
+      words >> seconds >> loss_ >> burst_;
       delay_ = std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(seconds));
     }
     if (what == "cut" || what == "heal") is_cut_ = what == "cut";
@@ -96,7 +97,7 @@ class Link {
   }
 
   // Reads the packets that wait at `tun`, and queues those that are not lost.
-  void Read(int tun, std::deque<Packet>& queue) {
+  void Read(int tun, int side, std::deque<Packet>& queue) {
     while (true) {
       buffer_.resize(kLargestPacket);
       const ssize_t size = read(tun, buffer_.data(), buffer_.size());
@@ -104,7 +105,7 @@ class Link {
       buffer_.resize(static_cast<size_t>(size));
       const uint32_t connection = ConnectionOf(buffer_);
       if (connection != 0) seen_.insert(connection);
-      const bool is_lost = std::uniform_real_distribution<>(0.0, 1.0)(random_) < loss_;
+      const bool is_lost = Loses(side);
       if (is_cut_ || is_lost || forgotten_.contains(connection) || queue.size() >= kQueue) continue;
       queue.push_back({.due = Clock::now() + delay_, .bytes = buffer_});
     }
@@ -120,8 +121,18 @@ class Link {
   }
 
  private:
+  bool Loses(int side) {
+    double share = loss_;
+    if (burst_ > 0.0) {
+      share = in_burst_[side] ? 1.0 - 1.0 / burst_ : loss_ / (burst_ * (1.0 - loss_));
+    }
+    return in_burst_[side] = std::uniform_real_distribution<>(0.0, 1.0)(random_) < share;
+  }
+
   Clock::duration delay_ = {};
   double loss_ = 0.0;
+  double burst_ = 0.0;
+  bool in_burst_[2] = {};  // by direction: the last packet was lost
   bool is_cut_ = false;
   std::set<uint32_t> seen_;
   std::set<uint32_t> forgotten_;
@@ -161,7 +172,7 @@ void Run(const int tuns[2]) {
     ppoll(polled, 3, has_packets ? &wait : nullptr, nullptr);
     if (polled[2].revents != 0 && !ReadOrders(link, unread)) return;
     for (int side = 0; side < 2; ++side) {
-      if (polled[side].revents != 0) link.Read(tuns[side], queues[side]);
+      if (polled[side].revents != 0) link.Read(tuns[side], side, queues[side]);
       Link::Write(tuns[1 - side], queues[side]);
     }
   }

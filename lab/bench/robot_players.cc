@@ -130,6 +130,8 @@ absl::StatusOr<std::unique_ptr<RobotPlayer>> MakePilot(const PlayerOptions& opti
   PilotOptions settings = {.period = options.period};
   settings.close_timeout = kPatience;
   settings.log = nullptr;
+  settings.transport = options.transport;
+  settings.redundancy = options.redundancy;
   if (options.has_engine) settings.local = LocalEngine::FromServer();
   auto pilot = Pilot::Create(client.get(), Opening(options), std::move(settings));
   if (!pilot.ok()) return pilot.status();

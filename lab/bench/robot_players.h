@@ -13,6 +13,7 @@
 #include "absl/time/time.h"
 #include "absl/types/span.h"
 #include "spikeserve/client.h"
+#include "spikeserve/pilot_options.h"
 #include "spikeserve/pilot_stats.h"
 
 namespace spikeserve {
@@ -50,7 +51,10 @@ struct PlayerOptions {
   std::string servers;
   std::string policy;
   absl::Duration period;
-  bool has_engine = false;  // of a pilot: whether the robot has an engine
+  // Of a pilot.
+  bool has_engine = false;  // on the robot
+  PilotTransport transport = PilotTransport::kStream;
+  int redundancy = 1;
 };
 
 // Connects the client of one or more pilots.

@@ -162,7 +162,11 @@ absl::StatusOr<std::vector<std::unique_ptr<Robot>>> MakeRobots(const Flags& flag
   const PlayerOptions options = {.servers = flags.server,
                                  .policy = "pendulum-delay",
                                  .period = absl::Seconds(1.0 / flags.rate),
-                                 .has_engine = flags.player == "engine"};
+                                 .has_engine = flags.player == "engine",
+                                 .transport = flags.player == "datagram" || flags.player == "twice"
+                                                  ? PilotTransport::kAuto
+                                                  : PilotTransport::kStream,
+                                 .redundancy = flags.player == "twice" ? 2 : 1};
   std::vector<std::shared_ptr<Client>> clients;
   std::vector<std::unique_ptr<Robot>> robots;
   for (int i = 0; i < flags.robots; ++i) {
@@ -212,7 +216,8 @@ int main(int argc, char** argv) {
   spikeserve::Flags flags;
   CLI::App app("Robots that play Pendulum-v1 at their own rate.");
   app.add_option("--server", flags.server)->required();
-  app.add_option("--player", flags.player)->check(CLI::IsMember({"calls", "pilot", "engine"}));
+  app.add_option("--player", flags.player)
+      ->check(CLI::IsMember({"calls", "pilot", "engine", "datagram", "twice"}));
   app.add_option("--robots", flags.robots)->check(CLI::Range(1, 1024));
   app.add_option("--connections", flags.connections)->check(CLI::Range(1, 1024));
   app.add_option("--rate", flags.rate)->check(CLI::Range(1.0, 10000.0));

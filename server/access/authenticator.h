@@ -32,7 +32,7 @@
 namespace spikeserve {
 
 // The tenant and the role of a token. Thread-safe.
-class Credential {
+class Credential : public std::enable_shared_from_this<Credential> {
  public:
   // REQUIRES: `tenant` is the tenant that `entry` names.
   Credential(std::shared_ptr<Tenant> tenant, TokenEntry entry)

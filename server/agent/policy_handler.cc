@@ -46,18 +46,25 @@ absl::Status CheckMayPlay(const Credential& caller, SessionEntry& entry) {
       "false, received one that does");
 }
 
+// Lets the answer to `act` bring a key for datagrams, if the session needs one.
+void RenewKey(DatagramChannels* datagrams, const std::shared_ptr<SessionEntry>& entry,
+              DecisionRequest* act) {
+  if (datagrams != nullptr) datagrams->Renew(entry, *act->context->caller, act->response);
+}
+
 }  // namespace
 
 PolicyHandler::PolicyHandler(const PolicyRegistry* registry, const SessionGate* gate,
                              ShadowRunner* shadows, const Clock* clock, Recordings* recordings,
-                             SessionDurability durability)
+                             SessionDurability durability, DatagramChannels* datagrams)
     : registry_(registry),
       gate_(gate),
       store_(&gate->store()),
       shadows_(shadows),
       clock_(clock),
       journals_(durability.journals),
-      opener_(registry, gate, clock, recordings, durability) {}
+      datagrams_(datagrams),
+      opener_(registry, gate, clock, recordings, durability, datagrams) {}
 
 absl::Status PolicyHandler::ListPolicies(CallContext& /*context*/,
                                          const v1::ListPoliciesRequest& /*request*/,
@@ -139,6 +146,7 @@ void PolicyHandler::ActMany(absl::Span<DecisionRequest* const> acts, DeferredWor
       DecisionRequest* const act = found[i];
       auto entry = std::exchange(act->entry, nullptr);
       conclude(act);
+      if (act->status.ok()) RenewKey(datagrams_, entry, act);
       const int64_t beats = BeatsOf(*act) - appended[i];
       if (beats > 0) CountBeats(*act->context->caller, beats);
       if (act->status.ok()) deferred->Add(std::move(entry), shadows_);

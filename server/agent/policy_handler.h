@@ -15,6 +15,7 @@
 #include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/agent/call_context.h"
+#include "server/agent/datagram_channels.h"
 #include "server/agent/decision_request.h"
 #include "server/agent/deferred_work.h"
 #include "server/agent/policy_list.h"
@@ -32,10 +33,11 @@ inline constexpr int kMaxBatch = 1024;
 
 class PolicyHandler {
  public:
-  // All arguments must outlive the handler. If `recordings` is null, sessions cannot be recorded.
+  // All arguments must outlive the handler. If `recordings` is null, sessions cannot be recorded;
+  // if `datagrams` is, they get no channel for datagrams.
   PolicyHandler(const PolicyRegistry* registry, const SessionGate* gate, ShadowRunner* shadows,
                 const Clock* clock, Recordings* recordings = nullptr,
-                SessionDurability durability = {});
+                SessionDurability durability = {}, DatagramChannels* datagrams = nullptr);
 
   // A session belongs to the tenant that opened it; callers of other tenants receive NOT_FOUND. The
   // exceptions are GetSession and Explain, which also serve callers that may read the session
@@ -112,7 +114,8 @@ class PolicyHandler {
   SessionStore* const store_;  // of the gate
   ShadowRunner* const shadows_;
   const Clock* const clock_;
-  JournalWriter* const journals_;  // null: no session is stored
+  JournalWriter* const journals_;      // null: no session is stored
+  DatagramChannels* const datagrams_;  // null: the server offers none
   const SessionOpener opener_;
   mutable PolicyList policy_list_;
 };

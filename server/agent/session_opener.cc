@@ -30,8 +30,12 @@ absl::Status SessionOpener::Open(CallContext& context, const v1::OpenSessionRequ
   }
   ASSIGN_OR_RETURN(const auto durability, ChooseDurability(*context.caller->tenant(), request));
   const auto open = gate_->Find(context, id);
-  if (open.ok()) return OpenAgain(context, **open, request, durability, response);
-  return OpenNew(context, id, request, durability, response);
+  RETURN_IF_ERROR(open.ok() ? OpenAgain(context, **open, request, durability, response)
+                            : OpenNew(context, id, request, durability, response));
+  if (!request.datagrams() || datagrams_ == nullptr) return absl::OkStatus();
+  ASSIGN_OR_RETURN(const auto entry, gate_->Find(context, response->session_id()));
+  datagrams_->Open(entry, *context.caller, response);
+  return absl::OkStatus();
 }
 
 absl::Status SessionOpener::OpenAs(CallContext& context, std::string id,
@@ -87,7 +91,7 @@ absl::Status SessionOpener::OpenNew(CallContext& context, std::string session_id
   const std::string& tenant = context.caller->tenant()->name();
   ASSIGN_OR_RETURN(const auto route, ChooseRoute(request, *id, *registry_->catalog()));
   const ServedPolicy& served = *route.served;
-  ASSIGN_OR_RETURN(auto options, OptionsFromProto(request, served));
+  ASSIGN_OR_RETURN(auto options, OptionsOf(request, served));
   options.tenant = tenant;
   options.durability = durability;
   SessionExtras extras;
@@ -125,13 +129,23 @@ absl::Status SessionOpener::OpenNew(CallContext& context, std::string session_id
   return status;
 }
 
+absl::StatusOr<SessionOptions> SessionOpener::OptionsOf(const v1::OpenSessionRequest& request,
+                                                        const ServedPolicy& served) const {
+  auto options = OptionsFromProto(request, served);
+  // Stored, so that a server that takes the session over offers a channel, too.
+  if (options.ok() && request.datagrams() && datagrams_ != nullptr) {
+    options->labels[kDatagramsLabel] = "true";
+  }
+  return options;
+}
+
 absl::Status SessionOpener::OpenAgain(CallContext& context, SessionEntry& entry,
                                       const v1::OpenSessionRequest& request, Durability durability,
                                       v1::OpenSessionResponse* response) const {
   absl::MutexLock lock(&entry.mutex);
   const Session& session = entry.agent.session();
   const SessionOptions& opened = session.options;
-  ASSIGN_OR_RETURN(auto options, OptionsFromProto(request, *entry.served));
+  ASSIGN_OR_RETURN(auto options, OptionsOf(request, *entry.served));
   options.tenant = opened.tenant;
   options.durability = durability;
   options.policy = request.policy();

@@ -15,6 +15,7 @@
 #include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/agent/call_context.h"
+#include "server/agent/datagram_channels.h"
 #include "server/agent/session_gate.h"
 #include "server/followers/recordings.h"
 #include "server/policies/policy_registry.h"
@@ -32,14 +33,16 @@ struct SessionDurability {
 
 class SessionOpener {
  public:
-  // The pointers must outlive the object. If `recordings` is null, sessions cannot be recorded.
+  // The pointers must outlive the object. If `recordings` is null, sessions cannot be recorded; if
+  // `datagrams` is, they get no channel for datagrams.
   SessionOpener(const PolicyRegistry* registry, const SessionGate* gate, const Clock* clock,
-                Recordings* recordings, SessionDurability durability)
+                Recordings* recordings, SessionDurability durability, DatagramChannels* datagrams)
       : registry_(registry),
         gate_(gate),
         clock_(clock),
         recordings_(recordings),
-        durability_(durability) {}
+        durability_(durability),
+        datagrams_(datagrams) {}
 
   // As the methods of PolicyHandler.
   absl::Status Open(CallContext& context, const v1::OpenSessionRequest& request,
@@ -52,6 +55,9 @@ class SessionOpener {
   // PERMISSION_DENIED if it is above the ceiling of the tenant.
   absl::StatusOr<Durability> ChooseDurability(const Tenant& tenant,
                                               const v1::OpenSessionRequest& request) const;
+  // Returns the settings of a session that `request` opens.
+  absl::StatusOr<SessionOptions> OptionsOf(const v1::OpenSessionRequest& request,
+                                           const ServedPolicy& served) const;
   // Opens a session that does not exist yet.
   absl::Status OpenNew(CallContext& context, std::string id, const v1::OpenSessionRequest& request,
                        Durability durability, v1::OpenSessionResponse* response) const;
@@ -71,6 +77,7 @@ class SessionOpener {
   const Clock* const clock_;
   Recordings* const recordings_;
   const SessionDurability durability_;
+  DatagramChannels* const datagrams_;  // null: the server offers none
 };
 
 }  // namespace spikeserve

@@ -1,33 +1,11 @@
 #include "server/services/service_call.h"
 
-#include <string>
 #include <utility>
 
-#include "absl/strings/strip.h"
 #include "core/contract/dcheck.h"
 #include "server/access/admission.h"
-#include "server/trace/tracer.h"
 
 namespace spikeserve {
-namespace {
-
-// Returns true for the codes that OpenTelemetry counts as errors of a server.
-bool IsFaultOfServer(absl::StatusCode code) {
-  switch (code) {
-    case absl::StatusCode::kUnknown:
-    case absl::StatusCode::kDeadlineExceeded:
-    case absl::StatusCode::kUnimplemented:
-    case absl::StatusCode::kInternal:
-    case absl::StatusCode::kUnavailable:
-    case absl::StatusCode::kDataLoss:
-      return true;
-    default:
-      return false;
-  }
-}
-
-}  // namespace
-
 void ServiceCall::Start() {
   SPIKESERVE_DCHECK(call_ != nullptr && !caller_.ok());  // called once, before the call is over
   const absl::Duration start = context_.clock->Now();
@@ -81,23 +59,6 @@ void ServiceCall::OnDrain() {
 absl::Duration ServiceCall::DelayFor(const absl::Status& status, size_t request_bytes) const {
   return context_.authenticator->RefusalPacerFor(caller_).DelayFor(status, request_bytes,
                                                                    context_.clock->Now());
-}
-
-Span ServiceCall::NewSpan(const TraceParent& parent) const {
-  SPIKESERVE_DCHECK(call_ != nullptr);
-  const absl::string_view name = absl::StripPrefix(call_->head().path, "/");
-  Span span = context_.tracer->Start(name, parent);
-  span.Set("rpc.system.name", "grpc");
-  span.Set("rpc.method", name);
-  return span;
-}
-
-void ServiceCall::FinishSpan(const absl::Status& status, Span* span) const {
-  span->Set("rpc.response.status_code", absl::StatusCodeToString(status.code()));
-  const std::string& tenant = caller().tenant()->name();
-  if (!tenant.empty()) span->Set("spikeserve.tenant", tenant);
-  if (IsFaultOfServer(status.code())) span->Fail(status);
-  span->End();
 }
 
 void ServiceCall::AfterDelay(const absl::Status& status, size_t request_bytes,

@@ -16,6 +16,7 @@
 #include "server/access/authenticator.h"
 #include "server/agent/session_recovery.h"
 #include "server/base/method.h"
+#include "server/services/request_span.h"
 #include "server/services/service_context.h"
 #include "server/trace/span.h"
 #include "server/transport/call.h"
@@ -48,6 +49,9 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   void OnClosed() override;
   void OnDrain() override;
 
+  // Returns the status of a request for which there is no memory.
+  static absl::Status TooManyBytesError();
+
  protected:
   // The caller was admitted and sent a message of at most message_limit() bytes.
   virtual void HandleMessage(absl::string_view message) = 0;
@@ -74,11 +78,13 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   // Begins the span of a request that has arrived; empty if it is not traced. REQUIRES: the call is
   // not over.
   Span StartSpan(const TraceParent& parent) const {
-    return context_.tracer == nullptr ? Span() : NewSpan(parent);
+    return context_.tracer == nullptr
+               ? Span()
+               : StartRequestSpan(*context_.tracer, call_->head().path, parent);
   }
   // Ends the span of a request that is answered with `status`.
   void EndSpan(const absl::Status& status, Span* span) const {
-    if (*span) FinishSpan(status, span);
+    if (*span) FinishRequestSpan(caller(), status, span);
   }
 
   // Runs `next` now, or, if `status` is a refusal, after the delay that refused callers get.
@@ -94,13 +100,7 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   // Ends the call. Does nothing if it is over.
   void Finish(const absl::Status& status);
 
-  // Returns the status of a request for which there is no memory.
-  static absl::Status TooManyBytesError();
-
  private:
-  Span NewSpan(const TraceParent& parent) const;
-  void FinishSpan(const absl::Status& status, Span* span) const;
-
   const ServiceContext& context_;
   Call* call_;
   EventLoop& loop_;

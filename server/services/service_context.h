@@ -12,6 +12,7 @@
 
 namespace spikeserve {
 
+class DatagramChannels;
 class Tracer;
 
 // All are thread-safe and must outlive the calls.
@@ -22,7 +23,8 @@ struct ServiceContext {
   const Clock* clock;
   int64_t max_message_bytes;  // of one request of any tenant
   const SessionGate* sessions;
-  Tracer* tracer = nullptr;  // null: nothing is traced
+  Tracer* tracer = nullptr;               // null: nothing is traced
+  DatagramChannels* datagrams = nullptr;  // null: the server takes none
 };
 
 }  // namespace spikeserve

@@ -5,6 +5,7 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status_macros.h"
 #include "server/services/act_calls.h"
 #include "server/services/infer_stream_call.h"
 #include "server/services/reflection.h"
@@ -26,11 +27,19 @@ Services::Services(const ServiceContext& context, const Handlers& handlers)
   AddStandardServices();
 }
 
-void Services::Attach(Transport* transport) {
+absl::Status Services::Attach(Transport* transport) {
   for (const auto& loop : transport->loops()) {
     loops_.push_back(std::make_unique<LoopServices>(&table_, handlers_.policy, loop.get()));
   }
   for (const auto& services : loops_) services->Attach(loops_);
+  if (context_.datagrams == nullptr) return absl::OkStatus();
+  for (size_t i = 0; i < loops_.size(); ++i) {
+    datagrams_.push_back(std::make_unique<DatagramCalls>(&context_, &loops_[i]->acts(),
+                                                         transport->loops()[i].get(),
+                                                         transport->limits().max_tenant_bytes));
+    RETURN_IF_ERROR(datagrams_.back()->Start());
+  }
+  return absl::OkStatus();
 }
 
 void Services::AddCall(const Method& method, OpenCall open) {

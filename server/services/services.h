@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "server/admin/admin_handler.h"
 #include "server/admin/audit.h"
 #include "server/admin/head_handler.h"
@@ -16,6 +17,7 @@
 #include "server/base/background_worker.h"
 #include "server/base/method.h"
 #include "server/inference/inference_handler.h"
+#include "server/services/datagram_calls.h"
 #include "server/services/handler_calls.h"
 #include "server/services/health_service.h"
 #include "server/services/loop_services.h"
@@ -47,8 +49,9 @@ class Services {
  public:
   Services(const ServiceContext& context, const Handlers& handlers);
 
-  // Answers the calls of `transport`. To be called once, before it starts.
-  void Attach(Transport* transport);
+  // Answers the calls of `transport`, and its datagrams. To be called once, before it starts.
+  // RESOURCE_EXHAUSTED if the system has no room to wait for datagrams.
+  absl::Status Attach(Transport* transport);
 
  private:
   // Each adds the methods of a service.
@@ -82,6 +85,7 @@ class Services {
   const Handlers handlers_;
   std::vector<std::string> service_names_;
   ServiceTable table_;
+  std::vector<std::unique_ptr<DatagramCalls>> datagrams_;  // of the loops; outlive their requests
   std::vector<std::unique_ptr<LoopServices>> loops_;
 };
 

@@ -74,16 +74,18 @@ void SetPort(uint16_t port, sockaddr* address) {
 }
 
 // Returns an invalid descriptor, with the reason in errno, if that fails.
-FileDescriptor BindAndListen(const sockaddr* address, socklen_t size) {
-  FileDescriptor listener(
-      socket(address->sa_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+FileDescriptor BindAndListen(int type, const sockaddr* address, socklen_t size) {
+  FileDescriptor listener(socket(address->sa_family, type | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+  const bool is_stream = type == SOCK_STREAM;
   const int yes = 1;
-  setsockopt(listener.get(), SOL_SOCKET, SO_REUSEADDR, &yes, sizeof(yes));
+  // For datagrams, it would let another program share the port.
+  if (is_stream) setsockopt(listener.get(), SOL_SOCKET, SO_REUSEADDR, &yes, sizeof(yes));
   if (address->sa_family == AF_INET6) {
     const int no = 0;  // "[::]" serves IPv4, too
     setsockopt(listener.get(), IPPROTO_IPV6, IPV6_V6ONLY, &no, sizeof(no));
   }
-  if (bind(listener.get(), address, size) != 0 || listen(listener.get(), kBacklog) != 0) {
+  if (bind(listener.get(), address, size) != 0 ||
+      (is_stream && listen(listener.get(), kBacklog) != 0)) {
     return FileDescriptor();
   }
   return listener;
@@ -110,7 +112,7 @@ absl::StatusOr<Listeners> ListenUnix(absl::string_view field, const Address& add
   std::memcpy(path.sun_path, address.unix_path.data(), address.unix_path.size());
   RemoveStale(path);
   const auto* generic = reinterpret_cast<const sockaddr*>(&path);
-  FileDescriptor listener = BindAndListen(generic, sizeof(path));
+  FileDescriptor listener = BindAndListen(SOCK_STREAM, generic, sizeof(path));
   if (!listener.valid()) {
     return CannotListen(field, address, ListenReason(errno, generic, sizeof(path)));
   }
@@ -119,15 +121,12 @@ absl::StatusOr<Listeners> ListenUnix(absl::string_view field, const Address& add
   return result;
 }
 
-}  // namespace
-
-absl::StatusOr<Listeners> Listen(absl::string_view field, const Address& address) {
-  if (address.is_unix()) return ListenUnix(field, address);
+absl::StatusOr<Listeners> ListenInet(absl::string_view field, const Address& address, int type) {
   absl::string_view host = address.host;
   if (host.front() == '[') host = host.substr(1, host.size() - 2);
   addrinfo hints = {};
   hints.ai_flags = AI_PASSIVE;
-  hints.ai_socktype = SOCK_STREAM;
+  hints.ai_socktype = type;
   addrinfo* found = nullptr;
   const int error = getaddrinfo(std::string(host).c_str(), nullptr, &hints, &found);
   if (error != 0) {
@@ -139,7 +138,7 @@ absl::StatusOr<Listeners> Listen(absl::string_view field, const Address& address
   Listeners result = {.sockets = {}, .address = address};
   for (addrinfo* next = addresses.get(); next != nullptr; next = next->ai_next) {
     SetPort(static_cast<uint16_t>(result.address.port), next->ai_addr);
-    FileDescriptor listener = BindAndListen(next->ai_addr, next->ai_addrlen);
+    FileDescriptor listener = BindAndListen(type, next->ai_addr, next->ai_addrlen);
     // A name may have an address of a family that this machine does not serve.
     if (!listener.valid() && (errno == EAFNOSUPPORT || errno == EADDRNOTAVAIL)) continue;
     if (!listener.valid()) {
@@ -153,6 +152,18 @@ absl::StatusOr<Listeners> Listen(absl::string_view field, const Address& address
                         absl::StrCat(std::strerror(EADDRNOTAVAIL), Advice(EADDRNOTAVAIL)));
   }
   return result;
+}
+
+}  // namespace
+
+absl::StatusOr<Listeners> Listen(absl::string_view field, const Address& address) {
+  return address.is_unix() ? ListenUnix(field, address) : ListenInet(field, address, SOCK_STREAM);
+}
+
+absl::StatusOr<Listeners> ListenToDatagrams(absl::string_view field, const Address& address) {
+  auto listeners = ListenInet(field, address, SOCK_DGRAM);
+  if (listeners.ok()) listeners->sockets.resize(1);
+  return listeners;
 }
 
 }  // namespace spikeserve

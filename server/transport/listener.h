@@ -24,6 +24,9 @@ struct Listeners {
 // listens there.
 absl::StatusOr<Listeners> Listen(absl::string_view field, const Address& address);
 
+// Opens a socket for datagrams at the first usable address of the host. Errors as for Listen().
+absl::StatusOr<Listeners> ListenToDatagrams(absl::string_view field, const Address& address);
+
 }  // namespace spikeserve
 
 #endif  // SERVER_TRANSPORT_LISTENER_H_

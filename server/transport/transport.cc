@@ -69,6 +69,13 @@ absl::StatusOr<std::unique_ptr<Transport>> Transport::Create(const TransportOpti
   for (FileDescriptor& listener : listeners.sockets) {
     transport->acceptors_.push_back(std::make_unique<Acceptor>(std::move(listener), accepting));
   }
+  if (options.datagram_listen.has_value()) {
+    ASSIGN_OR_RETURN(auto datagrams,
+                     ListenToDatagrams("--datagram_listen", *options.datagram_listen));
+    transport->datagram_address_ = datagrams.address;
+    transport->datagrams_ = std::move(datagrams.sockets.front());
+    for (const auto& loop : transport->loops_) loop->AddDatagrams(transport->datagrams_.get());
+  }
   return transport;
 }
 

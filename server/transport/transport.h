@@ -7,6 +7,7 @@
 
 #include <functional>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -15,6 +16,7 @@
 #include "core/base/clock.h"
 #include "server/access/tls_context.h"
 #include "server/base/address.h"
+#include "server/base/file_descriptor.h"
 #include "server/transport/acceptor.h"
 #include "server/transport/connection_table.h"
 #include "server/transport/limits.h"
@@ -25,6 +27,7 @@ namespace spikeserve {
 
 struct TransportOptions {
   Address listen;
+  std::optional<Address> datagram_listen = std::nullopt;  // absent: no datagrams
   TransportLimits limits;
   int loops = 1;                 // threads
   TlsContext* tls = nullptr;     // null: plain text; must outlive the transport
@@ -47,6 +50,9 @@ class Transport {
 
   // Returns the address, with the port that the system picked.
   const Address& address() const { return address_; }
+  // REQUIRES: TransportOptions::datagram_listen.
+  const Address& datagram_address() const { return datagram_address_; }
+  const TransportLimits& limits() const { return options_.limits; }
   const std::vector<std::unique_ptr<TransportLoop>>& loops() const { return loops_; }
   const ConnectionTable& connections() const { return connections_; }
   TransportBudgets& budgets() { return budgets_; }
@@ -73,6 +79,8 @@ class Transport {
 
   const TransportOptions options_;
   Address address_;
+  Address datagram_address_;
+  FileDescriptor datagrams_;  // of all loops
   TransportBudgets budgets_;
   ConnectionTable connections_;
   std::vector<std::unique_ptr<TransportLoop>> loops_;

@@ -70,6 +70,7 @@ void TransportLoop::CloseSoon(uint64_t number) {
 void TransportLoop::FlushWrites() {
   events_->thread().AssertCurrent();
   for (Connection* connection : std::exchange(shared_.to_flush, {})) connection->Flush();
+  if (datagrams_ != nullptr) datagrams_->Flush();
 }
 
 void TransportLoop::CheckTimes() {

@@ -15,6 +15,7 @@
 #include "server/transport/connection.h"
 #include "server/transport/connection_host.h"
 #include "server/transport/connection_table.h"
+#include "server/transport/datagram_socket.h"
 #include "server/transport/event_loop.h"
 #include "server/transport/limits.h"
 #include "server/transport/socket.h"
@@ -42,6 +43,12 @@ class TransportLoop final : public ConnectionHost {
   // Sets what answers the calls. `router` must outlive the loop's run.
   void SetRouter(CallRouter* router) { shared_.router = router; }
   CallRouter* router() { return shared_.router; }
+  // Adds a socket for datagrams, which the loop flushes with its connections. `socket` is open
+  // while the loop runs.
+  void AddDatagrams(int socket) {
+    datagrams_ = std::make_unique<DatagramSocket>(socket, events_.get());
+  }
+  DatagramSocket* datagrams() { return datagrams_.get(); }  // null: there is none
   // Calls `work` at the end of each turn, before connections write.
   void AtEndOfTurn(std::function<void()> work) { events_->AtEndOfTurn(std::move(work)); }
 
@@ -69,6 +76,7 @@ class TransportLoop final : public ConnectionHost {
   const std::unique_ptr<EventLoop> events_;
   Connection::Shared shared_;
   absl::flat_hash_map<uint64_t, std::unique_ptr<Connection>> connections_;  // by their numbers
+  std::unique_ptr<DatagramSocket> datagrams_;
   std::thread thread_;
 };
 

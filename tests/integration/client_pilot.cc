@@ -102,6 +102,13 @@ PilotOptions OptionsOf(const Json& json) {
   if (json.contains("ramp_beats")) options.ramp_beats = json["ramp_beats"].get<int>();
   if (json.contains("in_flight")) options.in_flight = json["in_flight"].get<int>();
   options.kept_beats = json.value("kept_beats", options.kept_beats);
+  if (json.contains("transport")) {
+    const auto name = json["transport"].get<std::string>();
+    options.transport = name == "stream"     ? PilotTransport::kStream
+                        : name == "datagram" ? PilotTransport::kDatagram
+                                             : PilotTransport::kAuto;
+  }
+  options.redundancy = json.value("redundancy", options.redundancy);
   options.close_timeout = Seconds(json, "close_timeout").value_or(options.close_timeout);
   if (json.contains("traceparent")) {
     options.traceparent = [text = json["traceparent"].get<std::string>()]() -> absl::string_view {
@@ -124,6 +131,8 @@ Json StatsOf(const PilotStats& stats) {
                {"stale", stats.stale},
                {"late_answers", stats.late_answers},
                {"cancelled_calls", stats.cancelled_calls},
+               {"datagram_answers", stats.datagram_answers},
+               {"sends_datagrams", stats.sends_datagrams},
                {"reconnects", stats.reconnects},
                {"reopened", stats.reopened},
                {"dropped", stats.dropped},

@@ -27,6 +27,7 @@ class RestartableServer:
         started = running_server(flags=flags, log=subprocess.DEVNULL, prefix=self._prefix)
         self._server = self._running.enter_context(started)
         self.address, self.http_address = self._server.grpc, self._server.http
+        self.datagrams = self._server.datagrams
 
     @property
     def pid(self):

@@ -44,7 +44,7 @@ class Server:
     def __init__(self, process, status):
         self.process = process
         self.status = status  # with which it is to end
-        self.grpc = self.http = ""
+        self.grpc = self.http = self.datagrams = ""
 
     @functools.cached_property
     def channel(self):
@@ -130,6 +130,8 @@ def running_server(policies=SHIPPED_POLICIES, flags=(), log=None, prefix=(), sta
         server.grpc = announced("gRPC")
         if "--http_listen=" not in flags:
             server.http = announced("HTTP")
+        if any(flag.startswith("--datagram_listen=") for flag in flags):
+            server.datagrams = announced("datagrams")
         yield server
         process.terminate()
         assert process.wait(timeout=DEADLINE_SECONDS) == server.status

@@ -19,6 +19,14 @@ namespace spikeserve {
 // Writes a line of a pilot to the standard error.
 void LogPilotToStderr(absl::string_view line);
 
+// How the steps of a pilot go to the server. The ends of episodes, and steps that are too long for
+// a datagram, always go over the stream.
+enum class PilotTransport {
+  kAuto,      // as datagrams where the server takes them and they come through
+  kStream,    // over the stream
+  kDatagram,  // as kAuto; a server that takes no datagrams is refused
+};
+
 // How a pilot finds the action of a beat. The fallback order, from the best to the last one:
 //
 //   source | action                                             | setting
@@ -50,6 +58,9 @@ struct PilotOptions {
   std::function<absl::string_view()> traceparent = nullptr;
   // Most requests without an answer, 1 to 64. Absent: so many that later answers would be stale.
   std::optional<int> in_flight = std::nullopt;
+  PilotTransport transport = PilotTransport::kAuto;
+  // How often each datagram is sent, 1 or 2. With 2, a step is lost only if both are.
+  int redundancy = 1;
   // Beats that are kept with their observations until the server has them; of older ones, the
   // rewards are kept. At least 2. They take 4 bytes for each element of an observation.
   int kept_beats = 8192;

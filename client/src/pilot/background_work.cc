@@ -89,7 +89,7 @@ void Pilot::Controller::Do(const Task& task, v1::ActRequest* request) {
     case Task::Kind::kForget:
       return Forget(task);
     case Task::Kind::kSend:
-      return stream_->Send(std::move(*request));
+      return Send(task, request);
     case Task::Kind::kPlay:
       return Play();
     case Task::Kind::kOpenSession:
@@ -108,6 +108,11 @@ void Pilot::Controller::Do(const Task& task, v1::ActRequest* request) {
     case Task::Kind::kStop:
       return;  // of Work
   }
+}
+
+void Pilot::Controller::Send(const Task& task, v1::ActRequest* request) {
+  if (task.ways.datagram) datagrams_->Send(task.datagram, *request, task.copies);
+  if (task.ways.stream) stream_->Send(std::move(*request));
 }
 
 void Pilot::Controller::Fill(const robot::Request& request, v1::ActRequest* message) {
@@ -171,6 +176,7 @@ void Pilot::Controller::OnReply(const v1::ActResponse& reply) {
   }
   const robot::Received received = session_.OnReply(view, now);
   if (received.settled.has_value()) Complete(*received.settled, reply.ended());
+  if (reply.has_datagrams()) TakeChannel(reply.datagrams());
   if (received.has_work) background_->Wake(this);
   has_event_.notify_all();
 }
@@ -181,6 +187,22 @@ void Pilot::Controller::OnEnd(const absl::Status& status) {
       ErrorOf(status.ok() ? absl::UnavailableError("the server ended the stream") : status));
   background_->Wake(this);
   has_event_.notify_all();  // nobody waits for answers that are lost
+}
+
+void Pilot::Controller::OnDatagram(uint64_t number, const v1::ActResponse& reply) {
+  const robot::Now now = piloting::ReadClocks();
+  robot::Error error;
+  const robot::Reply view = piloting::ReplyOf(reply, &error);
+  absl::MutexLock lock(&mutex_);
+  const robot::Received received = session_.OnDatagram(number, view, now);
+  if (reply.has_datagrams()) TakeChannel(reply.datagrams());
+  if (received.has_work) background_->Wake(this);
+  has_event_.notify_all();
+}
+
+void Pilot::Controller::TakeChannel(const v1::DatagramChannel& channel) {
+  if (datagrams_ == nullptr || !datagrams_->SetChannel(channel).ok()) return;
+  session_.OnChannel(SteadyTime() + piloting::ToRobot(absl::Seconds(channel.valid_seconds())));
 }
 
 void Pilot::Controller::Play() {
@@ -277,6 +299,7 @@ void Pilot::Controller::TakeOpened(const v1::OpenSessionResponse& opened) {
   replicas_->Pin(*route_, !piloting::OpeningOf(opened).is_stored);
   opening_.clear_session_id();  // the next session is another one
   session_id_ = opened.session_id();
+  if (opened.has_datagrams()) TakeChannel(opened.datagrams());
 }
 
 void Pilot::Controller::Stop() {
@@ -288,6 +311,7 @@ void Pilot::Controller::Stop() {
     request.set_session_id(session_id_);
   }
   stream_.reset();
+  if (datagrams_ != nullptr) datagrams_->Stop();
   call_.reset();
   std::vector<std::string> lines;
   {

@@ -33,7 +33,9 @@ robot::Settings SettingsOf(const PilotOptions& options, const v1::OpenSessionReq
           .kept_steps = static_cast<size_t>(options.kept_beats),
           .servers = servers,
           .has_engine = options.local != nullptr,
-          .shares_head = opening.learning().scope() == v1::LearningConfig::FLEET};
+          .shares_head = opening.learning().scope() == v1::LearningConfig::FLEET,
+          .sends_datagrams = options.transport != PilotTransport::kStream,
+          .redundancy = options.redundancy};
 }
 
 }  // namespace
@@ -53,6 +55,10 @@ Pilot::Controller::Controller(Replicas* replicas, piloting::BackgroundThread* ba
                                                 : std::make_unique<piloting::BackgroundThread>()),
       background_(own_background_ == nullptr ? background : own_background_.get()),
       neutral_(neutral),
+      datagrams_(options_.transport == PilotTransport::kStream
+                     ? nullptr
+                     : std::make_unique<piloting::DatagramLink>(
+                           static_cast<piloting::DatagramLink::Listener*>(this))),
       no_observation_(static_cast<size_t>(opened.observation_size()),
                       std::numeric_limits<float>::quiet_NaN()),
       opening_(std::move(opening)),
@@ -62,6 +68,11 @@ Pilot::Controller::Controller(Replicas* replicas, piloting::BackgroundThread* ba
   replicas_->ForEach([this](Replica& replica) { servers_.push_back(&replica); });
   absl::MutexLock lock(&mutex_);
   TakeOpened(opened);
+}
+
+Pilot::Controller::~Controller() {
+  Close();
+  if (datagrams_ != nullptr) datagrams_->Stop();  // also if it was never started
 }
 
 PilotAction Pilot::Controller::Beat(absl::Span<const float> observation, double reward,
@@ -192,6 +203,8 @@ PilotStats Pilot::Controller::Stats() const {
           .stale = counts.stale,
           .late_answers = counts.late_answers,
           .cancelled_calls = counts.cancelled_requests,
+          .datagram_answers = counts.datagram_answers,
+          .sends_datagrams = session_.SendsDatagrams(ToRobot(SteadyNow())),
           .reconnects = counts.reconnects,
           .reopened = counts.reopened,
           .dropped = session_.step_log().dropped(),

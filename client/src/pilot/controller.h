@@ -25,6 +25,7 @@
 #include "absl/types/span.h"
 #include "client/src/pilot/action_stream.h"
 #include "client/src/pilot/background_thread.h"
+#include "client/src/pilot/datagram_link.h"
 #include "client/src/pilot/server_call.h"
 #include "client/src/replicas.h"
 #include "core/robot/robot_session.h"
@@ -33,6 +34,7 @@
 namespace spikeserve {
 
 class Pilot::Controller : private piloting::ActionStream::Listener,
+                          private piloting::DatagramLink::Listener,
                           private piloting::BackgroundThread::Worker {
  public:
   // `opening` has opened the session with the answer `opened`, on `route`. `neutral` belongs to its
@@ -41,7 +43,7 @@ class Pilot::Controller : private piloting::ActionStream::Listener,
              std::shared_ptr<Route> route, v1::OpenSessionRequest opening,
              const v1::OpenSessionResponse& opened, const robot::ActionValue& neutral,
              PilotOptions options);
-  ~Controller() override { Close(); }
+  ~Controller() override;
 
   // Brings the session to the engine on the robot, if there is one. Only before Start. Returns OK
   // if only the server could not be reached: the background thread tries again.
@@ -86,12 +88,18 @@ class Pilot::Controller : private piloting::ActionStream::Listener,
   bool TakeExported(const v1::ExportSessionResponse& exported)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void TakeOpened(const v1::OpenSessionResponse& opened) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void TakeChannel(const v1::DatagramChannel& channel) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void Send(const robot::Task& task, v1::ActRequest* request);
   void Stop() ABSL_LOCKS_EXCLUDED(mutex_);
   size_t IndexOf(const Replica* replica) const;
 
   // On threads of gRPC.
   void OnReply(const v1::ActResponse& reply) override ABSL_LOCKS_EXCLUDED(mutex_);
   void OnEnd(const absl::Status& status) override ABSL_LOCKS_EXCLUDED(mutex_);
+
+  // On the thread of the datagrams.
+  void OnDatagram(uint64_t number, const v1::ActResponse& reply) override
+      ABSL_LOCKS_EXCLUDED(mutex_);
 
   // Completes the summaries of the episodes before `serial` with an error.
   void FailSummaries(uint64_t serial, absl::string_view reason)
@@ -107,7 +115,8 @@ class Pilot::Controller : private piloting::ActionStream::Listener,
   std::unique_ptr<piloting::BackgroundThread> own_background_;  // null: that of the client is used
   piloting::BackgroundThread* const background_;
   const robot::ActionValue neutral_;
-  const std::vector<float> no_observation_;  // NaN in each element
+  const std::unique_ptr<piloting::DatagramLink> datagrams_;  // null: none are sent
+  const std::vector<float> no_observation_;                  // NaN in each element
   bool is_started_ = false;
   uint64_t beats_ = 0;
 

@@ -42,6 +42,7 @@ absl::StatusOr<std::unique_ptr<Pilot>> Pilot::Create(Client* client, v1::OpenSes
   if (absl::Status status = options.Validate(); !status.ok()) return status;
   request.set_period_seconds(absl::ToDoubleSeconds(options.period));
   request.set_names_in_any_order(true);
+  request.set_datagrams(options.transport != PilotTransport::kStream);
   const std::shared_ptr<Route> route = MakeRoute();
   const auto opened = client->OpenSession(request, route);
   if (!opened.ok()) return opened.status();
@@ -53,6 +54,11 @@ absl::StatusOr<std::unique_ptr<Pilot>> Pilot::Create(Client* client, v1::OpenSes
   if (opened->history_limit() == 0) {
     return close_after(absl::UnimplementedError(
         "server: expected a release that appends beats, received an older one"));
+  }
+  if (options.transport == PilotTransport::kDatagram && !opened->has_datagrams()) {
+    return close_after(absl::FailedPreconditionError(
+        "transport: expected kAuto or kStream, because the server takes no datagrams, received "
+        "kDatagram"));
   }
   const FeatureOrder order(request, *opened);
   const auto neutral = NeutralOf(options, *opened, order);

@@ -45,9 +45,13 @@ class Simulator {
                 .kept_steps = kind.kept_steps,
                 .servers = kind.servers,
                 .has_engine = kind.has_engine,
-                .shares_head = kind.shares_head},
+                .shares_head = kind.shares_head,
+                .sends_datagrams = kind.sends_datagrams,
+                .redundancy = kind.sends_datagrams ? 1 + static_cast<int>(Draw(2)) : 1},
                ActionShape(kMostActions, {}, {}), server_.Open(), Clock()),
-        denies_until_(kind.servers, kLongAgo) {}
+        denies_until_(kind.servers, kLongAgo) {
+    robot_.OnChannel(kNever);
+  }
 
   void Fly() {
     auto fault = plan_.faults.begin();
@@ -76,6 +80,7 @@ class Simulator {
   }
 
   uint64_t events() const { return events_; }
+  uint64_t datagrams() const { return datagrams_; }
 
  private:
   struct Episode {
@@ -87,9 +92,17 @@ class Simulator {
 
   struct Event {
     uint64_t line = 0;  // of the stream or the call, whose end makes it void
-    enum class What { kArrives, kReply, kCall, kStreamEnds } what = What::kArrives;
+    enum class What {
+      kArrives,
+      kReply,
+      kCall,
+      kStreamEnds,
+      kDatagram,
+      kDatagramReply
+    } what = What::kArrives;
     Message message = {};  // of a reply: the request
     Answer answer = {};
+    uint64_t datagram = 0;  // its number
     CallState call = CallState::kNone;
   };
 
@@ -235,6 +248,28 @@ class Simulator {
       case Event::What::kStreamEnds:
         if (!is_void) robot_.OnStreamEnded(Unavailable());
         return;
+      case Event::What::kDatagram: {
+        if (event.message.session != server_.session().id) return;  // its key has ended
+        Answer answer = server_.Act(event.message, kind_.is_old);
+        if (!answer.error.has_value() && Draw(200) == 0) answer.error = Unavailable();
+        return Throw(
+            {.what = Event::What::kDatagramReply, .answer = answer, .datagram = event.datagram});
+      }
+      case Event::What::kDatagramReply: {
+        Reply reply = event.answer.reply;
+        if (event.answer.error.has_value()) reply.error = &*event.answer.error;
+        robot_.OnDatagram(event.datagram, reply, Clock());
+        ++datagrams_;
+        return;
+      }
+    }
+  }
+
+  // Sends a datagram, which may be lost, doubled or overtaken.
+  void Throw(const Event& event) {
+    if (IsAway() || now_ < firewall_until_ || Draw(10) == 0) return;
+    for (size_t i = 0; i < 1 + (Draw(10) == 0 ? 1U : 0U); ++i) {
+      Push(now_ + Delay() + milliseconds(Draw(10) == 0 ? Draw(60) : 0), event);
     }
   }
 
@@ -298,6 +333,13 @@ class Simulator {
         return;
       case Task::Kind::kSend:
         CheckRequest(task.request);
+        ASSERT_TRUE(task.ways.stream || task.ways.datagram);
+        for (int i = 0; task.ways.datagram && i < task.copies; ++i) {
+          Throw({.what = Event::What::kDatagram,
+                 .message = MessageOf(session_, robot_.step_log(), task.request),
+                 .datagram = task.datagram});
+        }
+        if (!task.ways.stream) return;
         last_request_ = std::max(last_request_, now_ + Delay());
         return Push(last_request_,
                     {.line = stream_,
@@ -352,7 +394,8 @@ class Simulator {
       const Opening opening = server_.Open();
       session_ = session.id;
       denied_since_ = kNever;
-      return robot_.OnOpened(opening);
+      robot_.OnOpened(opening);
+      return robot_.OnChannel(kNever);
     }
     if (session.id != session_ || denies_until_[0] > now_) {
       Deny(NotFound());
@@ -457,12 +500,15 @@ class Simulator {
       case Fault::Kind::kIntruder:  // another robot uses the session's id
         if (server_.Intrude()) ++losses_;
         return;
+      case Fault::Kind::kFirewall:  // drops datagrams
+        firewall_until_ = now_ + time(3000);
+        return;
     }
   }
 
   void Heal() {
     is_healed_ = true;
-    cut_until_ = silent_until_ = busy_until_ = kLongAgo;
+    cut_until_ = firewall_until_ = silent_until_ = busy_until_ = kLongAgo;
     delay_ = milliseconds(2);
     denies_until_.assign(kind_.servers, kLongAgo);
     // A request of which no answer will come is given up with its stream.
@@ -531,6 +577,7 @@ class Simulator {
 
   std::multimap<Time, Event> events_at_;
   uint64_t events_ = 0;
+  uint64_t datagrams_ = 0;
   uint64_t session_ = 1;
   uint64_t stream_ = 0;
   uint64_t call_ = 0;
@@ -545,6 +592,7 @@ class Simulator {
   Time denied_since_ = kNever;
   Time delay_ = milliseconds(2);
   Time cut_until_ = kLongAgo;
+  Time firewall_until_ = kLongAgo;
   Time silent_until_ = kLongAgo;
   Time busy_until_ = kLongAgo;
   std::vector<Time> denies_until_;
@@ -559,6 +607,7 @@ Plan MakePlan(const Kind& kind, uint64_t seed) {
     if (random() % kFaultEvery > 0) continue;
     Fault fault = {step, static_cast<Fault::Kind>(random() % Fault::kKinds), random()};
     if (fault.kind == Fault::Kind::kIntruder && !kind.is_shared) continue;
+    if (fault.kind == Fault::Kind::kFirewall && !kind.sends_datagrams) continue;
     plan.faults.push_back(fault);
   }
   return plan;
@@ -570,7 +619,7 @@ Flight Fly(const Kind& kind, const Plan& plan) {
       ::testing::ScopedFakeTestPartResultReporter::INTERCEPT_ONLY_CURRENT_THREAD, &failures);
   Simulator simulator(kind, plan, failures);
   simulator.Fly();
-  Flight flight = {.events = simulator.events()};
+  Flight flight = {.events = simulator.events(), .datagrams = simulator.datagrams()};
   if (failures.size() > 0) {
     std::ostringstream text;
     text << failures.GetTestPartResult(0);

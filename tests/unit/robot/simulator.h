@@ -22,6 +22,7 @@ struct Kind {
   bool is_old = false;     // servers ignore ends on streams
   bool is_shared = false;  // the session's id, with another robot
   size_t kept_steps = 8192;
+  bool sends_datagrams = false;
 };
 
 struct Fault {
@@ -35,9 +36,10 @@ struct Fault {
     kDeny,
     kSleep,
     kBusy,
-    kIntruder
+    kIntruder,
+    kFirewall
   };
-  static constexpr int kKinds = 10;
+  static constexpr int kKinds = 11;
 
   int step = 0;  // of the robot, before which it happens
   Kind kind = Kind::kReset;
@@ -54,6 +56,7 @@ Plan MakePlan(const Kind& kind, uint64_t seed);
 
 struct Flight {
   uint64_t events = 0;
+  uint64_t datagrams = 0;    // answers to them that have arrived
   std::string failure = "";  // the first one; empty: everything held
 };
 Flight Fly(const Kind& kind, const Plan& plan);

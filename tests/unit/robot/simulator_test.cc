@@ -61,8 +61,9 @@ Plan Shrunk(const Kind& kind, Plan plan) {
 }
 
 std::string Describe(const Plan& plan) {
-  constexpr const char* kNames[Fault::kKinds] = {"reset", "cut",  "black hole", "kill", "take-over",
-                                                 "delay", "deny", "sleep",      "busy", "intruder"};
+  constexpr const char* kNames[Fault::kKinds] = {"reset",     "cut",      "black hole", "kill",
+                                                 "take-over", "delay",    "deny",       "sleep",
+                                                 "busy",      "intruder", "firewall"};
   std::ostringstream text;
   text << "seed " << plan.seed << ", " << plan.steps << " steps";
   for (const Fault& fault : plan.faults) {
@@ -83,6 +84,7 @@ TEST_P(SimulatorTest, NothingIsLostOrDoubled) {
     const Plan plan = MakePlan(GetParam(), seed);
     const Flight flight = Fly(GetParam(), plan);
     events += flight.events;
+    EXPECT_EQ(flight.datagrams > 0, GetParam().sends_datagrams);
     if (flight.failure.empty()) continue;
     const Plan shrunk = Shrunk(GetParam(), plan);
     FAIL() << Fly(GetParam(), shrunk).failure << Describe(shrunk) << "\nof " << plan.faults.size()
@@ -96,7 +98,9 @@ INSTANTIATE_TEST_SUITE_P(
     ::testing::Values(Kind{.is_stored = false}, Kind{.has_engine = true}, Kind{.servers = 3},
                       Kind{.servers = 2, .has_engine = true, .shares_head = true},
                       Kind{.is_old = true}, Kind{.is_shared = true},
-                      Kind{.has_engine = true, .kept_steps = 5}));
+                      Kind{.has_engine = true, .kept_steps = 5},
+                      Kind{.servers = 3, .sends_datagrams = true},
+                      Kind{.is_stored = false, .sends_datagrams = true}));
 
 }  // namespace
 }  // namespace spikeserve::robot

@@ -1,0 +1,61 @@
+// Decides whether a robot's steps go over its stream, as datagrams, or both ways.
+//
+// A step goes both ways while it is not known whether datagrams come through: before the first one
+// is answered, when one that should be answered is not, and after an error. So a firewall costs no
+// step that the stream would not: the session is whole in any case, and a step that both ways carry
+// is decided once. An answer to a datagram ends the doubt.
+//
+// A pure state machine. Not thread-safe.
+#ifndef CORE_ROBOT_TRANSPORT_CHOICE_H_
+#define CORE_ROBOT_TRANSPORT_CHOICE_H_
+
+#include <cstdint>
+#include <optional>
+
+#include "core/robot/in_flight.h"
+#include "core/robot/time.h"
+
+namespace spikeserve::robot {
+
+// How a request goes.
+struct Ways {
+  bool stream = true;
+  bool datagram = false;
+};
+
+class TransportChoice {
+ public:
+  // Datagrams in doubt that are sent with each step; later ones probe the way once in kProbe.
+  static constexpr uint64_t kTries = 10;
+  static constexpr Time kProbe = std::chrono::seconds(1);
+
+  // With `is_allowed` false, everything goes over the stream.
+  TransportChoice(bool is_allowed, Time period) : is_allowed_(is_allowed), period_(period) {}
+
+  // The server offers a channel until then.
+  void Offer(Time until);
+  void Withdraw() { until_ = kLongAgo; }
+
+  bool is_offered(Time now) const { return now < until_; }
+  Ways Choose(Time now) const;
+
+  void OnSent(Time now);
+  void OnAnswer(Time sent, Time now);
+  // Datagrams are refused.
+  void OnError() { is_doubted_ = true; }
+  // Notices if `waiting`, which are not answered, are overdue.
+  void Check(const InFlight& waiting, Time now);
+
+ private:
+  const bool is_allowed_;
+  const Time period_;
+  Time until_ = kLongAgo;  // of the channel
+  bool is_doubted_ = true;
+  uint64_t unanswered_ = 0;  // sent since the last answer
+  Time sent_at_ = kLongAgo;
+  std::optional<Time> round_trip_;  // smoothed
+};
+
+}  // namespace spikeserve::robot
+
+#endif  // CORE_ROBOT_TRANSPORT_CHOICE_H_

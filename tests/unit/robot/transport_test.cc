@@ -1,0 +1,244 @@
+// When a robot's steps go as datagrams: docs/reference/beats.md has the rules.
+#include <gtest/gtest.h>
+
+#include <optional>
+
+#include "core/robot/robot_session.h"
+
+namespace spikeserve::robot {
+namespace {
+
+using std::chrono::milliseconds;
+using std::chrono::seconds;
+using What = Task::Kind;
+
+constexpr Time kPeriod = milliseconds(20);
+constexpr Time kRoundTrip = milliseconds(50);
+
+class TransportTest : public ::testing::Test {
+ protected:
+  void Connect(bool sends_datagrams, int redundancy = 1, size_t observation_size = 1) {
+    observation_.assign(observation_size, 1.0f);
+    robot_.emplace(Settings{.observation_size = observation_size,
+                            .period = kPeriod,
+                            .oldest = milliseconds(250),
+                            .oldest_held = milliseconds(310),
+                            .hold_steps = 3,
+                            .most_in_flight = 14,
+                            .kept_steps = 100,
+                            .sends_datagrams = sends_datagrams,
+                            .redundancy = redundancy},
+                   ActionShape(10, {}, {}), Opening{.history_limit = 100, .is_stored = true},
+                   Clock());
+    EXPECT_EQ(robot_->Next(now_).kind, What::kOpenStream);
+    robot_->OnStreamOpened(0);
+  }
+
+  void Offer() { robot_->OnChannel(now_ + seconds(3600)); }
+
+  Now Clock() const { return {now_, now_}; }
+
+  // A control step. Returns what is sent, if anything is.
+  std::optional<Task> Step() {
+    now_ += kPeriod;
+    EXPECT_TRUE(robot_->BeginStep({.observation = observation_, .reward = 1.0}, Clock()));
+    (void)robot_->Choose(Clock(), now_);
+    (void)robot_->FinishStep(Clock());
+    return robot_->NextSend(now_);
+  }
+
+  // Steps, whose answers to datagrams arrive a round trip later unless `loses` them.
+  void Steps(int count, bool loses = false) {
+    for (int i = 0; i < count; ++i) {
+      const std::optional<Task> task = Step();
+      if (task.has_value() && task->ways.stream) ++by_stream_;
+      if (task.has_value() && task->ways.datagram) {
+        ++by_datagram_;
+        if (!loses) arriving_.push_back({now_ + kRoundTrip, task->datagram, task->request.step()});
+      }
+      while (!arriving_.empty() && arriving_.front().due <= now_) {
+        Answer(arriving_.front().number, arriving_.front().step + 1);
+        arriving_.erase(arriving_.begin());
+      }
+    }
+  }
+
+  void Answer(uint64_t number, int64_t next_step) {
+    robot_->OnDatagram(
+        number, {.next_step = next_step, .action = ActionView{.discrete = 7}, .observed_at = now_},
+        Clock());
+  }
+  void Fail(uint64_t number, const Error& error) {
+    robot_->OnDatagram(number, {.error = &error}, Clock());
+  }
+  // The stream answers everything.
+  void AnswerStream() {
+    for (; by_stream_ > 0; --by_stream_) {
+      const int64_t next = static_cast<int64_t>(robot_->step_log().next());
+      robot_->OnReply({.next_step = next, .observed_at = now_}, Clock());
+    }
+  }
+
+  struct Arriving {
+    Time due;
+    uint64_t number;
+    int64_t step;
+  };
+
+  Time now_ = Time::zero();
+  std::vector<float> observation_;
+  std::optional<RobotSession> robot_;
+  std::vector<Arriving> arriving_;
+  int by_stream_ = 0, by_datagram_ = 0;
+};
+
+TEST_F(TransportTest, WithoutAChannelStepsGoOverTheStream) {
+  Connect(true);
+  const auto task = Step();
+  ASSERT_TRUE(task.has_value());
+  EXPECT_TRUE(task->ways.stream);
+  EXPECT_FALSE(task->ways.datagram);
+}
+
+TEST_F(TransportTest, StepsGoBothWaysUntilTheFirstDatagramIsAnswered) {
+  Connect(true, /*redundancy=*/2);
+  Offer();
+  const auto first = Step();
+  ASSERT_TRUE(first.has_value());
+  EXPECT_TRUE(first->ways.stream && first->ways.datagram);
+  EXPECT_EQ(first->copies, 2);
+  EXPECT_FALSE(robot_->SendsDatagrams(now_));
+  Answer(first->datagram, 1);
+  EXPECT_TRUE(robot_->HasAnswer());
+  EXPECT_TRUE(robot_->SendsDatagrams(now_));
+  const auto second = Step();
+  ASSERT_TRUE(second.has_value());
+  EXPECT_TRUE(!second->ways.stream && second->ways.datagram);
+  EXPECT_EQ(second->datagram, first->datagram + 1);
+}
+
+TEST_F(TransportTest, TheNewestAnswerWins) {
+  Connect(true);
+  Offer();
+  const auto first = Step(), second = Step(), third = Step();
+  ASSERT_TRUE(first && second && third);
+  Answer(second->datagram, 2);
+  EXPECT_EQ(robot_->counters().counts().datagram_answers, 1U);
+  Answer(first->datagram, 1);   // overtaken
+  Answer(second->datagram, 2);  // doubled
+  Answer(77, 2);                // never sent
+  EXPECT_EQ(robot_->counters().counts().datagram_answers, 1U);
+  EXPECT_EQ(Step()->request.begin, 1U);  // the history begins before the step that is expected
+  Answer(third->datagram, 3);
+  EXPECT_EQ(robot_->counters().counts().datagram_answers, 2U);
+}
+
+TEST_F(TransportTest, SingleLossesDoNotBringTheStreamBack) {
+  Connect(true);
+  Offer();
+  Steps(5);
+  AnswerStream();
+  for (int i = 0; i < 20; ++i) {
+    Steps(1, /*loses=*/true);
+    Steps(9);
+  }
+  EXPECT_EQ(by_stream_, 0);
+}
+
+TEST_F(TransportTest, AFirewallBringsTheStreamBackUntilDatagramsComeThrough) {
+  Connect(true);
+  Offer();
+  Steps(10);
+  AnswerStream();
+  Steps(5, /*loses=*/true);
+  EXPECT_EQ(by_stream_, 0);
+  Steps(1, /*loses=*/true);
+  EXPECT_EQ(by_stream_, 1);  // the first answer is overdue
+  for (int i = 0; i < 200; ++i) {
+    Steps(1, /*loses=*/true);
+    AnswerStream();
+  }
+  // Each step goes over the stream, and a datagram probes the way once a second.
+  by_datagram_ = 0;
+  for (int i = 0; i < 200; ++i) {
+    Steps(1, /*loses=*/true);
+    EXPECT_EQ(by_stream_, 1) << i;
+    AnswerStream();
+  }
+  EXPECT_EQ(by_datagram_, 4);
+  for (int i = 0; i < 60 && !robot_->SendsDatagrams(now_); ++i) Steps(1), AnswerStream();
+  EXPECT_TRUE(robot_->SendsDatagrams(now_));
+}
+
+TEST_F(TransportTest, AnErrorIsLeftToTheStream) {
+  Connect(true);
+  Offer();
+  Steps(5);
+  AnswerStream();
+  const auto task = Step();
+  Error late;
+  late.expected_decision = 77;  // of a session that the stream may know better
+  Fail(task->datagram, late);
+  EXPECT_EQ(robot_->link(), LinkState::kOnline);
+  EXPECT_TRUE(robot_->SendsDatagrams(now_));
+  Fail(Step()->datagram, {.kind = Failure::kInvalid});
+  EXPECT_EQ(robot_->link(), LinkState::kOnline);
+  EXPECT_FALSE(robot_->SendsDatagrams(now_));
+  EXPECT_TRUE(Step()->ways.stream);
+}
+
+TEST_F(TransportTest, DatagramsGoOnWhileTheStreamIsOpenedAgain) {
+  Connect(true);
+  Offer();
+  Steps(5);
+  robot_->OnStreamEnded({.kind = Failure::kAway});
+  EXPECT_EQ(robot_->Next(now_).kind, What::kCloseStream);
+  robot_->OnStreamClosed(/*is_renewed=*/false, now_);
+  const auto task = Step();
+  ASSERT_TRUE(task.has_value());
+  EXPECT_TRUE(!task->ways.stream && task->ways.datagram);
+}
+
+TEST_F(TransportTest, AnEndGoesOverTheStreamAndKeepsDatagramsBack) {
+  Connect(true);
+  Offer();
+  Steps(5);
+  AnswerStream();
+  robot_->EndEpisode({.reward = 1.0}, nullptr);
+  const Task end = robot_->Next(now_);
+  ASSERT_EQ(end.kind, What::kSend);
+  EXPECT_TRUE(end.request.ends && end.ways.stream && !end.ways.datagram);
+  const auto next = Step();
+  ASSERT_TRUE(next.has_value());
+  EXPECT_TRUE(next->ways.stream && !next->ways.datagram);
+  robot_->OnReply({.next_step = 0, .has_ended = true}, Clock());
+  robot_->OnReply({.next_step = 1}, Clock());
+  EXPECT_TRUE(Step()->ways.datagram);
+}
+
+TEST_F(TransportTest, WhatDoesNotFitGoesOverTheStream) {
+  Connect(true, 1, /*observation_size=*/40);
+  Offer();
+  int steps = 0;
+  while (Step()->ways.datagram) ++steps;  // the history grows, because nothing is answered
+  EXPECT_GE(steps, 3);
+  EXPECT_LE(steps, 1159 / (4 * 40));
+}
+
+TEST_F(TransportTest, AChannelThatHasExpiredIsNotUsed) {
+  Connect(true);
+  robot_->OnChannel(now_ + 3 * kPeriod);
+  EXPECT_TRUE(Step()->ways.datagram);
+  now_ += 3 * kPeriod;
+  const auto task = Step();
+  EXPECT_TRUE(task->ways.stream && !task->ways.datagram);
+}
+
+TEST_F(TransportTest, ARobotThatAllowsNoneSendsNone) {
+  Connect(false);
+  Offer();
+  EXPECT_FALSE(Step()->ways.datagram);
+}
+
+}  // namespace
+}  // namespace spikeserve::robot
