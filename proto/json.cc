@@ -16,4 +16,12 @@ absl::StatusOr<std::string> MessageToJson(const google::protobuf::Message& messa
   return json;
 }
 
+absl::Status JsonToMessage(absl::string_view json, google::protobuf::Message* message) {
+  google::protobuf::util::JsonParseOptions options;
+  options.ignore_unknown_fields = true;
+  const auto status =
+      google::protobuf::util::JsonStringToMessage({json.data(), json.size()}, message, options);
+  return status.ok() ? absl::OkStatus() : absl::InvalidArgumentError(status.ToString());
+}
+
 }  // namespace spikeserve

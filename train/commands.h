@@ -31,6 +31,10 @@ void AddEvalCommand(Program& program);
 // recorded.
 void AddNeuroBenchCommand(Program& program);
 
+// Estimates the return of --policy from episodes that another version played, and says how far they
+// can tell.
+void AddOpeCommand(Program& program);
+
 // Prints what the operations and the memory of --policy, in integers, and of a dense policy of the
 // same sizes cost, each with its price.
 void AddAccountCommand(Program& program);

@@ -16,6 +16,7 @@ int main(int argc, char** argv) {
   spikeserve::AddEvalCommand(program);
   spikeserve::AddCompareCommand(program);
   spikeserve::AddNeuroBenchCommand(program);
+  spikeserve::AddOpeCommand(program);
   spikeserve::AddAccountCommand(program);
   return program.Run(argc, argv);
 }

@@ -38,10 +38,11 @@ struct AdminFlags {
   int64_t min_episodes = 20;                                  // of the new version in each step
   // MEASURE:PERCENT%: what ends a roll-out. Sent in full, so that the history has them.
   std::vector<std::string> abort_if = {"return:0%", "errors:1%", "p99:25%"};
-  bool abort = false;    // ends the running roll-out
-  int32_t limit = 20;    // entries of the history
-  bool cancel = false;   // ends draining: the version accepts new sessions again
-  bool weights = false;  // also prints the weights of the head
+  std::string require_ope;  // file of `spiketrain ope --json` that must admit the roll-out
+  bool abort = false;       // ends the running roll-out
+  int32_t limit = 20;       // entries of the history
+  bool cancel = false;      // ends draining: the version accepts new sessions again
+  bool weights = false;     // also prints the weights of the head
 };
 
 template <typename Request, typename Response>

@@ -325,7 +325,9 @@ void AddRolloutLimits(FlagGroup& group, AdminFlags* flags) {
       .Add("min_episodes", "N", &flags->min_episodes,
            "Episodes of the new version in each step, at least")
       .AddList("abort_if", "MEASURE:MARGIN%,...", &flags->abort_if,
-               "Ends the roll-out if worse by more");
+               "Ends the roll-out if worse by more")
+      .Add("require_ope", "FILE", &flags->require_ope,
+           "Report of spiketrain ope --json, without which it does not start");
 }
 
 void AddRollout(FlagGroup& group, AdminFlags* flags) {

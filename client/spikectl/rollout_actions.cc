@@ -12,7 +12,10 @@
 #include "absl/time/time.h"
 #include "client/spikectl/admin_actions.h"
 #include "client/spikectl/traffic_report.h"
+#include "core/base/file.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
+#include "proto/json.h"
 
 namespace spikeserve {
 namespace {
@@ -60,6 +63,14 @@ absl::StatusOr<v1::StartRolloutRequest> StartRequest(const AdminFlags& flags) {
     ASSIGN_OR_RETURN(const auto condition, ParseCondition(text));
     *request.add_abort_if() = condition;
   }
+  if (!flags.require_ope.empty()) {
+    auto report = ReadFile(flags.require_ope);
+    if (!report.ok()) return Annotate(report.status(), "--require_ope");
+    if (auto status = JsonToMessage(*report, request.mutable_offline_evaluation()); !status.ok()) {
+      return Annotate(status, absl::StrCat("--require_ope: ", flags.require_ope,
+                                           ": expected what spiketrain ope --json prints"));
+    }
+  }
   return request;
 }
 
@@ -97,7 +108,18 @@ std::string ToText(const v1::RolloutCondition& condition) {
       100.0 * condition.margin());
 }
 
+std::string ToText(const v1::OfflineEvaluation& offline) {
+  return absl::StrFormat(
+      "return %.4g (%.4g to %.4g), %.4g more (%.4g to %.4g), by %.0f effective episodes of %d",
+      offline.new_return(), offline.new_return_low(), offline.new_return_high(),
+      offline.difference(), offline.difference_low(), offline.difference_high(),
+      offline.effective_episodes(), offline.episodes());
+}
+
 std::string ToText(const v1::Rollout& rollout) {
+  const std::string before = rollout.has_offline_evaluation()
+                                 ? "\n  expected before: " + ToText(rollout.offline_evaluation())
+                                 : "";
   return absl::StrCat(rollout.policy(), "/", rollout.version(), ": ", StateText(rollout), " at ",
                       rollout.percent(), " % (steps ", absl::StrJoin(rollout.steps(), ","), "); ",
                       rollout.reason(), "\n  ends if worse by: ",
@@ -105,7 +127,7 @@ std::string ToText(const v1::Rollout& rollout) {
                                     [](std::string* out, const v1::RolloutCondition& condition) {
                                       out->append(ToText(condition));
                                     }),
-                      "\n  version ", rollout.version(), ": ",
+                      before, "\n  version ", rollout.version(), ": ",
                       ToText(rollout.new_version_evidence()), "\n  version ",
                       rollout.stable_version(), ": ", ToText(rollout.stable_version_evidence()));
 }
@@ -133,23 +155,28 @@ ordered_json ToJson(const v1::Rollout& rollout) {
         {{"measure", WordOf(v1::RolloutCondition::Measure_Name(condition.measure()), "MEASURE_")},
          {"margin", condition.margin()}});
   }
-  return {{"policy", rollout.policy()},
-          {"version", rollout.version()},
-          {"stable_version", rollout.stable_version()},
-          {"state", StateText(rollout)},
-          {"steps", rollout.steps()},
-          {"step", rollout.step()},
-          {"percent", rollout.percent()},
-          {"hold_seconds", rollout.hold_seconds()},
-          {"min_episodes", rollout.min_episodes()},
-          {"abort_if", conditions},
-          {"reason", rollout.reason()},
-          {"disputed", rollout.disputed()},
-          {"started", rollout.started()},
-          {"step_started", rollout.step_started()},
-          {"ended", rollout.ended()},
-          {"new_version_evidence", ToJson(rollout.new_version_evidence())},
-          {"stable_version_evidence", ToJson(rollout.stable_version_evidence())}};
+  ordered_json json = {{"policy", rollout.policy()},
+                       {"version", rollout.version()},
+                       {"stable_version", rollout.stable_version()},
+                       {"state", StateText(rollout)},
+                       {"steps", rollout.steps()},
+                       {"step", rollout.step()},
+                       {"percent", rollout.percent()},
+                       {"hold_seconds", rollout.hold_seconds()},
+                       {"min_episodes", rollout.min_episodes()},
+                       {"abort_if", conditions},
+                       {"reason", rollout.reason()},
+                       {"disputed", rollout.disputed()},
+                       {"started", rollout.started()},
+                       {"step_started", rollout.step_started()},
+                       {"ended", rollout.ended()},
+                       {"new_version_evidence", ToJson(rollout.new_version_evidence())},
+                       {"stable_version_evidence", ToJson(rollout.stable_version_evidence())}};
+  if (rollout.has_offline_evaluation()) {
+    const auto offline = MessageToJson(rollout.offline_evaluation());
+    if (offline.ok()) json["offline_evaluation"] = ordered_json::parse(*offline);
+  }
+  return json;
 }
 
 template <typename Response>

@@ -44,6 +44,10 @@ void EpisodeRecorder::OnDecision(const Session& session, const DecisionInputs& i
   served.probabilities.insert(served.probabilities.end(), answer.probabilities.begin(),
                               answer.probabilities.end());
   served.spikes.push_back(answer.counts.total_spikes());
+  served.noise.insert(served.noise.end(), inputs.noise.begin(), inputs.noise.end());
+  if (!inputs.noise.empty()) {
+    served.logits.insert(served.logits.end(), answer.logits.begin(), answer.logits.end());
+  }
   if (episode.steps() > kLongestEpisode) CutOff();
 }
 
@@ -73,7 +77,8 @@ void EpisodeRecorder::Start(const Session& session) {
                     .sources = {},
                     .returns_to_go = {},
                     .probabilities = {},
-                    .spikes = {}};
+                    .spikes = {},
+                    .policy_sha256 = options.policy_sha256};
   if (options.action_selection.sample) {
     episode.served->temperature = options.action_selection.temperature;
   }
@@ -116,7 +121,9 @@ void EpisodeRecorder::CutOff(bool terminated) {
   episode.actions.pop_back();
   if (!served.answered_actions.empty()) served.answered_actions.pop_back();
   served.returns_to_go.pop_back();
-  served.probabilities.resize(served.probabilities.size() / (steps + 1) * steps);
+  for (auto* values : {&served.probabilities, &served.logits, &served.noise}) {
+    values->resize(values->size() / (steps + 1) * steps);
+  }
   served.spikes.pop_back();
   episode.terminated = terminated;
   episode.truncated = !terminated;

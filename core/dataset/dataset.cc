@@ -28,10 +28,14 @@ namespace {
 
 absl::Status CheckServed(const Dataset& dataset, const ServedEpisode& served, size_t steps) {
   const size_t n = dataset.action_space.is_discrete() ? dataset.action_space.n : 0;
+  // Servers of former releases recorded no noise.
+  const size_t noise = served.noise.empty() ? 0 : steps * dataset.action_space.low.size();
   const std::tuple<const char*, size_t, size_t> lengths[] = {
       {"returns_to_go", served.returns_to_go.size(), steps},
       {"probabilities", served.probabilities.size(), steps * n},
-      {"spikes", served.spikes.size(), steps}};
+      {"spikes", served.spikes.size(), steps},
+      {"logits", served.logits.size(), noise},
+      {"noise", served.noise.size(), noise}};
   for (const auto& [field, length, expected] : lengths) {
     if (length == expected) continue;
     return absl::InvalidArgumentError(

@@ -37,6 +37,11 @@ struct ServedEpisode {
   std::vector<float> returns_to_go;  // [steps]: what each decision was conditioned on
   std::vector<float> probabilities;  // [steps, n]; Discrete spaces only
   std::vector<uint64_t> spikes;      // [steps]
+  // Of sampled actions of a Box, [steps, action size] each, and empty otherwise: the answered
+  // action is tanh(logits + temperature * noise), mapped to the bounds.
+  std::vector<float> logits = {};
+  std::vector<float> noise = {};   // standard normal
+  std::string policy_sha256 = {};  // of the policy's file, in hexadecimal; empty: unknown
 };
 
 // One episode of `steps` actions.

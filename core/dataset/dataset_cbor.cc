@@ -51,6 +51,9 @@ absl::Status ReadJson(absl::string_view field, const Json& json, ServedEpisode* 
   object.Optional("temperature", &served->temperature);
   object.Optional("answered_actions", &served->answered_actions);
   object.Optional("sources", &served->sources);
+  object.Optional("logits", &served->logits);
+  object.Optional("noise", &served->noise);
+  object.Optional("policy_sha256", &served->policy_sha256);
   return object.Finish();
 }
 
@@ -90,6 +93,11 @@ Json ServedToJson(const ServedEpisode& served, bool discrete) {
                {"probabilities", served.probabilities},
                {"spikes", served.spikes}};
   if (served.temperature.has_value()) json["temperature"] = *served.temperature;
+  if (!served.policy_sha256.empty()) json["policy_sha256"] = served.policy_sha256;
+  if (!served.noise.empty()) {
+    json["logits"] = served.logits;
+    json["noise"] = served.noise;
+  }
   if (!served.answered_actions.empty()) {
     json["answered_actions"] = ActionsToJson(served.answered_actions, discrete);
   }

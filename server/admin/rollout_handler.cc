@@ -10,6 +10,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/time/time.h"
 #include "core/base/status_macros.h"
+#include "proto/json.h"
 #include "server/admin/traffic.h"
 #include "server/rollouts/evidence_total.h"
 #include "server/rollouts/rollout_judge.h"
@@ -51,6 +52,31 @@ v1::Rollout::State ToProto(RolloutState state) {
   return v1::Rollout::STATE_CANCELLED;
 }
 
+// Returns OK if an evaluation is of the files of both versions, can tell, and does not find the new
+// one worse.
+absl::Status CheckEvaluation(const v1::OfflineEvaluation& offline, const ServedPolicy& stable,
+                             const ServedPolicy& fresh) {
+  const auto refuse = [](absl::string_view field, absl::string_view expected, auto received) {
+    return absl::FailedPreconditionError(absl::StrCat("offline_evaluation.", field, ": expected ",
+                                                      expected, ", received ", received));
+  };
+  if (offline.recorded_sha256() != stable.sha256) {
+    return refuse("recorded_sha256", absl::StrCat("that of the default version, ", stable.sha256),
+                  offline.recorded_sha256());
+  }
+  if (offline.new_sha256() != fresh.sha256) {
+    return refuse("new_sha256", absl::StrCat("that of the new version, ", fresh.sha256),
+                  offline.new_sha256());
+  }
+  if (!offline.can_tell()) {
+    return refuse("can_tell", "more episodes that are like the new version's",
+                  absl::StrCat(offline.effective_episodes(), " effective ones, which cannot tell"));
+  }
+  if (offline.difference_high() >= 0.0) return absl::OkStatus();
+  return refuse("difference_high", "at least 0: the new version is worse",
+                offline.difference_high());
+}
+
 absl::StatusOr<Rollout> PlanFromProto(const v1::StartRolloutRequest& request) {
   Rollout plan;
   plan.version = request.version();
@@ -60,6 +86,9 @@ absl::StatusOr<Rollout> PlanFromProto(const v1::StartRolloutRequest& request) {
   for (const v1::RolloutCondition& condition : request.abort_if()) {
     ASSIGN_OR_RETURN(const auto measure, MeasureFromProto(condition.measure()));
     plan.abort_if.push_back({.measure = measure, .margin = condition.margin()});
+  }
+  if (request.has_offline_evaluation()) {
+    ASSIGN_OR_RETURN(plan.offline_evaluation, MessageToJson(request.offline_evaluation()));
   }
   return plan;
 }
@@ -129,6 +158,10 @@ void ToProto(const std::string& policy, const RolloutManager::Progress& progress
   proto->set_started(rollout.started);
   proto->set_step_started(rollout.step_started);
   proto->set_ended(rollout.ended);
+  if (!rollout.offline_evaluation.empty() &&
+      !JsonToMessage(rollout.offline_evaluation, proto->mutable_offline_evaluation()).ok()) {
+    proto->clear_offline_evaluation();  // edited by hand in the settings
+  }
   ToProto(progress.new_version, proto->mutable_new_version_evidence());
   ToProto(progress.stable_version, proto->mutable_stable_version_evidence());
 }
@@ -153,8 +186,13 @@ absl::Status RolloutHandler::StartRollout(CallContext& /*context*/,
       RETURN_IF_ERROR(files_->CheckServedByAll({request.policy(), (*stable)->version}));
     }
   }
+  const auto check = [&](const ServedPolicy& stable, const ServedPolicy& fresh) {
+    return request.has_offline_evaluation()
+               ? CheckEvaluation(request.offline_evaluation(), stable, fresh)
+               : absl::OkStatus();
+  };
   auto status = ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
-                              [&] { return rollouts_->Start(request.policy(), plan); });
+                              [&] { return rollouts_->Start(request.policy(), plan, check); });
   Describe(request.policy(), response->mutable_rollout());
   return status;
 }

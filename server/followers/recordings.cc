@@ -23,7 +23,7 @@ int64_t BytesOf(const Dataset& dataset) {
   const ServedEpisode& served = *episode.served;
   size_t bytes = sizeof(Dataset) + sizeof(Episode);
   bytes += (episode.observations.size() + served.returns_to_go.size()) * sizeof(float);
-  bytes += served.probabilities.size() * sizeof(float);
+  bytes += (served.probabilities.size() + 2 * served.noise.size()) * sizeof(float);
   bytes += episode.rewards.size() * sizeof(double) + served.spikes.size() * sizeof(uint64_t);
   const size_t elements = static_cast<size_t>(dataset.action_space.size());
   const size_t values = dataset.action_space.is_discrete() ? 0 : elements * sizeof(float);

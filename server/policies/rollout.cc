@@ -132,6 +132,9 @@ Json RolloutJson(const Rollout& rollout) {
                {"new_evidence", EvidenceJson(rollout.new_evidence)},
                {"stable_evidence", EvidenceJson(rollout.stable_evidence)}};
   if (!rollout.disputed.empty()) json["disputed"] = rollout.disputed;
+  if (!rollout.offline_evaluation.empty()) {
+    json["offline_evaluation"] = rollout.offline_evaluation;
+  }
   for (const RolloutCondition& condition : rollout.abort_if) {
     json["abort_if"].push_back(
         {{"measure", std::string(ToString(condition.measure))}, {"margin", condition.margin}});
@@ -157,6 +160,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, Rollout* rollou
   object.Required("reason", &rollout->reason);
   object.Optional("replica", &rollout->replica);
   object.Optional("disputed", &rollout->disputed);
+  object.Optional("offline_evaluation", &rollout->offline_evaluation);
   Json new_evidence;
   Json stable_evidence;
   object.Required("new_evidence", &new_evidence);

@@ -90,6 +90,8 @@ struct Rollout {
   std::string replica = "";
   EvidenceByTenant new_evidence = {};
   EvidenceByTenant stable_evidence = {};
+  // The OfflineEvaluation with which it was started, as JSON (proto/json.h); empty: none.
+  std::string offline_evaluation = "";
 
   bool running() const { return state == RolloutState::kRunning; }
   int percent() const { return steps[static_cast<size_t>(step)]; }

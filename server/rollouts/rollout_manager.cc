@@ -155,7 +155,7 @@ RolloutManager::Progress RolloutManager::ProgressOf(const std::string& policy,
           metrics_->EvidenceOf(policy, rollout.stable_version)->Read()};
 }
 
-absl::Status RolloutManager::Start(const std::string& policy, Rollout plan) {
+absl::Status RolloutManager::Start(const std::string& policy, Rollout plan, const Check& check) {
   absl::MutexLock lock(&mutex_);
   if (plan.steps.empty()) plan.steps = {1, 10, 50, 100};
   if (plan.abort_if.empty()) plan.abort_if = DefaultConditions();
@@ -167,6 +167,10 @@ absl::Status RolloutManager::Start(const std::string& policy, Rollout plan) {
   }
   const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
     RETURN_IF_ERROR(CheckStart(served, *settings, plan));
+    if (check != nullptr) {
+      RETURN_IF_ERROR(
+          check(*served.versions.at(served.DefaultVersion()), *served.versions.at(plan.version)));
+    }
     plan.stable_version = served.DefaultVersion();
     plan.started = plan.step_started = UnixSeconds();
     Watch(policy, served, plan);

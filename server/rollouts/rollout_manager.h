@@ -39,6 +39,8 @@ class RolloutManager {
     std::shared_ptr<const PolicyCatalog> after;
   };
 
+  using Check = std::function<absl::Status(const ServedPolicy& stable, const ServedPolicy& fresh)>;
+
   // A roll-out with its evidence of this moment.
   struct Progress {
     Rollout rollout;
@@ -52,10 +54,10 @@ class RolloutManager {
   RolloutManager(PolicyRegistry* registry, Metrics* metrics, const Clock* clock,
                  const Replicas* replicas, std::function<void(const Change&)> changed);
 
-  // Starts a roll-out. `plan` has the version, the steps, the hold time, the fewest episodes and
-  // the conditions; its other fields are ignored. Returns the errors that policy_admin.proto names
-  // for StartRollout.
-  absl::Status Start(const std::string& policy, Rollout plan);
+  // Starts a roll-out. `plan` has the version, the steps, the hold time, the fewest episodes, the
+  // conditions and the offline evaluation; its other fields are ignored. Returns the errors that
+  // policy_admin.proto names for StartRollout, and that of `check`.
+  absl::Status Start(const std::string& policy, Rollout plan, const Check& check = nullptr);
 
   // Ends a running roll-out for an operator. Returns NOT_FOUND if the policy is not served and
   // FAILED_PRECONDITION if no roll-out of it is running.

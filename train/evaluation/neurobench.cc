@@ -59,21 +59,6 @@ uint64_t DenseProducts(const Policy& policy, TokenKind kind, int inputs) {
          (is_state ? size(policy.action_space.size()) * d : 0);
 }
 
-absl::Status CheckEpisode(const Policy& policy, const Dataset& dataset, const Episode& episode) {
-  if (dataset.observation_size != policy.observation_size()) {
-    return absl::InvalidArgumentError(absl::StrCat("observation: expected ",
-                                                   policy.observation_size(), " numbers, received ",
-                                                   dataset.observation_size));
-  }
-  if (!(dataset.action_space == policy.action_space)) {
-    return absl::InvalidArgumentError(
-        "action_space: expected that of the policy, received another one");
-  }
-  if (episode.served.has_value()) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      "episode: expected one that a server recorded, received another");
-}
-
 void DecideEpisode(const Engine& engine, const Dataset& dataset, const Episode& episode,
                    Evaluation* evaluation) {
   const Policy& policy = engine.policy();
@@ -93,6 +78,22 @@ void DecideEpisode(const Engine& engine, const Dataset& dataset, const Episode& 
 }
 
 }  // namespace
+
+absl::Status CheckServedEpisode(const Policy& policy, const Dataset& dataset,
+                                const Episode& episode) {
+  if (dataset.observation_size != policy.observation_size()) {
+    return absl::InvalidArgumentError(absl::StrCat("observation: expected ",
+                                                   policy.observation_size(), " numbers, received ",
+                                                   dataset.observation_size));
+  }
+  if (!(dataset.action_space == policy.action_space)) {
+    return absl::InvalidArgumentError(
+        "action_space: expected that of the policy, received another one");
+  }
+  if (episode.served.has_value()) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      "episode: expected one that a server recorded, received another");
+}
 
 absl::StatusOr<NeuroBench> MeasureNeuroBench(const Policy& policy, const Evaluation& evaluation) {
   const ModelConfig& config = policy.config;
@@ -138,7 +139,7 @@ absl::StatusOr<Evaluation> DecideAgain(std::shared_ptr<const Policy> policy,
   const std::unique_ptr<Engine> engine = MakeEngine(policy);
   for (const Dataset& dataset : recordings) {
     for (const Episode& episode : dataset.episodes) {
-      if (absl::Status status = CheckEpisode(*policy, dataset, episode); !status.ok()) {
+      if (absl::Status status = CheckServedEpisode(*policy, dataset, episode); !status.ok()) {
         return status;
       }
       DecideEpisode(*engine, dataset, episode, &evaluation);

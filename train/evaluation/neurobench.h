@@ -35,6 +35,10 @@ struct NeuroBench {
 // Measures a policy by the counts of an evaluation. INVALID_ARGUMENT for a policy of mode dense.
 absl::StatusOr<NeuroBench> MeasureNeuroBench(const Policy& policy, const Evaluation& evaluation);
 
+// Returns INVALID_ARGUMENT unless a server recorded the episode, and it fits the policy.
+absl::Status CheckServedEpisode(const Policy& policy, const Dataset& dataset,
+                                const Episode& episode);
+
 // Decides what was decided in recorded episodes again: conditions each decision on the recorded
 // observation and return-to-go, and continues with the recorded action. INVALID_ARGUMENT if an
 // episode was not recorded by a server, or does not fit the policy.

@@ -87,12 +87,24 @@ function card(title, verdict, ...more) {
   return element('article', {className: 'comparison'}, element('h3', {textContent: title}), judged, ...more);
 }
 
+/** Returns what off-policy evaluation expected of the new version before the roll-out. */
+function expectation(rollout) {
+  const offline = rollout.offline_evaluation;
+  if (!offline) return [];
+  const interval = (name) => `${fixed(offline[name])} (${fixed(offline[`${name}_low`])} to ${fixed(offline[`${name}_high`])})`;
+  return [element('p', {
+    className: 'expectation',
+    textContent: `Expected before it began: return ${interval('new_return')}, ${interval('difference')} more than ` +
+      `${rollout.policy}/${rollout.stable_version}, by ${fixed(offline.effective_episodes)} effective of ${count(Number(offline.episodes))} episodes.`,
+  })];
+}
+
 function rolloutCard(rollout) {
   const name = `${rollout.policy}/${rollout.version}`;
   const stable = `${rollout.policy}/${rollout.stable_version}`;
   const running = stateOf(rollout) === 'running';
   const [fresh, old] = [ofEvidence(rollout.new_version_evidence), ofEvidence(rollout.stable_version_evidence)];
-  return card(`Roll-out of ${name}: ${stateOf(rollout)}`, verdictOf(name, fresh, old), stepsOf(rollout), table([
+  return card(`Roll-out of ${name}: ${stateOf(rollout)}`, verdictOf(name, fresh, old), ...expectation(rollout), stepsOf(rollout), table([
     {name, link: policyLink(rollout.policy, rollout.version), share: running ? rollout.percent : undefined, of: fresh},
     {name: stable, link: policyLink(rollout.policy, rollout.stable_version), share: running ? 100 - rollout.percent : undefined, of: old},
   ]), element('p', {className: 'quiet', textContent: rollout.reason}));
