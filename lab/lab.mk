@@ -3,7 +3,7 @@ LAB := build/release
 LAB_PYTHON = PYTHONPATH=$$(ls -td $(LAB)/tests/python_client-* | head -1):$(LAB)/python:lab/recipes build/venv/bin/python
 LAB_CLIENT = ctest --test-dir $(LAB) --output-on-failure --tests-regex '^python_client_install$$'
 
-.PHONY: lab lab-test lab-study lab-train lab-bench lab-beats lab-parts lab-chips
+.PHONY: lab lab-test lab-study lab-train lab-bench lab-beats lab-parts lab-chips lab-ope
 
 lab:
 	$(SETUP) server build
@@ -59,3 +59,11 @@ lab-chips: lab
 	cmake --build $(LAB) --target chip_stream
 	SPIKECTL_PROGRAM=$(LAB)/bin/spikectl CHIP_STREAM_PROGRAM=$(LAB)/tests/chip_stream DENSE_BASELINE_PROGRAM=$(LAB)/bin/dense_baseline \
 	  build/venv/bin/python lab/microcontrollers/costs.py
+
+# Compares the intervals of `spiketrain ope` with known returns, about ten minutes a task on an idle core. Continues lab/evidence/ope.csv and
+# prints the table of lab/evidence/off-policy.md.
+lab-ope:
+	$(SETUP) build
+	cmake --preset lab $(if $(VERBOSE),,--log-level=WARNING)
+	cmake --build $(LAB) --target ope_coverage
+	$(LAB)/bin/ope_coverage --out=lab/evidence/ope.csv
