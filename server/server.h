@@ -18,7 +18,9 @@
 #include "server/admin/audit.h"
 #include "server/admin/audit_log.h"
 #include "server/admin/head_handler.h"
+#include "server/admin/hold_handler.h"
 #include "server/admin/rollout_handler.h"
+#include "server/admin/seat_handler.h"
 #include "server/agent/datagram_channels.h"
 #include "server/agent/policy_handler.h"
 #include "server/agent/session_gate.h"
@@ -130,6 +132,8 @@ class Server {
   RolloutManager rollouts_;
   const RolloutHandler rollout_handler_;
   const AdminHandler admin_handler_;
+  const HoldHandler hold_handler_;
+  const SeatHandler seat_handler_;
   CallGate gate_;
   HealthService health_;
   std::unique_ptr<TlsContext> tls_;  // null without TLS

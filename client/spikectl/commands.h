@@ -44,6 +44,12 @@ void AddEmitCommand(Command program, const ServerFlags& server);
 // Adds the commands for operators: those that move files, and the others as subcommands of `admin`.
 void AddAdminCommands(Command program, const ServerFlags& server);
 
+// Adds the commands that hold robots: hold, resume and holds.
+void AddHoldCommands(Command program, const ServerFlags& server);
+
+// Acts in the place of a session's policy.
+void AddTakeCommand(Command program, const ServerFlags& server);
+
 }  // namespace spikeserve
 
 #endif  // CLIENT_SPIKECTL_COMMANDS_H_

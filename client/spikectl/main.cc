@@ -21,6 +21,8 @@ int main(int argc, char** argv) {
   spikeserve::AddAdaptCommand(root, server);
   spikeserve::AddReplayCommand(root, server);
   spikeserve::AddAdminCommands(root, server);
+  spikeserve::AddHoldCommands(root, server);
+  spikeserve::AddTakeCommand(root, server);
   spikeserve::AddStoreCommands(root, server);
   spikeserve::AddEmitCommand(root, server);
   spikeserve::AddPolicyCommands(root);

@@ -31,7 +31,8 @@ AgentSession::AgentSession(std::shared_ptr<const ServedPolicy> served, Session s
       created_(clock->Now()),
       life_(session_.decisions, session_.episode),
       head_(served_, &session_),
-      wiring_response_(WiringResponseOf(session_.options.labels, *served_->observer)) {}
+      wiring_response_(WiringResponseOf(session_.options.labels, *served_->observer)),
+      seat_(clock, session_) {}
 
 void AgentSession::AddListener(std::shared_ptr<SessionListener> listener) {
   SPIKESERVE_DCHECK(listener != nullptr);
@@ -141,6 +142,18 @@ absl::Status AgentSession::ReportExecuted(const ReportedAction& reported) {
 void AgentSession::CountSource(const StepSource& source) {
   life_.OnSource(source);
   served_->observer->OnExecuted(source.kind);
+}
+
+absl::Status AgentSession::TakeControl(const Seat& seat, bool takes_over) {
+  RETURN_IF_ERROR(seat_.Take(seat, takes_over, &session_));
+  for (const auto& listener : listeners_) listener->OnChange(session_);
+  return absl::OkStatus();
+}
+
+absl::Status AgentSession::ReturnControl(absl::string_view lease_id) {
+  RETURN_IF_ERROR(seat_.Return(lease_id, &session_));
+  for (const auto& listener : listeners_) listener->OnChange(session_);
+  return absl::OkStatus();
 }
 
 void AgentSession::CountMissingRewards(int64_t rewards) {

@@ -19,6 +19,7 @@
 #include "absl/time/time.h"
 #include "absl/types/span.h"
 #include "core/agent/context_cache.h"
+#include "core/agent/operator_seat.h"
 #include "core/agent/served_policy.h"
 #include "core/agent/session_head.h"
 #include "core/agent/session_life.h"
@@ -111,8 +112,28 @@ class AgentSession {
   // Returns whether the last answer has the neutral action, because of the verdict about the
   // wiring.
   bool acts_safely() const {
-    return wiring_response_ == WiringResponse::kSafe && session_.wiring.verdict.has_value();
+    return session_.last_answer.has_value() &&
+           session_.last_answer->source.kind == SourceKind::kSafetyLayer;
   }
+
+  // Holds the session from its next decision on; null: does not. Nothing of an episode that is held
+  // is learned.
+  void SetHold(std::shared_ptr<const Hold> hold) {
+    if (hold == nullptr || hold_ == nullptr || *hold != *hold_) is_at_neutral_ = false;
+    hold_ = std::move(hold);
+  }
+  const std::shared_ptr<const Hold>& hold() const { return hold_; }
+  // Returns whether a request has shown that the robot took the neutral action under the hold.
+  bool is_at_neutral() const { return is_at_neutral_; }
+
+  // Returns the operator who acts in the policy's place, or null.
+  const Seat* seat() const { return seat_.IsOver(session_) ? nullptr : &*session_.seat; }
+  // As the methods of OperatorSeat. TakeControl and ReturnControl report the change.
+  absl::Status TakeControl(const Seat& seat, bool takes_over);
+  absl::Status Steer(absl::string_view lease_id, const Action* action) {
+    return seat_.Steer(lease_id, action, &session_);
+  }
+  absl::Status ReturnControl(absl::string_view lease_id);
   // Returns when this object was created, of the clock. Not guarded by the lock of the session.
   absl::Duration created() const { return created_; }
   absl::Duration Age() const { return clock_->Now() - created_; }
@@ -154,6 +175,9 @@ class AgentSession {
   ContextCache context_;
   SessionHead head_;
   WiringResponse wiring_response_;
+  OperatorSeat seat_;
+  std::shared_ptr<const Hold> hold_;  // null: none
+  bool is_at_neutral_ = false;
   // The session before steps that were skipped, until the next decision; null: none were.
   std::unique_ptr<const Session> before_skipped_;
   std::vector<double> blind_rewards_;  // of AddBlindStep, which no step has counted yet

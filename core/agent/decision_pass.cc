@@ -106,6 +106,7 @@ void AgentSession::DecisionPass::DecideVersion(absl::Span<Step* const> steps) {
     AgentSession& session = *step->session;
     session.head_.TakeMerged(&session.session_);
     sessions.push_back(&session);
+    ConfirmNeutral(*step);
     if (step->result.executed.has_value()) {
       session.TakeExecuted(*step->result.executed, step->executed->source);
     }
@@ -175,6 +176,9 @@ Answer AgentSession::DecisionPass::MakeAnswer(AgentSession& agent, const Engine:
   answer.step = session.step;
   answer.return_to_go = static_cast<float>(NextReturnToGo(session, counted));
   answer.counts = output.counts;
+  answer.source = {};
+  answer.hold.reset();
+  if (agent.hold_ != nullptr && session.learner.has_value()) session.learner->suspended = true;
   agent.head_.OnDecision(*choice, output.readout, static_cast<double>(answer.return_to_go), counted,
                          &session);
   std::swap(answer.action, choice->action);
@@ -193,23 +197,53 @@ void AgentSession::DecisionPass::Record(Step& step, Answer answer, absl::Span<co
                            .readout = readout,
                            .noise = noise,
                            .is_beat = step.is_past,
-                           .after_gap = std::exchange(agent.before_skipped_, nullptr) != nullptr,
-                           .is_safe = agent.acts_safely()};
+                           .after_gap = std::exchange(agent.before_skipped_, nullptr) != nullptr};
   agent.blind_rewards_.clear();
   CountDecision(agent.policy(), std::move(answer), step.observation, inputs.reward,
                 &agent.session_);
-  if (inputs.is_safe) ActSafely(agent);
+  inputs.needs_snapshot = Overrule(agent, step.is_past) || inputs.after_gap;
   if (agent.session_.step > 1 && !inputs.after_gap) agent.CountSource(inputs.source);
   for (const auto& listener : agent.listeners_) listener->OnDecision(agent.session_, inputs);
   if (lacks_reward) agent.CountMissingRewards(1);
 }
 
-void AgentSession::DecisionPass::ActSafely(AgentSession& agent) {
-  agent.session_.executed_source.kind = SourceKind::kSafetyLayer;
-  const Action neutral = NeutralAction(agent.policy().action_space);
-  if (neutral == agent.session_.last_answer->action) return;
-  agent.head_.OnExecuted(neutral, &agent.session_);
-  agent.session_.last_answer->action = neutral;
+bool AgentSession::DecisionPass::Overrule(AgentSession& agent, bool is_past) {
+  Session& session = agent.session_;
+  Answer& answer = *session.last_answer;
+  const ActionSpace& space = agent.policy().action_space;
+  bool is_over = false;  // the lease of an operator
+  const Seat* const seat = agent.seat_.Heard(&session, &is_over);
+  Action action;
+  if (agent.hold_ != nullptr) {
+    action = NeutralAction(space);
+    answer.source.kind = SourceKind::kHold;
+    answer.hold = *agent.hold_;
+  } else if (seat != nullptr && !is_past) {
+    agent.seat_.CountStep(space, answer.action, &session);
+    action = seat->action;
+    answer.source = {SourceKind::kOperator, seat->operator_id};
+  } else if (agent.wiring_response_ == WiringResponse::kSafe &&
+             session.wiring.verdict.has_value()) {
+    action = NeutralAction(space);
+    answer.source.kind = SourceKind::kSafetyLayer;
+  } else {
+    return is_over;
+  }
+  session.executed_source = answer.source;
+  if (action != answer.action) {
+    agent.head_.OnExecuted(action, &session);
+    answer.action = std::move(action);
+  }
+  return is_over || seat != nullptr || session.learner.has_value();
+}
+
+void AgentSession::DecisionPass::ConfirmNeutral(const Step& step) {
+  AgentSession& agent = *step.session;
+  const auto& last = agent.session_.last_answer;
+  if (agent.hold_ == nullptr || !last.has_value() || last->hold != *agent.hold_) return;
+  const auto& executed = step.result.executed;
+  agent.is_at_neutral_ = !executed.has_value() || *executed == last->action ||
+                         step.executed->source.kind == static_cast<int>(SourceKind::kSafe);
 }
 
 void AgentSession::DecisionPass::AppendActions(absl::Span<AgentSession* const> sessions) {

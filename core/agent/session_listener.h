@@ -29,7 +29,7 @@ struct DecisionInputs {
   absl::Span<const float> noise;    // as ActionChoice::noise
   bool is_beat = false;             // the agent took the step without the server
   bool after_gap = false;           // the session has skipped the steps before this one
-  bool is_safe = false;  // the answer has the neutral action, which the policy has not chosen
+  bool needs_snapshot = false;      // a journal's entry alone would not restore the session
 };
 
 class SessionListener {

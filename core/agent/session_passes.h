@@ -63,8 +63,12 @@ struct AgentSession::DecisionPass {
   // Adds the answer to the session, and reports it.
   static void Record(Step& step, Answer answer, absl::Span<const float> readout,
                      absl::Span<const float> noise);
-  // Replaces the action of the last answer by the neutral one.
-  static void ActSafely(AgentSession& agent);
+  // Replaces the action of the last answer by that of a hold, of an operator, or the neutral one
+  // because of the wiring, in this order. Returns whether a journal's entry would not tell all of
+  // what has changed.
+  static bool Overrule(AgentSession& agent, bool is_past);
+  // Notes if a request shows that the robot took its neutral action under the hold.
+  static void ConfirmNeutral(const Step& step);
 };
 
 // Ends the episode, or repeats the summary of the last one.

@@ -256,7 +256,7 @@ class Reader {
     }
     size_t i = 0;
     const auto read = [&](const char* name, auto& member) {
-      Read(json[i++], absl::StrCat(path, ".", name), member);
+      if (i < json.size()) Read(json[i++], absl::StrCat(path, ".", name), member);
     };
     VisitFields(value, read);
     if constexpr (MayHaveMoreFields<T>) {

@@ -69,6 +69,11 @@ absl::Status CheckSnapshot(const Session& session, const Policy& policy) {
   if (const auto status = CheckWiringState(policy, session.wiring); !status.ok()) {
     return absl::DataLossError(absl::StrCat("journal: ", status.message()));
   }
+  if (session.seat.has_value()) {
+    if (auto status = CheckAction(session.seat->action, policy.action_space); !status.ok()) {
+      return status;
+    }
+  }
   if (!session.learner.has_value()) return absl::OkStatus();
   return CheckSize("learner", head, static_cast<size_t>(session.learner->head_delta.size()));
 }

@@ -35,7 +35,12 @@ bool IsFrozenByExport(const Session& session) {
 
 std::string ExportSession(const AgentSession& agent) {
   Session session = agent.session();
-  if (session.last_answer.has_value()) session.last_answer->compute_seconds = 0.0;
+  if (session.last_answer.has_value()) {
+    session.last_answer->compute_seconds = 0.0;
+    session.last_answer->source = {};
+    session.last_answer->hold.reset();
+  }
+  session.seat.reset();  // an operator is heard by the server alone
   if (IsFrozenByExport(session)) {
     session.options.head_delta = agent.HeadDelta();
     session.options.learning.reset();

@@ -67,6 +67,29 @@ void VisitFields(T& answer, Visitor&& visit) {
   visit("logits", answer.logits);
 }
 
+template <Is<StepSource> T, typename Visitor>
+void VisitFields(T& source, Visitor&& visit) {
+  visit("kind", source.kind);
+  visit("operator_id", source.operator_id);
+}
+
+template <Is<Hold> T, typename Visitor>
+void VisitFields(T& hold, Visitor&& visit) {
+  visit("id", hold.id);
+  visit("reason", hold.reason);
+}
+
+// Of an action that the policy has not chosen.
+inline size_t MoreFields(const Answer& answer) {
+  if (answer.hold.has_value()) return 2;
+  return answer.source != StepSource() ? 1 : 0;
+}
+template <Is<Answer> T, typename Visitor>
+void VisitMoreFields(T& answer, Visitor&& visit) {
+  visit("source", answer.source);
+  visit("hold", answer.hold);
+}
+
 template <Is<ActionSelection> T, typename Visitor>
 void VisitFields(T& selection, Visitor&& visit) {
   visit("sample", selection.sample);
@@ -252,13 +275,19 @@ void VisitFields(T& session, Visitor&& visit) {
   visit("pending", session.pending);
 }
 
-template <Is<StepSource> T, typename Visitor>
-void VisitFields(T& source, Visitor&& visit) {
-  visit("kind", source.kind);
-  visit("operator_id", source.operator_id);
+template <Is<Seat> T, typename Visitor>
+void VisitFields(T& seat, Visitor&& visit) {
+  visit("operator_id", seat.operator_id);
+  visit("lease_id", seat.lease_id);
+  visit("lease_seconds", seat.lease_seconds);
+  visit("left_seconds", seat.left_seconds);
+  visit("action", seat.action);
+  visit("steps", seat.steps);
+  visit("agreed_steps", seat.agreed_steps);
 }
 
 inline size_t MoreFields(const Session& session) {
+  if (session.seat.has_value()) return 3;
   if (session.step > 0 && session.executed_source != StepSource()) return 2;
   return session.wiring != WiringState() ? 1 : 0;
 }
@@ -266,6 +295,7 @@ template <Is<Session> T, typename Visitor>
 void VisitMoreFields(T& session, Visitor&& visit) {
   visit("wiring", session.wiring);
   visit("executed_source", session.executed_source);
+  visit("seat", session.seat);
 }
 
 // Is satisfied by types that have an overload of VisitMoreFields(): optional members at the end, of

@@ -61,7 +61,7 @@ void SessionJournal::OnOpen(const Session& session) {
 }
 
 void SessionJournal::OnDecision(const Session& session, const DecisionInputs& inputs) {
-  if (inputs.after_gap || inputs.is_safe || records_ >= kDecisionsPerSnapshot) {
+  if (inputs.needs_snapshot || records_ >= kDecisionsPerSnapshot) {
     return OnChange(session);
   }
   JournalEntryView entry = {.decision = session.decisions - 1,

@@ -94,8 +94,8 @@ class SessionJournal final : public SessionListener,
 
   // Writes the snapshot of a new session. The outcome ALREADY_EXISTS makes this copy lost.
   void OnOpen(const Session& session);
-  // Writes an entry, or a snapshot in its place: after a gap, for an action that the policy has not
-  // chosen, and from time to time.
+  // Writes an entry, or a snapshot in its place: where an entry would not do, and from time to
+  // time.
   void OnDecision(const Session& session, const DecisionInputs& inputs) override;
   // Writes a snapshot.
   void OnChange(const Session& session) override;

@@ -81,6 +81,8 @@ struct SessionEntry {
   std::shared_ptr<ShadowSteps> shadow_steps ABSL_GUARDED_BY(mutex);
   RobotLink robot ABSL_GUARDED_BY(mutex);
   std::shared_ptr<SessionDatagrams> datagrams ABSL_GUARDED_BY(mutex);  // null: none
+  // Of the holds that `agent` was compared with.
+  uint64_t holds_revision ABSL_GUARDED_BY(mutex) = 0;
 };
 
 // Optional properties of a new session, beside its policy and options.

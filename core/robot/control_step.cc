@@ -13,10 +13,10 @@ bool RobotSession::BeginStep(const StepInput& input, Now now) {
   if (!sees_) {
     invalid_ = why;
     Note(kObservation);
-    if (senses_ == Senses::kUnproven) return false;
+    if (!is_proven_) return false;
     ++counters_.counts().invalid_observations;
   }
-  if (senses_ == Senses::kUnproven) senses_ = Senses::kGood;
+  is_proven_ = true;
   TakeExecuted(input.executed, input.chooser);
   const double reward = log_.next() == began_ ? 0.0 : Finite(input.reward);
   observed_at_ = now.robot;
@@ -51,7 +51,7 @@ Choice RobotSession::Choose(Now now, Time deadline) {
     if (may_wait && AwaitsAnswer(deadline)) return Choice::kWait;
     if (TakeAnswer(now)) return Choice::kTaken;
   }
-  if (senses_ == Senses::kMiswired) {
+  if (stays_safe_) {
     fallback_.Release();
     return fallback_.Ramp() ? Choice::kTaken : Choice::kOwnAction;
   }
@@ -104,8 +104,6 @@ Ways RobotSession::OpenWays(Time now) const {
 bool RobotSession::TakeAnswer(Now now) {
   if (!HasAnswer()) return false;
   next_answer_ = *answer_.step + 1;
-  senses_ = answer_.is_miswired ? Senses::kMiswired : Senses::kGood;
-  if (answer_.is_miswired) return false;
   if (now.robot - answer_.observed_at > settings_.oldest) {
     ++counters_.counts().stale;
     return false;

@@ -36,9 +36,11 @@ struct Reply {
   const Error* error = nullptr;  // otherwise the rest counts
   int64_t next_step = 0;         // that the server expects
   std::optional<ActionView> action = std::nullopt;
-  ChooserView chooser = {};       // of the action; kUnknown: the policy
-  Time observed_at = kLongAgo;    // of the action
-  bool is_miswired = false;       // the action is the neutral one: the observations look miswired
+  ChooserView chooser = {};     // of the action; kUnknown: the policy
+  Time observed_at = kLongAgo;  // of the action
+  // The robot is to stay at its safe action until an answer without that: the session is held, or
+  // its observations look miswired.
+  bool stays_safe = false;
   uint64_t durable_decision = 0;  // decisions that the store has
   int64_t durable_episode = 0;    // ends of episodes that the store has
   bool has_ended = false;         // the episode

@@ -189,7 +189,10 @@ Received RobotSession::OnReply(const Reply& reply, Now now) {
   if (reply.error != nullptr) {
     ++counters_.counts().cancelled_requests;
     TakeError(*reply.error, sent, now.steady);
-  } else if (sent.episode == log_.oldest().index) {
+    return received;
+  }
+  if (reply.stays_safe || reply.action.has_value()) StaySafe(reply.stays_safe);
+  if (sent.episode == log_.oldest().index) {
     Succeeded();
     log_.ForgetDurable(reply.durable_decision, reply.durable_episode);
     if (sent.ends) {
@@ -254,6 +257,12 @@ Settled RobotSession::Settle(std::optional<double> at_server) {
   return settled;
 }
 
+void RobotSession::StaySafe(bool stays_safe) {
+  if (stays_safe) answer_.step.reset();  // an earlier answer that was not executed
+  if (stays_safe == std::exchange(stays_safe_, stays_safe)) return;
+  Log(stays_safe ? "the server keeps the robot at its safe action" : "the server acts again");
+}
+
 void RobotSession::TakeDecision(const Reply& reply, const SentRequest& sent, Now now) {
   const Time took = now.steady - sent.sent;
   round_trip_ = round_trip_.has_value() ? *round_trip_ + (took - *round_trip_) / 8 : took;
@@ -266,13 +275,13 @@ void RobotSession::TakeDecision(const Reply& reply, const SentRequest& sent, Now
     return;
   }
   window_ = std::min(window_ + 1, settings_.most_in_flight);
+  if (stays_safe_) return;
   if (answer_.step.has_value() && sent.number <= *answer_.step) return;
   answer_.step.reset();
   if (log_.shape().Fit(*reply.action, &answer_.action)) answer_.step = sent.number;
   answer_.chooser.Assign(Fit(reply.chooser));
   if (answer_.chooser.kind == Chooser::kUnknown) answer_.chooser.kind = Chooser::kPolicy;
   answer_.observed_at = reply.observed_at;
-  answer_.is_miswired = reply.is_miswired;
 }
 
 void RobotSession::TakeError(const Error& error, const SentRequest& sent, Time now) {

@@ -157,6 +157,8 @@ class RobotSession {
   // Returns whether steps go as datagrams alone.
   bool SendsDatagrams(Time now) const { return !transport_.Choose(now).stream; }
   bool sees() const { return sees_; }  // the observation of the last step was valid
+  // The server keeps the robot at its safe action (Reply::stays_safe).
+  bool stays_safe() const { return stays_safe_; }
   bool is_closing() const { return closes_at_ < kNever; }
   bool shares_head() const { return settings_.shares_head; }
   // Returns whether a server has denied the session, after which another one is asked.
@@ -171,12 +173,6 @@ class RobotSession {
     ActionValue action = {};
     ChooserValue chooser = {};
     Time observed_at = kLongAgo;
-    bool is_miswired = false;
-  };
-  enum class Senses {
-    kUnproven,  // no observation was valid
-    kGood,
-    kMiswired,  // says the newest answer: actions are safe ones
   };
   enum class EndsBy { kStream, kCall };  // episodes; old servers, and merged heads, need a call
   enum class Broken {
@@ -209,6 +205,7 @@ class RobotSession {
   Task Begin(CallState call, Task::Kind kind);
   std::optional<Settled> TakeEnd(const Reply& reply);
   Settled Settle(std::optional<double> at_server);
+  void StaySafe(bool stays_safe);
   void TakeDecision(const Reply& reply, const SentRequest& sent, Now now);
   void TakeError(const Error& error, const SentRequest& sent, Time now);
   void TakeOpening(const Opening& opening);
@@ -240,7 +237,8 @@ class RobotSession {
   uint64_t step_ = 0;  // its number
   bool sees_ = false;
   Time observed_at_ = kLongAgo;
-  Senses senses_ = Senses::kUnproven;
+  bool is_proven_ = false;    // an observation was valid
+  bool stays_safe_ = false;   // says the newest reply, also of a session before
   uint64_t began_ = 0;        // number of the first step of the robot's episode
   uint64_t next_answer_ = 0;  // answers to older steps are not executed
   ActionValue fitted_;        // an action of the caller, with its elements in bounds

@@ -24,6 +24,8 @@
 #include "core/session/durability.h"
 #include "core/session/episode.h"
 #include "core/session/history.h"
+#include "core/session/hold.h"
+#include "core/session/seat.h"
 #include "core/session/wiring_state.h"
 
 namespace spikeserve {
@@ -38,6 +40,8 @@ struct Answer {
   uint32_t unusual_observations = 0;  // elements of the observation far from the training data
   double compute_seconds = 0.0;
   std::vector<float> logits;  // of the head at the time of the decision
+  StepSource source;          // who chose `action`
+  std::optional<Hold> hold;   // source kHold only
 
   friend bool operator==(const Answer&, const Answer&) = default;
 };
@@ -88,6 +92,7 @@ struct Session {
   // of the head (head_log.h); null: nothing.
   std::shared_ptr<const Contribution> pending;
   WiringState wiring;
+  std::optional<Seat> seat;  // absent: no operator acts in the policy's place
 };
 
 }  // namespace spikeserve

@@ -61,7 +61,7 @@ void CountDecision(const Policy& policy, Answer answer, absl::Span<const float> 
   ++session->step;
   ++session->decisions;
   session->last_answer = std::move(answer);
-  session->executed_source = {};
+  session->executed_source = session->last_answer->source;
 }
 
 void CountSkipped(double reward, Session* session) {

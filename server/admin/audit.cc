@@ -56,6 +56,8 @@ std::string Audit::StateOf(const google::protobuf::Message& request) const {
   const std::string policy = PolicyOf(request);
   if (!policy.empty()) return PolicyState(*catalog, policy).dump();
   Json state = {{"draining", store_->draining()}, {"policies", Json::object()}};
+  const auto holds = registry_->holds().Get();
+  for (const SessionHold& hold : *holds) state["holds"].push_back(HoldJson(hold));
   for (const auto& [name, served] : catalog->policies()) {
     state["policies"][name] = PolicyState(*catalog, name);
   }

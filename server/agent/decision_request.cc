@@ -103,6 +103,15 @@ void TakeResult(DecisionRequest& act, Span span) ABSL_EXCLUSIVE_LOCKS_REQUIRED(a
   if (span && result.answer != nullptr) Describe(act, &span);
 }
 
+// Holds a session, or does not hold it any more, as the operators have decided since its last
+// request.
+void TakeHold(const SessionHolds& holds, SessionEntry& entry)
+    ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex) {
+  const uint64_t revision = holds.revision();
+  if (std::exchange(entry.holds_revision, revision) == revision) return;
+  entry.agent.SetHold(holds.Find(entry.agent.session()));
+}
+
 }  // namespace
 
 void DecisionRequest::Conclude() {
@@ -124,7 +133,8 @@ void DecisionRequest::OnClaimed(const absl::Status& claimed) {
   state = claimed.ok() ? DecisionState::kWaiting : DecisionState::kAnswered;
 }
 
-void DecideActs(absl::Span<DecisionRequest* const> acts, StepBudget* budget) {
+void DecideActs(absl::Span<DecisionRequest* const> acts, const SessionHolds& holds,
+                StepBudget* budget) {
   absl::InlinedVector<std::shared_ptr<SessionEntry>, 1> entries;
   for (const DecisionRequest* act : acts) entries.push_back(act->entry);
   SPIKESERVE_DCHECK(std::find(entries.begin(), entries.end(), nullptr) == entries.end());
@@ -137,6 +147,7 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, StepBudget* budget) {
     entry.mutex.AssertHeld();
     act->entry->mutex.AssertHeld();
     if (entry.journal != nullptr) entry.journal->WriteAgainIfMissing(entry.agent.session());
+    TakeHold(holds, entry);
     Step& step = act->step;
     step.result.finished = true;  // also if it had to wait for another request
     step.result.status = ToStep(*act->request, act->received, act->is_next, entry, &step);

@@ -13,6 +13,7 @@
 #include "core/agent/step.h"
 #include "core/open_sessions/session_store.h"
 #include "server/agent/call_context.h"
+#include "server/policies/session_holds.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
@@ -52,8 +53,9 @@ struct DecisionRequest {
 // Computes the decision of each of `acts` and sets its `response`, or its `status` to the error,
 // and adds what the answer waits for to its context. The results equal those of deciding one after
 // the other, bit for bit. Thread-safe. REQUIRES: each has its `entry`, and no two the same.
-// `budget` bounds the beats that are appended.
-void DecideActs(absl::Span<DecisionRequest* const> acts, StepBudget* budget);
+// `budget` bounds the beats that are appended. Sessions are held as `holds` says.
+void DecideActs(absl::Span<DecisionRequest* const> acts, const SessionHolds& holds,
+                StepBudget* budget);
 
 }  // namespace spikeserve
 

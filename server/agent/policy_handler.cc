@@ -117,7 +117,7 @@ absl::Status PolicyHandler::Act(CallContext& context, const v1::ActRequest& requ
                          .is_next = is_next,
                          .entry = std::move(entry),
                          .received = clock_->Now()};
-  DecideActs({&act}, /*budget=*/nullptr);
+  DecideActs({&act}, registry_->holds(), /*budget=*/nullptr);
   if (act.status.ok()) context.deferred->Add(std::move(act.entry), shadows_);
   return act.status;
 }
@@ -141,7 +141,7 @@ void PolicyHandler::ActMany(absl::Span<DecisionRequest* const> acts, DeferredWor
   };
   const auto answer_group = [&](size_t end) {
     StepBudget of_group;
-    DecideActs(found, budget == nullptr ? &of_group : budget);
+    DecideActs(found, registry_->holds(), budget == nullptr ? &of_group : budget);
     for (size_t i = 0; i < found.size(); ++i) {
       DecisionRequest* const act = found[i];
       auto entry = std::exchange(act->entry, nullptr);

@@ -141,6 +141,8 @@ void ToProto(const v1::ActRequest& request, const Step& step, absl::Duration rec
   if (result.answer != nullptr) {
     ToProto(request.session_id(), *result.answer, entry.served->policy(), response);
     WiringToProto(entry.agent, response);
+  } else if (entry.agent.hold() != nullptr) {
+    ToProto(*entry.agent.hold(), response->mutable_hold());
   }
   if (step.end.has_value()) ToProto(step, entry, response->mutable_ended());
   if (!HasBeats(request) && !step.end.has_value()) return;

@@ -247,6 +247,9 @@ absl::Status InferenceHandler::ModelInfer(CallContext& context, const ModelInfer
   response->set_model_version(absl::StrCat(version));
   response->set_id(request.id());
   WriteOutputs(answer, request, input, response);
+  if (answer.has_hold()) {
+    (*response->mutable_parameters())["hold"].set_string_param(answer.hold().id());
+  }
   if (answer.has_wiring()) {
     (*response->mutable_parameters())["wiring"].set_string_param(answer.wiring().text());
   }

@@ -31,12 +31,6 @@ std::optional<double> TrainingReturn(const std::string& training) {
 // The parts of an answer are written through mutable_*() into the response, so that they are
 // allocated on the response's arena.
 
-void ToProto(const Action& action, bool discrete, v1::Action* proto) {
-  if (discrete) return proto->set_discrete(action.discrete);
-  proto->mutable_continuous()->mutable_values()->Add(action.continuous.begin(),
-                                                     action.continuous.end());
-}
-
 void ToProto(const Counts& counts, v1::SpikesByStage* proto) {
   proto->set_coder(counts.spikes(Stage::kCoder));
   proto->set_phase(counts.spikes(Stage::kPhase));
@@ -152,6 +146,17 @@ ReportedAction FromProto(const v1::Action& action) {
   if (action.has_discrete()) return action.discrete();
   if (action.has_continuous()) return absl::MakeConstSpan(action.continuous().values());
   return std::monostate();
+}
+
+void ToProto(const Action& action, bool discrete, v1::Action* proto) {
+  if (discrete) return proto->set_discrete(action.discrete);
+  proto->mutable_continuous()->mutable_values()->Add(action.continuous.begin(),
+                                                     action.continuous.end());
+}
+
+void ToProto(const Hold& hold, v1::Hold* proto) {
+  proto->set_id(hold.id);
+  proto->set_reason(hold.reason);
 }
 
 v1::ActionSpace ToProto(const ActionSpace& space) {
@@ -300,9 +305,7 @@ void WiringToProto(const AgentSession& agent, v1::ActResponse* response) {
   const auto& verdict = agent.session().wiring.verdict;
   if (!verdict.has_value()) return;
   *response->mutable_wiring() = ToProto(*verdict, agent.policy());
-  if (!agent.acts_safely()) return;
-  response->mutable_wiring()->set_is_safe_action(true);
-  response->mutable_source()->set_kind(v1::ActionSource::SAFETY_LAYER);
+  response->mutable_wiring()->set_is_safe_action(agent.acts_safely());
 }
 
 void ToProto(const std::string& session_id, const Answer& answer, const Policy& policy,
@@ -313,6 +316,11 @@ void ToProto(const std::string& session_id, const Answer& answer, const Policy& 
   response->mutable_action_probabilities()->Add(answer.probabilities.begin(),
                                                 answer.probabilities.end());
   response->set_return_to_go(static_cast<double>(answer.return_to_go));
+  if (answer.source != StepSource()) {
+    response->mutable_source()->set_kind(static_cast<v1::ActionSource::Kind>(answer.source.kind));
+    response->mutable_source()->set_operator_id(answer.source.operator_id);
+  }
+  if (answer.hold.has_value()) ToProto(*answer.hold, response->mutable_hold());
   ToProto(answer, policy.config, response->mutable_stats());
 }
 

@@ -28,6 +28,8 @@ absl::StatusOr<SessionRequest> RequestFromProto(const v1::OpenSessionRequest& re
 ReportedAction FromProto(const v1::Action& action);
 
 v1::ActionSpace ToProto(const ActionSpace& space);
+void ToProto(const Action& action, bool discrete, v1::Action* proto);
+void ToProto(const Hold& hold, v1::Hold* proto);
 v1::Durability ToProto(Durability durability);
 // REQUIRES: `entry` is the policy that `served` is a version of.
 v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served);

@@ -26,6 +26,7 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(RegistryOpt
     if (!settings.ok()) return Annotate(settings.status(), "--policy_settings");
     absl::MutexLock change(&registry->change_mutex_);
     registry->settings_ = *std::move(settings);
+    registry->holds_.Set(registry->settings_.holds);
     // A file that cannot be written would refuse the first change of an operator.
     if (auto status = registry->Save(registry->settings_); !status.ok()) {
       return Annotate(
@@ -436,6 +437,26 @@ absl::Status PolicyRegistry::SetShadow(const std::string& policy, int64_t shadow
     if (status.ok()) settings->shadow_version = shadow_version;
     return status;
   });
+}
+
+absl::Status PolicyRegistry::ChangeHolds(
+    absl::FunctionRef<absl::Status(SessionHolds::List* holds)> change) {
+  absl::MutexLock lock(&change_mutex_);
+  return WithLatest([&] {
+    change_mutex_.AssertHeld();
+    return ChangeHoldsOnce(change);
+  });
+}
+
+absl::Status PolicyRegistry::ChangeHoldsOnce(
+    absl::FunctionRef<absl::Status(SessionHolds::List* holds)> change) {
+  Settings settings = settings_;
+  RETURN_IF_ERROR(change(&settings.holds));
+  if (settings.holds == settings_.holds) return absl::OkStatus();
+  RETURN_IF_ERROR(Save(settings));
+  settings_ = std::move(settings);
+  holds_.Set(settings_.holds);
+  return absl::OkStatus();
 }
 
 absl::Status PolicyRegistry::SetLearningPaused(const std::string& policy, bool paused) {

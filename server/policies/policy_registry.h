@@ -27,6 +27,7 @@
 #include "server/policies/policy_catalog.h"
 #include "server/policies/policy_repository.h"
 #include "server/policies/policy_signatures.h"
+#include "server/policies/session_holds.h"
 #include "server/policies/shared_settings.h"
 
 namespace spikeserve {
@@ -107,6 +108,8 @@ class PolicyRegistry {
 
   // Returns true if settings are shared.
   bool shares_settings() const { return options_.shared != nullptr; }
+  // Returns true if settings outlive this server.
+  bool keeps_settings() const { return shares_settings() || !options_.settings_path.empty(); }
   // Returns true once the shared settings were taken over.
   bool has_joined() const { return joined_.load(std::memory_order_acquire); }
 
@@ -185,6 +188,11 @@ class PolicyRegistry {
       absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)>
           change);
 
+  // The holds of sessions, which outlive this call.
+  const SessionHolds& holds() const { return holds_; }
+  // Applies `change` to the holds, saves them and puts them into force, as Change() does.
+  absl::Status ChangeHolds(absl::FunctionRef<absl::Status(SessionHolds::List* holds)> change);
+
   // Pauses or resumes learning in all versions of a policy, or of all served policies if `policy`
   // is empty. After a pause has returned, their shared heads do not change.
   absl::Status SetLearningPaused(const std::string& policy, bool paused);
@@ -235,6 +243,8 @@ class PolicyRegistry {
       const std::string& policy,
       absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)> change)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  absl::Status ChangeHoldsOnce(absl::FunctionRef<absl::Status(SessionHolds::List* holds)> change)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
   absl::Status PauseOnce(const std::string& policy, bool paused)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
   absl::StatusOr<PolicyVersion> AddOnce(const NewVersion& added)
@@ -283,6 +293,7 @@ class PolicyRegistry {
   const RegistryOptions options_;
   const NewObserver new_observer_;
   std::atomic<bool> joined_;
+  SessionHolds holds_;  // those of settings_
 
   absl::Mutex change_mutex_;  // held during a whole change; taken before mutex_
   const Span* call_ ABSL_GUARDED_BY(change_mutex_) =

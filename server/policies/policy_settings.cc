@@ -157,6 +157,7 @@ absl::StatusOr<Settings> ParseSettings(absl::string_view text) {
   object.Optional("policies", &settings.policies);
   object.Optional("unloaded", &unloaded);
   object.Optional("promoted", &promoted);
+  object.Optional("holds", &settings.holds);
   RETURN_IF_ERROR(object.Finish());
   // As ToJson() does, so that equal settings compare equal.
   std::erase_if(settings.policies,
@@ -189,6 +190,7 @@ std::string ToJson(const Settings& settings) {
   for (const auto& [version, sha256] : settings.promoted) {
     json["promoted"][version.policy][absl::StrCat(version.version)] = sha256;
   }
+  for (const SessionHold& hold : settings.holds) json["holds"].push_back(HoldJson(hold));
   return json.dump(2) + "\n";
 }
 

@@ -8,7 +8,8 @@
 //                              "learning_paused": true},
 //                 "pendulum": {"default_follows_highest": true}},
 //    "unloaded": {"cartpole": [4]},
-//    "promoted": {"cartpole": {"5": "<64 hexadecimal digits>"}}}
+//    "promoted": {"cartpole": {"5": "<64 hexadecimal digits>"}},
+//    "holds": [{"id": "fire-3", "reason": "smoke", "since": 1.7e9, "policy": "cartpole"}]}
 //
 // Free functions without shared state; safe to call from many threads.
 #ifndef SERVER_POLICIES_POLICY_SETTINGS_H_
@@ -27,6 +28,7 @@
 #include "nlohmann/json.hpp"
 #include "server/policies/policy_repository.h"
 #include "server/policies/rollout.h"
+#include "server/policies/session_holds.h"
 
 namespace spikeserve {
 
@@ -71,6 +73,7 @@ struct Settings {
   // The SHA-256 of the files of stored versions, which were promoted or pushed, in hexadecimal;
   // with shared settings only.
   std::map<PolicyVersion, std::string> promoted;
+  SessionHolds::List holds;  // the oldest first
 };
 
 // Returns FAILED_PRECONDITION while a roll-out of the policy is running.

@@ -78,6 +78,7 @@ absl::Status PolicyRegistry::Adopt(const SharedSettings::Document& document) {
   if (!settings.ok()) return Annotate(settings.status(), "shared settings");
   const Settings before = std::exchange(settings_, *std::move(settings));
   revision_ = document.revision;
+  holds_.Set(settings_.holds);
   if (auto status = SaveFile(settings_); !status.ok()) {
     LogError("shared settings not saved", {{"error", status.message()}});
   }

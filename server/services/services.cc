@@ -151,6 +151,14 @@ void Services::AddPolicyAdmin() {
   AddAdmin(heads, &HeadHandler::RollbackHead);
   AddAdmin(heads, &HeadHandler::PauseLearning);
   AddAdmin(heads, &HeadHandler::ResumeLearning);
+  const HoldHandler* holds = handlers_.holds;
+  AddAdmin(holds, &HoldHandler::HoldSessions);
+  AddAdmin(holds, &HoldHandler::ResumeSessions);
+  AddAdmin(holds, &HoldHandler::ListHolds);
+  const SeatHandler* seats = handlers_.seats;
+  AddAdmin(seats, &SeatHandler::TakeControl);
+  Add(seats, &SeatHandler::SteerSession);  // as often as an agent acts, so it is not recorded
+  AddAdmin(seats, &SeatHandler::ReturnControl);
 }
 
 void Services::AddInferenceService() {

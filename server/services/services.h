@@ -11,7 +11,9 @@
 #include "server/admin/admin_handler.h"
 #include "server/admin/audit.h"
 #include "server/admin/head_handler.h"
+#include "server/admin/hold_handler.h"
 #include "server/admin/rollout_handler.h"
+#include "server/admin/seat_handler.h"
 #include "server/admin/version_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
@@ -31,6 +33,8 @@ struct Handlers {
   const PolicyHandler* policy;
   const AdminHandler* admin;
   const HeadHandler* heads;
+  const HoldHandler* holds;
+  const SeatHandler* seats;
   const RolloutHandler* rollouts;
   const VersionHandler* versions;
   const Audit* audit;

@@ -45,6 +45,12 @@ concept NamesSession = requires(const Request& request) {
   request.session_id();
 };
 
+// Is satisfied by requests of operators that act in a policy's place.
+template <typename Request>
+concept NamesLease = requires(const Request& request) {
+  request.lease_id();
+};
+
 template <typename Request, typename Response>
 class UnaryCall : public ServiceCall, public GatedRequest {
  public:
@@ -117,9 +123,10 @@ class UnaryCall : public ServiceCall, public GatedRequest {
   }
   SessionRecovery::Post post() override { return PostTo(&loop()); }
   bool is_over() override { return call() == nullptr; }
-  // A session that could not be opened, because the store has it, is missing, too.
+  // A session that could not be opened, because the store has it, is missing, too. One that an
+  // operator wants to steer stays where its robot is.
   std::vector<std::string> MissingSessions(const absl::Status& status) override {
-    if constexpr (NamesSession<Request>) {
+    if constexpr (NamesSession<Request> && !NamesLease<Request>) {
       const bool is_in_store = !kHoldsDecisions<Response> && absl::IsAlreadyExists(status);
       if (absl::IsNotFound(status) || is_in_store) return {request().session_id()};
     }

@@ -343,6 +343,10 @@ Json InfoJson(const ListedSession& listed) {
   json["durable_decision"] = Integer(info.durable_decision());
   json["period_seconds"] = info.has_period_seconds() ? Json(info.period_seconds()) : Json();
   json["silent"] = info.silent();
+  json["hold"] =
+      info.has_hold() ? Json(absl::StrCat(info.hold().id(), ": ", info.hold().reason())) : Json();
+  json["at_neutral"] = info.at_neutral();
+  json["operator_id"] = info.operator_id();
   json["beats"] = info.has_beats() ? BeatsJson(info.beats()) : Json();
   Json& labels = json["labels"] = Json::object();
   for (const auto& [key, value] : info.labels()) labels[key] = value;

@@ -147,7 +147,8 @@ Json StatsOf(const PilotStats& stats) {
                {"age_p99", absl::ToDoubleSeconds(stats.age_p99)},
                {"age_p999", absl::ToDoubleSeconds(stats.age_p999)},
                {"has_local", stats.has_local},
-               {"local_head_is_copy", stats.local_head_is_copy}};
+               {"local_head_is_copy", stats.local_head_is_copy},
+               {"stays_safe", stats.stays_safe}};
   for (size_t i = 0; i < kActionSources; ++i) {
     const std::string name(ActionSourceName(static_cast<ActionSource>(i)));
     json[name] = stats.by_source[i];

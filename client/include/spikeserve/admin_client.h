@@ -30,7 +30,7 @@ inline constexpr absl::Duration kAdminTimeout = absl::Seconds(60);
 
 class AdminClient {
  public:
-  // As Client::Connect. `options.call_timeout` is ignored: each attempt may take kAdminTimeout.
+  // As Client::Connect. `options.call_timeout` is ignored.
   static absl::StatusOr<std::unique_ptr<AdminClient>> Connect(
       const std::string& servers, ClientOptions options = {},
       absl::Duration patience = absl::Seconds(3));
@@ -38,15 +38,16 @@ class AdminClient {
   // Makes the call of one RPC. Returns the server's code and message on an error.
   //
   // Methods that policy_admin.proto declares as free of side effects or idempotent are repeated as
-  // `options.retry` says, and the others only if the server refused them for now.
+  // `options.retry` says, and the others only if the server refused them for now. Each attempt may
+  // take `timeout`.
   template <typename Request, typename Response>
   absl::StatusOr<Response> Call(grpc::Status (v1::PolicyAdmin::Stub::*method)(grpc::ClientContext*,
                                                                               const Request&,
                                                                               Response*),
-                                const Request& request) {
+                                const Request& request, absl::Duration timeout = kAdminTimeout) {
     Response response;
     const absl::Status status = client_->CallOther(
-        kAdminTimeout, IsRepeatable(*Request::descriptor()),
+        timeout, IsRepeatable(*Request::descriptor()),
         [&](const std::shared_ptr<grpc::Channel>& channel, grpc::ClientContext* context) {
           return ((*v1::PolicyAdmin::NewStub(channel)).*method)(context, request, &response);
         });

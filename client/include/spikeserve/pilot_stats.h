@@ -50,6 +50,8 @@ struct PilotStats {
   // The engine on the robot plays with a shared head as of the last episode, which the fleet may
   // have changed meanwhile.
   bool local_head_is_copy = false;
+  // The server keeps the robot at its safe action: the session is held, or looks miswired.
+  bool stays_safe = false;
 
   uint64_t of(ActionSource source) const { return by_source[static_cast<size_t>(source)]; }
 };

@@ -146,14 +146,14 @@ nb::object ToPython(const std::optional<Settled>& settled) {
 // Returns the episode that has ended or None, and whether there is work.
 nb::tuple OnReply(RobotSession& session, const Error* error, int64_t next_step,
                   const std::optional<GivenAction>& action, const GivenSource& source,
-                  Nanoseconds observed_at, bool is_miswired, uint64_t durable_decision,
+                  Nanoseconds observed_at, bool stays_safe, uint64_t durable_decision,
                   int64_t durable_episode, bool has_ended, std::optional<double> episode_return,
                   Nanoseconds steady, Nanoseconds robot) {
   Reply reply = {.error = error,
                  .next_step = next_step,
                  .chooser = ViewOf(source),
                  .observed_at = Time(observed_at),
-                 .is_miswired = is_miswired,
+                 .stays_safe = stays_safe,
                  .durable_decision = durable_decision,
                  .durable_episode = durable_episode,
                  .has_ended = has_ended,
@@ -237,6 +237,7 @@ nb::dict StatsOf(const RobotSession& session) {
   stats["age_p999"] = SecondsOf(ages.Quantile(0.999));
   stats["has_local"] = session.local().is_ready();
   stats["local_head_is_copy"] = session.local().is_ready() && session.shares_head();
+  stats["stays_safe"] = session.stays_safe();
   return stats;
 }
 
@@ -332,7 +333,7 @@ void BindLink(nb::class_<RobotSession>& session) {
       .def("has_denied", &RobotSession::HasDenied)
       .def("on_stream_opened", &RobotSession::OnStreamOpened)
       .def("on_reply", &OnReply, "error"_a.none(), "next_step"_a, "action"_a.none(), "source"_a,
-           "observed_at"_a, "is_miswired"_a, "durable_decision"_a, "durable_episode"_a,
+           "observed_at"_a, "stays_safe"_a, "durable_decision"_a, "durable_episode"_a,
            "has_ended"_a, "episode_return"_a.none(), "steady"_a, "robot"_a)
       .def("on_stream_ended", &RobotSession::OnStreamEnded)
       .def("on_stream_closed",

@@ -219,7 +219,8 @@ PilotStats Pilot::Controller::Stats() const {
           .age_p99 = FromRobot(ages.Quantile(0.99)),
           .age_p999 = FromRobot(ages.Quantile(0.999)),
           .has_local = session_.local().is_ready(),
-          .local_head_is_copy = session_.local().is_ready() && session_.shares_head()};
+          .local_head_is_copy = session_.local().is_ready() && session_.shares_head(),
+          .stays_safe = session_.stays_safe()};
 }
 
 std::string Pilot::Controller::session_id() const {

@@ -91,7 +91,7 @@ robot::Error ErrorOf(const absl::Status& status) {
 robot::Reply ReplyOf(const v1::ActResponse& reply, robot::Error* error) {
   robot::Reply view = {.next_step = reply.next_step(),
                        .observed_at = robot::Time(reply.observed_at()),
-                       .is_miswired = reply.wiring().is_safe_action(),
+                       .stays_safe = reply.wiring().is_safe_action() || reply.has_hold(),
                        .durable_decision = reply.durable_decision(),
                        .durable_episode = reply.durable_episode(),
                        .has_ended = reply.has_ended()};

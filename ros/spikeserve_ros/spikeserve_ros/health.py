@@ -30,6 +30,8 @@ def health(now: Mapping[str, int], before: Mapping[str, int], stats: Mapping[str
         return Health(STALE, "no beat", values)
     if recent["lost"]:
         return Health(ERROR, refusal or "no recent observation: safe action", values)
+    if recent["safe"] and stats.get("stays_safe"):
+        return Health(ERROR, "kept at the safe action by the server", values)
     if recent["safe"]:
         return Health(ERROR, "no answer of the server: safe action", values)
     if recent["held"] or recent["local"]:

@@ -146,7 +146,8 @@ export class SessionView {
     const seconds = history.decisions.reduce((sum, point) => sum + point.count * point.mean_seconds, 0);
     const counted = history.decisions.reduce((sum, point) => sum + point.count, 0);
     this.tiles.show([
-      {label: nameOf(session), value: `${session.policy}/${session.version}`, note: labels || 'no labels'},
+      {label: nameOf(session), value: `${session.policy}/${session.version}`,
+       note: session.hold !== null ? `HELD by ${session.hold}` : labels || 'no labels'},
       {label: 'Mean return', value: fixed(session.mean_return ?? undefined),
        note: `${count(session.ended_episodes)} episodes`},
       {label: 'Last return', value: fixed(session.last_return ?? undefined),

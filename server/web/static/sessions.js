@@ -13,11 +13,13 @@ const ORDERS = [
   ['Longest idle', 'idle_seconds', true],
 ];
 
-/** Returns how many beats of a robot had no fresh action, and whether it is silent. */
-function notFresh({beats, silent}) {
+/** Returns how many beats of a robot had no fresh action, and whether it is silent, held or steered by an operator. */
+function notFresh({beats, silent, hold, at_neutral: atNeutral, operator_id: operator}) {
   const missed = beats && Number(beats.held) + Number(beats.local) + Number(beats.safe);
   const all = beats && missed + Number(beats.fresh);
-  return [beats && `${count(missed)} of ${count(all)}`, silent && 'silent'].filter(Boolean).join(', ') || NOTHING;
+  const held = hold !== null && `held${atNeutral ? '' : ', not confirmed'}`;
+  return [beats && `${count(missed)} of ${count(all)}`, silent && 'silent', held, operator && `by ${operator}`]
+    .filter(Boolean).join(', ') || NOTHING;
 }
 
 export class Sessions {

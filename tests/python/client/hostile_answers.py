@@ -92,6 +92,10 @@ COMMANDS = [
     *(["admin", action, POLICY[0]] for action in ("rollout", "head", "promote_head", "reset_head", "pause_learning")),
     ["pull", "pulled.safetensors", *POLICY],
     ["rm", *POLICY],
+    ["hold", POLICY[0], "--wait=0s"],
+    ["resume", "--id=x"],
+    ["holds"],
+    ["take", "--session=x", "--attention=0s"],
     *(["admin", action] for action in ("rollouts", "history", "reload", "sessions", "drain")),
 ]
 

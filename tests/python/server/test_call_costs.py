@@ -57,6 +57,12 @@ METHODS = {
         "RollbackHead": ("operator", {}),
         "PauseLearning": ("operator", {}),
         "ResumeLearning": ("operator", {}),
+        "HoldSessions": ("operator", {}),
+        "ResumeSessions": ("operator", {}),
+        "ListHolds": ("listing", {}),
+        "TakeControl": ("operator", {}),
+        "SteerSession": ("light", {"session_id": "SESSION"}),
+        "ReturnControl": ("operator", {"session_id": "SESSION"}),
         "Drain": ("operator", {}),  # the last: it refuses new sessions
     },
     INFERENCE: {

@@ -99,6 +99,36 @@ TEST_F(RobotSessionTest, AStepIsFreshThenHeldThenSafe) {
   EXPECT_EQ(Step().source, Source::kSafe);
 }
 
+TEST_F(RobotSessionTest, AHeldRobotIsSafeUntilAnAnswerWithoutAHold) {
+  Connect(/*is_stored=*/true, /*servers=*/2);
+  Ask();
+  Answer(1);
+  EXPECT_EQ(Step().source, Source::kFresh);
+  EXPECT_EQ(Next(), What::kSend);
+  robot_->OnReply({.next_step = 2, .stays_safe = true}, Clock());  // it has no action
+  EXPECT_TRUE(robot_->stays_safe());
+  EXPECT_EQ(Step().source, Source::kSafe);  // the last action is not held
+  EXPECT_EQ(Next(), What::kSend);
+  robot_->OnReply({.next_step = 3,
+                   .action = ActionView{.discrete = 7},
+                   .observed_at = now_,
+                   .stays_safe = true},
+                  Clock());
+  EXPECT_EQ(Step().source, Source::kSafe);
+
+  robot_->OnStreamEnded(ErrorOf(Failure::kAway));
+  EXPECT_EQ(Next(), What::kCloseStream);
+  robot_->OnStreamClosed(/*is_renewed=*/true, now_);
+  for (int i = 0; i < 10; ++i) EXPECT_EQ(Step().source, Source::kSafe);
+  EXPECT_EQ(Next(), What::kOpenStream);
+  robot_->OnStreamOpened(1);
+  Ask();
+  EXPECT_EQ(Step().source, Source::kSafe);
+  Answer(robot_->step_log().next() - 1);
+  EXPECT_EQ(Step().source, Source::kFresh);
+  EXPECT_FALSE(robot_->stays_safe());
+}
+
 TEST_F(RobotSessionTest, AStepWaitsForAnAnswerThatShouldArriveInTime) {
   Connect(false);
   const float observation = 1.0f;

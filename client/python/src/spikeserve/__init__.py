@@ -2,7 +2,8 @@
 
 Start with `Client` and `Session`, on a robot with `Pilot`. `VectorSession` acts in Gymnasium
 vector environments. `AsyncClient` is the client for asyncio. `evaluate` plays whole episodes.
-`AdminClient` has the calls of operators. The module `spikeserve.export` writes policy files.
+`AdminClient` has the calls of operators, and `Operator` holds robots and acts for them. The module
+`spikeserve.export` writes policy files.
 `spikeserve.engine` plays them without a server. The package spikeserve-train adds `imitate`, which
 trains them for any Gymnasium environment.
 """
@@ -35,6 +36,7 @@ from spikeserve.errors import (
 from spikeserve.evaluation import Evaluation, EvaluationStoppedError, evaluate
 from spikeserve.executed import Executed
 from spikeserve.explanation import Attention, Explanation, RoutingGates, SpikeRaster, Token
+from spikeserve.operators import Control, HeldRobot, HoldVerdict, Operator
 from spikeserve.piloting.pilot import Pilot
 from spikeserve.piloting.pilot_options import PilotAction, PilotOptions
 from spikeserve.piloting.pilot_stats import PilotStats
@@ -47,6 +49,7 @@ from spikeserve.values import (
     Decision,
     EpisodeSummary,
     Feature,
+    Hold,
     Learning,
     LearningSummary,
     Opening,
@@ -80,6 +83,7 @@ __all__ = [
     "Box",
     "Client",
     "ClientOptions",
+    "Control",
     "DeadlineExceededError",
     "Decision",
     "Discrete",
@@ -91,11 +95,15 @@ __all__ = [
     "Explanation",
     "FailedPreconditionError",
     "Feature",
+    "HeldRobot",
+    "Hold",
+    "HoldVerdict",
     "InvalidArgumentError",
     "Learning",
     "LearningSummary",
     "NotFoundError",
     "Opening",
+    "Operator",
     "PermissionDeniedError",
     "Pilot",
     "PilotAction",

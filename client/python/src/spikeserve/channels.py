@@ -148,6 +148,11 @@ class Channels:
         )
 
     @property
+    def credentials(self) -> grpc.ChannelCredentials | None:
+        """Returns the credentials of the connection; None: plain text."""
+        return self._credentials
+
+    @property
     def options(self) -> ClientOptions:
         """Returns the settings of the client."""
         return self._options

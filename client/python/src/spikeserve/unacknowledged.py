@@ -46,7 +46,7 @@ class _Answered:
         """Takes the answer to a request that was sent again. DivergedError if it is another one."""
         before = self.answer
         self.answer_bytes = answer.SerializeToString()
-        if _comparable(before) != _comparable(answer):
+        if _is_policys(before, answer) and _comparable(before) != _comparable(answer):
             raise DivergedError.of(self.method, self.request.session_id, self.decision)
 
 
@@ -121,6 +121,12 @@ def _act_again(acts: list[_Answered], route: Route) -> Call[None]:
 
     request = METHODS["ActBatch"].request(requests=[act.request for act in acts])
     return Call("ActBatch", request, decode, route=route)
+
+
+def _is_policys(*answers: Message) -> bool:
+    """Returns whether the policy chose all of the answers: a hold or an operator may have ended."""
+    acts = [answer for answer in answers if answer.DESCRIPTOR.name == "ActResponse"]
+    return not any(answer.HasField("source") for answer in acts)
 
 
 def _comparable(answer: Message) -> bytes:

@@ -271,6 +271,14 @@ class Stats:
 
 
 @dataclass(frozen=True)
+class Hold:
+    """What an operator has put on a session: its robot stays at its safe action."""
+
+    id: str
+    reason: str  # for people
+
+
+@dataclass(frozen=True)
 class Decision:
     """The answer to one observation."""
 
@@ -282,6 +290,11 @@ class Decision:
     durable_decision: int  # decisions of the session that its store has acknowledged
     durable_episode: int  # episodes of the session whose end its store has acknowledged
     wiring: WiringVerdict | None = None  # None: nothing speaks against the wiring
+    # Who chose the action: POLICY, OPERATOR, SAFETY_LAYER (the neutral action, because of the
+    # wiring) or HOLD.
+    source: str = "POLICY"
+    operator_id: str = ""  # source OPERATOR only
+    hold: Hold | None = None  # what holds the session; None: nothing
 
     @classmethod
     def from_wire(cls, message: Message) -> Decision:
@@ -299,6 +312,9 @@ class Decision:
             durable_decision=message.durable_decision,
             durable_episode=message.durable_episode,
             wiring=WiringVerdict.from_wire(message),
+            source=enum_name(message.source, "kind") if message.HasField("source") else "POLICY",
+            operator_id=message.source.operator_id,
+            hold=Hold(message.hold.id, message.hold.reason) if message.HasField("hold") else None,
         )
 
 

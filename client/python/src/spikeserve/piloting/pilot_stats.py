@@ -35,3 +35,5 @@ class PilotStats:
     # Whether the engine on the robot plays with a shared head as of the last episode, which the
     # fleet may have changed meanwhile.
     local_head_is_copy: bool = False
+    # The server keeps the robot at its safe action: the session is held, or looks miswired.
+    stays_safe: bool = False

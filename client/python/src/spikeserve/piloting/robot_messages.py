@@ -131,7 +131,7 @@ def take_reply(machine: Any, reply: Message, now: int, robot_now: int) -> tuple[
         action,
         (reply.source.kind, reply.source.operator_id),
         reply.observed_at,
-        reply.wiring.is_safe_action,
+        reply.wiring.is_safe_action or reply.HasField("hold"),
         reply.durable_decision,
         reply.durable_episode,
         reply.HasField("ended"),

@@ -1,0 +1,19 @@
+// Defines what holds a session. Plain values.
+#ifndef CORE_SESSION_HOLD_H_
+#define CORE_SESSION_HOLD_H_
+
+#include <string>
+
+namespace spikeserve {
+
+// While a session is held, it answers with the neutral action and learns nothing.
+struct Hold {
+  std::string id;
+  std::string reason;  // for people
+
+  friend bool operator==(const Hold&, const Hold&) = default;
+};
+
+}  // namespace spikeserve
+
+#endif  // CORE_SESSION_HOLD_H_

@@ -1,0 +1,198 @@
+#include "server/admin/hold_handler.h"
+
+#include <algorithm>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/algorithm/container.h"
+#include "absl/strings/str_cat.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/clock.h"
+#include "core/base/json.h"
+#include "core/base/status_macros.h"
+#include "core/session/session_id.h"
+#include "server/messages/convert.h"
+
+namespace spikeserve {
+namespace {
+
+constexpr size_t kLongestReason = 256;  // bytes
+constexpr int32_t kLargestPage = 10000;
+
+// Returns true if the caller may change a hold: it covers no session of a tenant that the caller
+// does not see.
+bool MayChange(const Credential& caller, const SessionHold& hold) {
+  return caller.CanReadAll() ||
+         (hold.selection.tenant.has_value() && caller.CanRead(*hold.selection.tenant));
+}
+
+// Returns true if the caller may see a hold: it covers sessions that the caller sees.
+bool MaySee(const Credential& caller, const SessionHold& hold) {
+  return !hold.selection.tenant.has_value() || caller.CanRead(*hold.selection.tenant);
+}
+
+absl::StatusOr<SessionSelection> SelectionFromProto(const v1::SessionSelection& proto,
+                                                    const Credential& caller) {
+  SessionSelection selection = {
+      .policy = proto.policy(),
+      .version = proto.version(),
+      .labels = {proto.labels().begin(), proto.labels().end()},
+      .session_ids = {proto.session_ids().begin(), proto.session_ids().end()}};
+  if (!proto.tenant().empty()) selection.tenant = proto.tenant();
+  const bool is_empty = selection == SessionSelection();
+  if (is_empty && !proto.all()) {
+    return absl::InvalidArgumentError(
+        "selection: expected a condition, or all for every session, received neither");
+  }
+  if (!selection.tenant.has_value() && !caller.CanReadAll()) {
+    selection.tenant = caller.tenant()->name();
+  }
+  if (selection.tenant.has_value() && !caller.CanRead(*selection.tenant)) {
+    return absl::PermissionDeniedError(
+        absl::StrCat("selection.tenant: expected ", Quoted(caller.tenant()->name()),
+                     ", the tenant of the token, received ", Quoted(*selection.tenant)));
+  }
+  RETURN_IF_ERROR(selection.Validate());
+  return selection;
+}
+
+absl::StatusOr<SessionHold> HoldFromProto(const v1::HoldSessionsRequest& request,
+                                          const Credential& caller) {
+  SessionHold hold = {.hold = {request.id(), request.reason()},
+                      .selection = {},
+                      .since = absl::ToDoubleSeconds(absl::Now() - absl::UnixEpoch())};
+  if (hold.hold.id.empty()) {
+    ASSIGN_OR_RETURN(hold.hold.id, NewSessionId());
+  }
+  if (!IsPlainName(hold.hold.id)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "id: expected letters, digits, '.', '-', '_', received ", Quoted(request.id())));
+  }
+  if (request.reason().size() > kLongestReason) {
+    return absl::InvalidArgumentError(absl::StrCat("reason: expected at most ", kLongestReason,
+                                                   " bytes, received ", request.reason().size()));
+  }
+  ASSIGN_OR_RETURN(hold.selection, SelectionFromProto(request.selection(), caller));
+  return hold;
+}
+
+}  // namespace
+
+void HoldHandler::ToProto(const SessionHold& hold, const Credential& caller,
+                          v1::HeldSelection* proto) const {
+  const SessionSelection& selection = hold.selection;
+  spikeserve::ToProto(hold.hold, proto->mutable_hold());
+  proto->set_since(hold.since);
+  v1::SessionSelection& selected = *proto->mutable_selection();
+  selected.set_policy(selection.policy);
+  selected.set_version(selection.version);
+  selected.set_tenant(selection.tenant.value_or(""));
+  selected.mutable_labels()->insert(selection.labels.begin(), selection.labels.end());
+  selected.mutable_session_ids()->Add(selection.session_ids.begin(), selection.session_ids.end());
+  selected.set_all(selection == SessionSelection());
+  int64_t sessions = 0;
+  store_->ForEach([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); },
+                  [&](const ListedSession& listed) {
+                    absl::MutexLock lock(&listed.entry->mutex);
+                    sessions += selection.Covers(listed.entry->agent.session()) ? 1 : 0;
+                  });
+  proto->set_sessions(sessions);
+}
+
+absl::Status HoldHandler::HoldSessions(CallContext& context, const v1::HoldSessionsRequest& request,
+                                       v1::HoldSessionsResponse* response) const {
+  ASSIGN_OR_RETURN(SessionHold hold, HoldFromProto(request, *context.caller));
+  const auto add = [&](SessionHolds::List* holds) {
+    const auto same = absl::c_find_if(
+        *holds, [&](const SessionHold& other) { return other.hold.id == hold.hold.id; });
+    if (same != holds->end()) {
+      hold.since = same->since;
+      hold.hold.reason = same->hold.reason;
+      if (*same == hold) return absl::OkStatus();
+      return absl::AlreadyExistsError(absl::StrCat(
+          "id: expected one that no hold of another selection has, received ", hold.hold.id));
+    }
+    const auto of_tenant = absl::c_count_if(*holds, [&](const SessionHold& other) {
+      return other.selection.tenant == hold.selection.tenant;
+    });
+    if (of_tenant >= kMostHolds) {
+      return absl::ResourceExhaustedError(absl::StrCat("selection: expected fewer than ",
+                                                       kMostHolds, " holds, received another one"));
+    }
+    holds->push_back(hold);
+    return absl::OkStatus();
+  };
+  RETURN_IF_ERROR(registry_->ChangeHolds(add));
+  ToProto(hold, *context.caller, response->mutable_hold());
+  response->set_shared(registry_->shares_settings());
+  response->set_kept(registry_->keeps_settings());
+  return absl::OkStatus();
+}
+
+absl::Status HoldHandler::ResumeSessions(CallContext& context,
+                                         const v1::ResumeSessionsRequest& request,
+                                         v1::ResumeSessionsResponse* response) const {
+  SessionHold resumed;
+  const auto remove = [&](SessionHolds::List* holds) {
+    const auto found = absl::c_find_if(*holds, [&](const SessionHold& hold) {
+      return hold.hold.id == request.id() && MayChange(*context.caller, hold);
+    });
+    if (found == holds->end()) {
+      return absl::NotFoundError(
+          absl::StrCat("id: expected that of a hold, received ", Quoted(request.id())));
+    }
+    resumed = *found;
+    holds->erase(found);
+    return absl::OkStatus();
+  };
+  RETURN_IF_ERROR(registry_->ChangeHolds(remove));
+  ToProto(resumed, *context.caller, response->mutable_hold());
+  response->set_shared(registry_->shares_settings());
+  return absl::OkStatus();
+}
+
+absl::Status HoldHandler::ListHolds(CallContext& context, const v1::ListHoldsRequest& request,
+                                    v1::ListHoldsResponse* response) const {
+  if (request.page_size() < 0 || request.page_size() > kLargestPage) {
+    return absl::InvalidArgumentError(absl::StrCat("page_size: expected 0 to ", kLargestPage,
+                                                   ", received ", request.page_size()));
+  }
+  const Credential& caller = *context.caller;
+  std::vector<const SessionHold*> holds;
+  const auto all = registry_->holds().Get();
+  for (const SessionHold& hold : *all) {
+    if (!MaySee(caller, hold) || (!request.id().empty() && request.id() != hold.hold.id)) continue;
+    holds.push_back(&hold);
+    ToProto(hold, caller, response->add_holds());
+  }
+  if (request.page_size() == 0) return absl::OkStatus();
+  std::vector<v1::HeldSession> held;
+  const auto visit = [&](const ListedSession& listed) {
+    if (listed.id <= request.page_token()) return;
+    SessionEntry& entry = *listed.entry;
+    absl::MutexLock lock(&entry.mutex);
+    const Session& session = entry.agent.session();
+    const auto covering = absl::c_find_if(
+        holds, [&](const SessionHold* hold) { return hold->selection.Covers(session); });
+    if (covering == holds.end()) return;
+    v1::HeldSession& proto = held.emplace_back();
+    proto.set_session_id(listed.id);
+    proto.set_policy(session.options.policy);
+    proto.set_version(session.options.version);
+    proto.set_tenant(session.options.tenant);
+    proto.set_hold_id((*covering)->hold.id);
+    proto.set_at_neutral(entry.agent.is_at_neutral());
+    proto.set_idle_seconds(absl::ToDoubleSeconds(listed.idle));
+    proto.set_silent(IsSilent(entry.period, listed.idle));
+    if (entry.journal != nullptr) proto.set_epoch(entry.journal->epoch());
+  };
+  store_->ForEach([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); }, visit);
+  absl::c_sort(held, [](const auto& a, const auto& b) { return a.session_id() < b.session_id(); });
+  const size_t size = std::min(held.size(), static_cast<size_t>(request.page_size()));
+  if (held.size() > size) response->set_next_page_token(held[size - 1].session_id());
+  for (size_t i = 0; i < size; ++i) *response->add_sessions() = std::move(held[i]);
+  return absl::OkStatus();
+}
+
+}  // namespace spikeserve

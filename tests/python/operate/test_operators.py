@@ -1,0 +1,289 @@
+"""Holds, and operators who act in the place of policies."""
+
+import contextlib
+import json
+import os
+import pty
+import subprocess
+import threading
+
+import grpc
+import pytest
+import spikeserve
+from cpp_pilot import CppPilot
+from redis_servers import WITHOUT_REDIS
+from replicated import running_fleet
+from restartable_server import restartable_server
+from security import ADMIN, OBSERVATION, TOKENS, code_of, entry, fails_with, service_with, until
+from serving import running_server
+
+DENIED = grpc.StatusCode.PERMISSION_DENIED
+INVALID = grpc.StatusCode.INVALID_ARGUMENT
+NOT_FOUND = grpc.StatusCode.NOT_FOUND
+REFUSED = grpc.StatusCode.FAILED_PRECONDITION
+PILOT = {"period": 0.02, "local": False, "ramp_beats": 0}
+NORTH = spikeserve.SessionOptions(labels={"site": "north"}, durability="ASYNC")
+
+
+class Flight:
+    """Beats with a pilot until it is closed, and keeps the sources."""
+
+    def __init__(self, pilot):
+        self.pilot = pilot
+        self.sources = []
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._fly)
+        self._thread.start()
+
+    def _fly(self):
+        while not self._over.wait(0.01):
+            self.sources.append(self.pilot.beat([0.6, 0.8, 0.1], 0.0).source)
+
+    def close(self):
+        self._over.set()
+        self._thread.join()
+        self.pilot.close()
+
+
+@contextlib.contextmanager
+def operating(server, name="ann"):
+    """Yields a client of a server, and an operator."""
+    with spikeserve.Client(server) as client, spikeserve.Operator(client, name) as operator:
+        yield client, operator
+
+
+@WITHOUT_REDIS
+def test_a_hold_outlives_every_server():
+    with running_fleet(replicas=2) as fleet, operating(fleet.addresses) as (client, operator):
+        silent = client.open_session("pendulum", NORTH)
+        silent.act([0.6, 0.8, 0.1])
+        south = client.open_session("pendulum", spikeserve.SessionOptions(labels={"site": "south"}, durability="SYNC"))
+        with contextlib.ExitStack() as stack:
+            pilots = [make(client, "pendulum", session=NORTH, **PILOT) for make in (spikeserve.Pilot, CppPilot)]
+            flights = [stack.enter_context(contextlib.closing(Flight(pilot))) for pilot in pilots]
+            for flight in flights:
+                until(lambda flight=flight: "fresh" in flight.sources[-3:])
+            held = operator.hold(label="site=north", reason="smoke", wait=0.0)
+            assert held.kept and not held.unreached
+            assert len(held.robots) == 3
+            until(lambda: [r.session_id for r in operator.verdict(held.id).not_confirmed] == [silent.session_id])
+            since = [len(flight.sources) for flight in flights]
+            assert south.act([0.6, 0.8, 0.1]).hold is None
+
+            for server in fleet.replicas:
+                server.kill()
+            for server in fleet.replicas:
+                server.start()
+            sessions = {pilot.session_id for pilot in pilots}
+            until(lambda: {r.session_id for r in operator.verdict(held.id).robots if r.at_neutral} == sessions)
+            late = client.open_session("pendulum", NORTH)
+            decision = late.act([0.6, 0.8, 0.1])
+            assert decision.hold == spikeserve.Hold(held.id, "smoke")
+            assert (decision.source, decision.action.tolist()) == ("HOLD", [0.0])
+            for flight, begin in zip(flights, since, strict=True):
+                assert set(flight.sources[begin:]) == {"safe"}
+                assert flight.pilot.stats().stays_safe
+            operator.resume(label="site=north")
+            for flight in flights:
+                until(lambda flight=flight: flight.sources[-1] == "fresh")
+            until(lambda: late.act([0.6, 0.8, 0.1], 0.0).hold is None)
+            with pytest.raises(spikeserve.NotFoundError):
+                operator.resume(label="site=north")
+
+
+def test_a_hold_is_kept_with_the_settings(tmp_path):
+    with restartable_server(f"--policy_settings={tmp_path}/settings.json") as server:
+        with operating(server.address) as (client, operator):
+            held = operator.hold(policy="cartpole", reason="smoke")
+            assert held.kept and held.robots == ()
+            server.kill()
+            server.start()
+            session = client.open_session("cartpole")
+            assert session.act(OBSERVATION).hold.id == held.id
+            assert client.open_session("pendulum").act([0.6, 0.8, 0.1]).hold is None
+
+
+def test_a_held_session_learns_nothing(server):
+    learning = spikeserve.SessionOptions(learning=spikeserve.Learning(learning_rate=0.1), sample=True)
+    with operating(server.grpc) as (client, operator), client.open_session("cartpole", learning) as session:
+        for hold in (False, True, False):
+            if hold:
+                operator.hold(session_ids=[session.session_id], hold_id="one", wait=0.0)
+            before = session.state(include_head_delta=True).head_delta
+            for step in range(5):
+                assert (session.act(OBSERVATION, float(step)).source == "HOLD") == hold
+            session.end_episode(1.0, terminated=True)
+            after = session.state(include_head_delta=True).head_delta
+            assert (before.tolist() == after.tolist()) == hold
+            if hold:
+                operator.resume("one")
+
+
+def test_what_is_refused(server):
+    hold = server.admin.HoldSessions
+    for fields, message in [
+        ({}, "selection: expected a condition, or all"),
+        ({"selection": {"version": 1}}, "selection.policy: expected a name"),
+        ({"id": "a b", "selection": {"all": True}}, "id: expected letters"),
+        ({"reason": "x" * 257, "selection": {"all": True}}, "reason: expected at most 256 bytes, received 257"),
+        ({"selection": {"session_ids": ["x"] * 1001}}, "selection.session_ids: expected at most 1000"),
+    ]:
+        with fails_with(INVALID, message):
+            hold(**fields)
+    hold(id="same", selection={"policy": "hopper"})
+    hold(id="same", selection={"policy": "hopper"})
+    with fails_with(grpc.StatusCode.ALREADY_EXISTS, "id: "):
+        hold(id="same", selection={"policy": "pendulum"})
+    server.admin.ResumeSessions(id="same")
+    with fails_with(NOT_FOUND, "id: "):
+        server.admin.ResumeSessions(id="same")
+
+    take, steer = server.admin.TakeControl, server.admin.SteerSession
+    box = server.agent.OpenSession(policy="pendulum").session_id
+    for fields, message in [
+        ({"operator_id": ""}, "operator_id: expected 1 to 128 bytes"),
+        ({"operator_id": "x" * 129}, "operator_id: expected 1 to 128 bytes, received 129"),
+        ({"lease_seconds": 61.0}, "lease_seconds: expected 0.1 to 60, received 61"),
+        ({"lease_seconds": float("nan")}, "lease_seconds: "),
+        ({"lease_id": "x"}, "lease_id: expected 32 hexadecimal digits"),
+        ({"action": {"discrete": 1}}, "action: expected continuous, received discrete"),
+        ({"action": {"continuous": {"values": [3.0]}}}, "action[0]: expected -2 to 2, received 3"),
+    ]:
+        with fails_with(INVALID, message):
+            take(**{"session_id": box, "operator_id": "ann"} | fields)
+    with fails_with(REFUSED, "lease_id: expected a lease that has not ended"):
+        steer(session_id=box, lease_id="0" * 32)
+    lease = take(session_id=box, operator_id="ann", lease_seconds=60.0).lease_id
+    with fails_with(INVALID, "action: expected 1 values, received 2"):
+        steer(session_id=box, lease_id=lease, action={"continuous": {"values": [0.0, 0.0]}})
+    with fails_with(REFUSED, 'the operator "ann" has control'):
+        take(session_id=box, operator_id="bob")
+    server.agent.CloseSession(session_id=box)
+    for call in (steer, server.admin.ReturnControl):
+        with fails_with(NOT_FOUND, box):
+            call(session_id=box, lease_id=lease)
+
+
+def test_tenants_and_roles(tmp_path):
+    tokens = tmp_path / "tokens.json"
+    tokens.write_text(json.dumps(TOKENS | {"tokens": [*TOKENS["tokens"], entry("nina", "operator", name="nina")]}))
+    with running_server(flags=[f"--tokens={tokens}"]) as server, contextlib.ExitStack() as stack:
+
+        def admin(token):
+            return stack.enter_context(service_with(server, token, ADMIN))
+
+        agent = stack.enter_context(service_with(server, "agent"))
+        session = agent.OpenSession(policy="cartpole").session_id
+
+        def answer(step):
+            return agent.Act(session_id=session, step=step, observation=OBSERVATION)
+
+        assert code_of(admin("agent").HoldSessions, selection={"all": True}) == DENIED
+        assert code_of(admin("viewer").TakeControl, session_id=session) == DENIED
+        rival = admin("rival-operator")
+        with fails_with(DENIED, "selection.tenant: "):
+            rival.HoldSessions(selection={"tenant": "fleet"})
+        assert rival.HoldSessions(id="rivals", selection={"all": True}).hold.sessions == 0
+        with fails_with(NOT_FOUND, session):
+            rival.TakeControl(session_id=session, operator_id="eve")
+        assert not answer(0).HasField("hold")
+        assert code_of(admin("operator").ResumeSessions, id="rivals") == NOT_FOUND
+        assert [hold.hold.id for hold in admin("viewer").ListHolds().holds] == []
+        admin("machine").HoldSessions(id="fleets", selection={"tenant": "fleet"})
+        assert answer(1).hold.id == "fleets"
+        [held] = admin("viewer").ListHolds(page_size=10).sessions
+        assert (held.session_id, held.hold_id) == (session, "fleets")
+        admin("operator").ResumeSessions(id="fleets")
+        assert admin("nina").TakeControl(session_id=session).operator_id == "nina"
+        assert answer(2).source.operator_id == "nina"
+        actions = [each.action for each in admin("machine").ListHistory().entries]
+        assert actions[:3] == ["TakeControl", "ResumeSessions", "HoldSessions"]
+
+
+def test_one_operator_is_heard(server):
+    with operating(server.grpc) as (client, ann), spikeserve.Operator(client, "bob") as bob:
+        session = client.open_session("cartpole")
+        of_policy = session.act(OBSERVATION).action
+        with ann.take(session.session_id, lease=60.0, action=1 - of_policy) as control:
+            decision = session.act(OBSERVATION, 1.0)
+            assert (decision.source, decision.operator_id, decision.action) == ("OPERATOR", "ann", 1 - of_policy)
+            with pytest.raises(spikeserve.FailedPreconditionError, match="ann"):
+                bob.take(session.session_id)
+            other = bob.take(session.session_id, lease=60.0, take_over=True)
+            assert other.relieved == "ann"
+            with pytest.raises(spikeserve.FailedPreconditionError, match="bob"):
+                control.act(0)
+            for action in (0, 1, 0):
+                other.act(action)
+                decision = session.act(OBSERVATION, 1.0)
+                assert (decision.operator_id, decision.action) == ("bob", action)
+            other.renew()
+            assert other.steps == 3 and 0 <= other.agreed_steps <= 3
+            other.release()
+            assert session.act(OBSERVATION, 1.0).source == "POLICY"
+            control = ann.take(session.session_id, lease=0.1)  # which nobody renews
+            until(lambda: session.act(OBSERVATION, 1.0).source == "POLICY")
+            with pytest.raises(spikeserve.FailedPreconditionError, match="has not ended"):
+                control.renew()
+            control = ann.take(session.session_id, lease=60.0)
+
+
+@WITHOUT_REDIS
+def test_control_goes_on_at_the_next_server():
+    with running_fleet(replicas=2) as fleet, operating(fleet.addresses) as (client, operator):
+        session = client.open_session("cartpole", spikeserve.SessionOptions(durability="SYNC"))
+        session.act(OBSERVATION)
+        with operator.take(session.session_id, lease=60.0, action=1) as control:
+            for server in fleet.replicas:
+                for action in (0, 1):
+                    control.act(action)
+                    decision = session.act(OBSERVATION, 1.0)
+                    assert (decision.source, decision.action) == ("OPERATOR", action)
+                server.kill()
+                decision = session.act(OBSERVATION, 1.0, timeout=30.0)
+                assert (decision.source, decision.action) == ("OPERATOR", 1)
+                server.start()
+            control.renew()
+            assert control.steps == 6
+
+
+def test_the_commands(server):
+    session = server.agent.OpenSession(policy="cartpole").session_id
+
+    def act(step):
+        return server.agent.Act(session_id=session, step=step, observation=OBSERVATION)
+
+    act(0)
+    held = server.spikectl("hold", "--policy=cartpole", "--id=fire", "--reason=smoke", "--wait=0s", "--json", status=1)
+    verdict = json.loads(held.stdout)
+    assert (verdict["id"], verdict["not_confirmed"]) == ("fire", 1)
+    assert verdict["robots"][0]["session_id"] == session
+    act(1), act(2)
+    shown = server.spikectl("hold", "--policy=cartpole", "--id=fire").stdout
+    assert "fire: 1 of 1 robots at their neutral action\n" in shown
+    assert "fire: policy cartpole; 1 sessions" in server.spikectl("holds").stdout
+    assert server.spikectl("resume", "--id=fire").stdout == "resumed fire: policy cartpole\n"
+    assert server.spikectl("holds").stdout == "no holds\n"
+
+    here, there = pty.openpty()
+    command = [os.environ["SPIKECTL_PROGRAM"], "take", f"--session={session}", "--operator=ann", f"--server={server.grpc}"]
+    with subprocess.Popen(command, stdin=there, stdout=subprocess.PIPE, text=True) as taking:
+        assert "ann has control; keys 0 to 1" in taking.stdout.readline()
+        step, answers = 3, []
+        for key in ("1", "0"):
+            os.write(here, key.encode())
+
+            def is_heard(key=key):
+                nonlocal step
+                answers.append(act(step))
+                step += 1
+                return answers[-1].action.discrete == int(key)
+
+            until(is_heard)
+        assert {answer.source.operator_id for answer in answers} == {"ann"}
+        os.write(here, b"q")
+        assert "returned after" in taking.stdout.read()
+        assert taking.wait() == 0
+    os.close(here)
+    os.close(there)
+    assert not act(step).HasField("source")
