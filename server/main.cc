@@ -91,6 +91,14 @@ void AddSessionFlags(Command program, ServerOptions* options) {
            "JSON file that stores the settings of operators")
       .Add("audit_log", "FILE", &options->audit_log,
            "File to which the actions of operators are appended");
+  program.Flags("Usage")
+      .Add("usage_label", "KEY", &options->usage.label,
+           "Label of sessions, such as robot, that rows of usage are told apart by")
+      .Add("usage_interval", "DURATION", &options->usage.interval, "Time until usage is booked")
+      .Add("usage_dir", "DIR", &options->usage.directory,
+           "Where usage is kept without --session_store; empty: in memory")
+      .AddSwitch("usage_metrics", &options->usage.tenant_metrics,
+                 "Metrics of this month by tenant, of at most 100 tenants");
   program.Flags("Sessions")
       .Add("session_ttl", "DURATION", &options->session_ttl, "Idle time that ends a session")
       .Add("max_sessions", "N", &options->max_sessions, "Largest number of open sessions")

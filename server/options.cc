@@ -71,6 +71,15 @@ absl::Status CheckStore(const ServerOptions& options) {
   return options.store.Validate();
 }
 
+absl::Status CheckAtLeast(absl::string_view flag, absl::Duration value, absl::Duration least) {
+  if (value < least) {
+    return absl::InvalidArgumentError(absl::StrCat(flag, ": expected at least ",
+                                                   absl::FormatDuration(least), ", received ",
+                                                   absl::FormatDuration(value)));
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 absl::Status ServerOptions::Validate() const {
@@ -78,9 +87,7 @@ absl::Status ServerOptions::Validate() const {
     return absl::InvalidArgumentError("--policies: expected a directory, received none");
   }
   RETURN_IF_ERROR(tls.Validate());
-  if (auto status = CheckReach("--listen", listen, *this); !status.ok()) {
-    return status;
-  }
+  RETURN_IF_ERROR(CheckReach("--listen", listen, *this));
   RETURN_IF_ERROR(CheckDatagrams(*this));
   RETURN_IF_ERROR(transport_limits.Validate());
   if (loops < 0 || loops > kMostLoops) {
@@ -88,26 +95,18 @@ absl::Status ServerOptions::Validate() const {
         absl::StrCat("--loops: expected 0 to ", kMostLoops, ", received ", loops));
   }
   if (!http_listen.empty()) {
-    if (auto status = CheckReach("--http_listen", http_listen, *this); !status.ok()) {
-      return status;
-    }
+    RETURN_IF_ERROR(CheckReach("--http_listen", http_listen, *this));
   }
   if (auto origins = Origins::Parse("--http_origins", http_origins); !origins.ok()) {
     return origins.status();
   }
-  if (session_ttl < absl::Milliseconds(1)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--session_ttl: expected at least 1ms, received ", absl::FormatDuration(session_ttl)));
-  }
+  RETURN_IF_ERROR(CheckAtLeast("--session_ttl", session_ttl, absl::Milliseconds(1)));
   if (poll_policies != absl::ZeroDuration() && poll_policies < absl::Milliseconds(1)) {
     return absl::InvalidArgumentError(
         absl::StrCat("--poll_policies: expected 0 or at least 1ms, received ",
                      absl::FormatDuration(poll_policies)));
   }
-  if (compact_after < absl::Milliseconds(1)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--compact_after: expected at least 1ms, received ", absl::FormatDuration(compact_after)));
-  }
+  RETURN_IF_ERROR(CheckAtLeast("--compact_after", compact_after, absl::Milliseconds(1)));
   if (!signing_key.empty() && trusted_keys.empty()) {
     return absl::InvalidArgumentError("--signing_key: expected --trusted_keys, too, received none");
   }
@@ -118,6 +117,7 @@ absl::Status ServerOptions::Validate() const {
   RETURN_IF_ERROR(ParseWiringRules(wiring).status());
   RETURN_IF_ERROR(CheckCounts(*this));
   RETURN_IF_ERROR(CheckStore(*this));
+  RETURN_IF_ERROR(CheckAtLeast("--usage_interval", usage.interval, absl::Milliseconds(10)));
   if (max_message_bytes < 1 || max_message_bytes > INT_MAX) {
     return absl::InvalidArgumentError(absl::StrCat("--max_message_bytes: expected 1 to ", INT_MAX,
                                                    ", received ", max_message_bytes));

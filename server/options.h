@@ -15,6 +15,7 @@
 #include "server/store/store_options.h"
 #include "server/trace/trace_options.h"
 #include "server/transport/limits.h"
+#include "server/usage/open_usage.h"
 
 namespace spikeserve {
 
@@ -56,6 +57,7 @@ struct ServerOptions {
   int64_t max_pushed_versions = 100;               // of a policy
   StoreOptions store;  // where sessions are kept so that they survive the server
   Durability durability = Durability::kAsync;  // of stored sessions that ask for none
+  UsageOptions usage;                          // what the ledger tells apart and where it is
 
   TlsFiles tls;        // for gRPC and HTTP
   std::string tokens;  // file of bearer tokens, see token_file.h; empty: any caller may do anything

@@ -144,7 +144,9 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   auto metrics = std::make_unique<Metrics>();
   metrics->SetSessionsLimit(options.max_sessions);
   ASSIGN_OR_RETURN(auto tracer, StartTracing(options, &metrics->registry()));
-  ASSIGN_OR_RETURN(auto store, OpenStore(options.store, &metrics->registry()));
+  UsageStores usage(options.store, options.usage);
+  ASSIGN_OR_RETURN(auto store, OpenStore(options.store, &metrics->registry(), usage.visitor()));
+  RETURN_IF_ERROR(usage.Open());
   ReloadReport report;
   ASSIGN_OR_RETURN(auto registry,
                    LoadPolicies(options, store, metrics.get(), tracer.get(), &report));
@@ -165,12 +167,11 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
     ASSIGN_OR_RETURN(recordings, Recordings::Create(options.record_dir, options.max_recorded_bytes,
                                                     metrics.get()));
   }
-  metrics->AddSource([served = registry.get()] { return CollectTraffic(*served->catalog()); });
-  metrics->AddSource([served = registry.get()] { return CollectHeads(*served->catalog()); });
   auto server = std::unique_ptr<Server>(
       new Server(options, std::move(authenticator), std::move(registry), std::move(audit_log),
-                 std::move(metrics), std::move(tracer), std::move(recordings), std::move(store)));
-  if (server->journals_ != nullptr) server->journals_->Keep(&server->store_);
+                 std::move(metrics), std::move(tracer), std::move(recordings), std::move(store),
+                 std::move(usage)));
+  server->StartLedger();
   if (server->shared_ != nullptr) {
     server->FollowReplicas();
     if (server->registry_->has_joined()) server->heads_->WaitToJoin(kJoinTimeout);
@@ -198,7 +199,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
 Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
                std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<AuditLog> audit_log,
                std::unique_ptr<Metrics> metrics, std::unique_ptr<Tracer> tracer,
-               std::unique_ptr<Recordings> recordings, OpenedStore store)
+               std::unique_ptr<Recordings> recordings, OpenedStore store, UsageStores usage)
     : options_(options),
       authenticator_(std::move(authenticator)),
       metrics_(std::move(metrics)),
@@ -219,6 +220,13 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       shadows_(metrics_->registry()),
       datagrams_(&clock_),
       store_(options.max_sessions, &clock_),
+      ledger_({.process = usage.process,
+               .label = options.usage.label,
+               .session_life = options.store.retention,
+               .tenant_metrics = options.usage.tenant_metrics,
+               .is_shared = shared_ != nullptr},
+              usage.books, usage.reads, usage.find_ownerless, &store_, authenticator_.get(),
+              &clock_),
       reaper_(&store_,
               {.compact_after = options.compact_after, .time_to_live = options.session_ttl},
               [this](int64_t sessions) { metrics_->CountReaped(sessions); }),
@@ -238,6 +246,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                      journals_.get(), [this](bool) { PublishHealth(); }),
       hold_handler_(registry_.get(), &store_),
       seat_handler_(&store_),
+      usage_handler_(&ledger_),
       services_({.gate = &gate_,
                  .authenticator = authenticator_.get(),
                  .metrics = metrics_.get(),
@@ -253,6 +262,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                  .seats = &seat_handler_,
                  .rollouts = &rollout_handler_,
                  .versions = &version_handler_,
+                 .usage = &usage_handler_,
                  .audit = &audit_,
                  .inference = &inference_handler_,
                  .health = &health_,
@@ -275,6 +285,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       pages_({.authenticator = authenticator_.get(),
               .handler = &handler_,
               .rollouts = &rollout_handler_,
+              .usage = &usage_handler_,
               .store = &store_,
               .metrics = metrics_.get(),
               .history = &history_,
@@ -299,6 +310,8 @@ absl::Status Server::StartTransport() {
     ASSIGN_OR_RETURN(datagram_listen, ParseAddress("--datagram_listen", options_.datagram_listen));
     metrics_->AddSource([this] { return CollectDatagrams(datagrams_); });
   }
+  metrics_->AddSource([this] { return CollectTraffic(*registry_->catalog()); });
+  metrics_->AddSource([this] { return CollectHeads(*registry_->catalog()); });
   ASSIGN_OR_RETURN(
       auto transport,
       Transport::Create(
@@ -318,6 +331,14 @@ absl::Status Server::StartTransport() {
   RETURN_IF_ERROR(services_.Attach(transport_.get()));
   memory_trimmer_ = std::make_unique<Periodic>(kTrimInterval, [this] { TrimMemory(); });
   return transport_->Start();
+}
+
+void Server::StartLedger() {
+  store_.SetOnClosed([this](SessionEntry& entry) { ledger_.OnClosed(entry); });
+  if (journals_ != nullptr) journals_->Keep(&store_, [this] { ledger_.BookEnds(); });
+  metrics_->AddSource([this] { return ledger_.Collect(); });
+  ledger_.FollowMonth();  // so that what is spent is known before the first session
+  ledger_ticker_ = std::make_unique<Periodic>(options_.usage.interval, [this] { ledger_.Tick(); });
 }
 
 void Server::TrimMemory() {
@@ -351,6 +372,8 @@ void Server::FollowReplicas() {
     if (alive.ok()) {
       replicas_.SetAlive(*alive);
       std::ranges::sort(*alive);
+      if (!std::ranges::includes(*alive, alive_)) ledger_.OnServerGone();
+      alive_ = *alive;
       status = files_->Follow(*alive);
     }
   }
@@ -453,8 +476,10 @@ void Server::Stop() {
   if (shared_ != nullptr) shared_->Leave().IgnoreError();  // the others find out in any case
   token_reloader_.reset();
   memory_trimmer_.reset();
+  ledger_ticker_.reset();
   if (transport_ != nullptr) StopTransport();
   if (journals_ != nullptr) journals_->Stop(absl::ZeroDuration());  // it uses the sessions
+  ledger_.BookAll();  // what the last answers have used
   http_.reset();
   if (tracer_ != nullptr) tracer_->Stop();
   metrics_->KeepSeries();

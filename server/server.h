@@ -5,6 +5,7 @@
 #include <atomic>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -21,6 +22,7 @@
 #include "server/admin/hold_handler.h"
 #include "server/admin/rollout_handler.h"
 #include "server/admin/seat_handler.h"
+#include "server/admin/usage_handler.h"
 #include "server/agent/datagram_channels.h"
 #include "server/agent/policy_handler.h"
 #include "server/agent/session_gate.h"
@@ -45,6 +47,8 @@
 #include "server/store/open_store.h"
 #include "server/trace/tracer.h"
 #include "server/transport/transport.h"
+#include "server/usage/ledger.h"
+#include "server/usage/open_usage.h"
 #include "server/web/grpc_web_pages.h"
 #include "server/web/http_call.h"
 #include "server/web/http_server.h"
@@ -84,9 +88,10 @@ class Server {
   Server(const ServerOptions& options, std::unique_ptr<Authenticator> authenticator,
          std::unique_ptr<PolicyRegistry> registry, std::unique_ptr<AuditLog> audit_log,
          std::unique_ptr<Metrics> metrics, std::unique_ptr<Tracer> tracer,
-         std::unique_ptr<Recordings> recordings, OpenedStore store);
+         std::unique_ptr<Recordings> recordings, OpenedStore store, UsageStores usage);
 
   void ReloadTokens();
+  void StartLedger();
   absl::Status StartTransport();
   void StopTransport();
   // Says that this server is alive, and takes over what the others have changed.
@@ -124,6 +129,7 @@ class Server {
   ShadowRunner shadows_;
   DatagramChannels datagrams_;
   SessionStore store_;
+  Ledger ledger_;
   SessionReaper reaper_;
   const std::unique_ptr<SessionRecovery> recovery_;  // null as `journals_`
   const SessionGate session_gate_;
@@ -134,6 +140,7 @@ class Server {
   const AdminHandler admin_handler_;
   const HoldHandler hold_handler_;
   const SeatHandler seat_handler_;
+  const UsageHandler usage_handler_;
   CallGate gate_;
   HealthService health_;
   std::unique_ptr<TlsContext> tls_;  // null without TLS
@@ -149,7 +156,8 @@ class Server {
   std::atomic<bool> stopping_ = false;
   // State of FollowReplicas(), which one thread calls at a time.
   bool follow_failed_ = false;
-  bool joined_ = false;  // the value that was published last
+  std::vector<std::string> alive_;  // servers, sorted
+  bool joined_ = false;             // the value that was published last
   // Of memory_trimmer_, when memory was last given back: connections closed, and free bytes.
   int64_t trimmed_at_ = 0;
   size_t free_when_trimmed_ = 0;
@@ -170,6 +178,7 @@ class Server {
   std::unique_ptr<Periodic> follower_;
   std::unique_ptr<Periodic> token_reloader_;
   std::unique_ptr<Periodic> memory_trimmer_;
+  std::unique_ptr<Periodic> ledger_ticker_;
 };
 
 }  // namespace spikeserve

@@ -1,5 +1,5 @@
-// The actions of operators about shared heads, roll-outs and the files of versions. Each one calls
-// one server, and returns what is to be printed, or the error of the call.
+// The actions of operators about shared heads, roll-outs, the files of versions and usage. Each one
+// calls one server, and returns what is to be printed, or the error of the call.
 #ifndef CLIENT_SPIKECTL_ADMIN_ACTIONS_H_
 #define CLIENT_SPIKECTL_ADMIN_ACTIONS_H_
 
@@ -29,6 +29,9 @@ absl::StatusOr<Answer> PushVersion(const AdminFlags& flags);
 absl::StatusOr<Answer> PullVersion(const AdminFlags& flags);
 // Removes a version that was pushed.
 absl::StatusOr<Answer> RemoveVersion(const AdminFlags& flags);
+
+// Shows what was used in a month.
+absl::StatusOr<Answer> ShowUsage(const AdminFlags& flags);
 
 }  // namespace spikeserve
 

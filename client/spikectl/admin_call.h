@@ -42,7 +42,10 @@ struct AdminFlags {
   bool abort = false;       // ends the running roll-out
   int32_t limit = 20;       // entries of the history
   bool cancel = false;      // ends draining: the version accepts new sessions again
-  bool weights = false;     // also prints the weights of the head
+  std::string month;        // such as 2026-11; empty: the running one
+  std::vector<std::string> by = {"tenant", "policy"};  // what rows of usage are told apart by
+  bool csv = false;                                    // prints usage as comma-separated values
+  bool weights = false;                                // also prints the weights of the head
 };
 
 template <typename Request, typename Response>

@@ -356,6 +356,12 @@ void AddPull(FlagGroup& group, AdminFlags* flags) {
       .Add("signature", "FILE", &flags->signature, "Signature to write; default: FILE.sig");
 }
 
+void AddUsage(FlagGroup& group, AdminFlags* flags) {
+  group.Add("month", "YYYY-MM", &flags->month, "Month of UTC; default: the running one")
+      .AddList("by", "KEY,...", &flags->by, "Rows: tenant, policy, version, label, day or hour")
+      .AddSwitch("csv", &flags->csv, "Print comma-separated values");
+}
+
 void AddHistory(FlagGroup& group, AdminFlags* flags) {
   AddFilter(group, flags);
   group.Add("limit", "N", &flags->limit, "Entries to show, at most");
@@ -406,7 +412,9 @@ constexpr AdminAction kActions[] = {
 };
 
 // The actions that are commands of their own.
-constexpr AdminAction kVersionActions[] = {
+constexpr AdminAction kCommands[] = {
+    {"usage", "Shows what was used in a month, and what is left of budgets", false, AddUsage,
+     ShowUsage},
     {"push", "Sends a version to all servers, and may roll it out", true, AddPush, PushVersion},
     {"pull", "Writes the file of a version", true, AddPull, PullVersion},
     {"rm", "Removes a version that was pushed", true, AddVersion, RemoveVersion},
@@ -455,7 +463,7 @@ Command AddAction(Command admin, const AdminAction& action, const char* name,
 }  // namespace
 
 void AddAdminCommands(Command program, const ServerFlags& server) {
-  for (const AdminAction& action : kVersionActions) {
+  for (const AdminAction& action : kCommands) {
     AddAction(program, action, action.name, "", server);
   }
   const Command admin = program.AddCommand("admin", "Administers the server, or each of several");

@@ -149,6 +149,7 @@ void AgentSession::DecisionPass::DecideVersion(absl::Span<Step* const> steps) {
     const Answer& answered = *session.session_.last_answer;
     session.life_.OnDecision(chosen - session.created_, answered.counts.total_spikes(),
                              answered.compute_seconds);
+    session.life_.OnCounts(answered.counts);
     step.result.answer = &answered;
     step.is_past ? served.observer->OnBeat(answered) : served.observer->OnDecision(answered);
   }

@@ -164,6 +164,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndPass::End(const Step& step) {
   for (const auto& listener : agent.listeners_) {
     if (listener->OnEpisodeEnd(session, agent.contribution())) is_taken = true;
   }
+  if (agent.contribution() != nullptr) agent.life_.OnContribution();
   if (agent.contribution() != nullptr && !is_taken) agent.contribution()->Append();
   agent.life_.OnEpisode(summary.episode_return);
   agent.served_->observer->OnEpisodeEnd(summary.episode_return);

@@ -125,11 +125,17 @@ class RobotLink {
     const double most = absl::FDivDuration(received - first_reported_ + kAhead, least_period_);
     if (static_cast<double>(counted_ + added.Largest()) > most) return std::nullopt;
     counted_ += added.Largest();
+    beats_.fresh += added.fresh;
+    beats_.held += added.held;
+    beats_.local += added.local;
+    beats_.safe += added.safe;
     return added;
   }
 
   // Returns the last report; absent: there was none.
   const std::optional<BeatCounts>& report() const { return report_; }
+  // Returns the beats by source that the reports have added.
+  const BeatCounts& beats() const { return beats_; }
 
  private:
   // Returns whether all requests of the last kTrial were later than the measure by about the same
@@ -163,6 +169,7 @@ class RobotLink {
   std::optional<BeatCounts> report_;
   absl::Duration first_reported_;  // of the server's clock, as the next
   absl::Duration reported_;
+  BeatCounts beats_;
   uint64_t counted_ = 0;  // the largest counts of all reports together
   absl::Duration least_period_;
 };

@@ -16,6 +16,7 @@
 
 #include "absl/time/time.h"
 #include "core/action/step_source.h"
+#include "core/engine/counts.h"
 
 namespace spikeserve {
 
@@ -119,6 +120,13 @@ class SessionLife {
     last_source_ = source;
     ++steps_by_source_[static_cast<size_t>(source.kind)];
   }
+  void OnCounts(const Counts& counts) { counts_ += counts; }
+  void OnContribution() { ++contributions_; }
+
+  // Returns the sum over the decisions of this life.
+  const Counts& counts() const { return counts_; }
+  // Returns the episodes that had a contribution to the head of a fleet.
+  int64_t contributions() const { return contributions_; }
 
   // Returns the rewards after step 0 that were left out, and counted as 0.
   int64_t missing_rewards() const { return missing_rewards_; }
@@ -144,6 +152,8 @@ class SessionLife {
   int64_t missing_rewards_ = 0;
   std::optional<StepSource> last_source_;
   std::array<uint64_t, kSourceKinds> steps_by_source_ = {};
+  int64_t contributions_ = 0;
+  Counts counts_;
 };
 
 }  // namespace spikeserve

@@ -33,13 +33,6 @@ void PrefetchCounters(const SessionEntry& entry) ABSL_NO_THREAD_SAFETY_ANALYSIS 
   __builtin_prefetch(&entry.agent.session().energy_joules);
 }
 
-// Tells the observer, the quota and the journal that a session has left the store.
-void NotifyClosed(const SessionEntry& entry) {
-  entry.served->observer->OnClose();
-  if (entry.quota != nullptr) entry.quota->Release();
-  if (entry.journal != nullptr) entry.journal->OnClose();
-}
-
 }  // namespace
 
 absl::Duration PeriodOf(const std::map<std::string, std::string>& labels) {
@@ -61,6 +54,13 @@ std::string LabelText(const std::map<std::string, std::string>& labels) {
 
 SessionStore::SessionStore(int64_t max_sessions, const Clock* clock)
     : max_sessions_(max_sessions), clock_(clock) {}
+
+void SessionStore::NotifyClosed(SessionEntry& entry) {
+  entry.served->observer->OnClose();
+  if (entry.quota != nullptr) entry.quota->Release();
+  if (on_closed_ != nullptr) on_closed_(entry);
+  if (entry.journal != nullptr) entry.journal->OnClose();
+}
 
 SessionStore::Shard& SessionStore::ShardOf(absl::string_view id) {
   return shards_[absl::HashOf(id) % kShards];

@@ -9,6 +9,7 @@
 #include <array>
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -32,6 +33,7 @@
 #include "core/base/clock.h"
 #include "core/journal/session_journal.h"
 #include "core/open_sessions/session_quota.h"
+#include "core/session/usage.h"
 
 namespace spikeserve {
 
@@ -83,6 +85,7 @@ struct SessionEntry {
   std::shared_ptr<SessionDatagrams> datagrams ABSL_GUARDED_BY(mutex);  // null: none
   // Of the holds that `agent` was compared with.
   uint64_t holds_revision ABSL_GUARDED_BY(mutex) = 0;
+  SessionUsage usage ABSL_GUARDED_BY(mutex);
 };
 
 // Optional properties of a new session, beside its policy and options.
@@ -123,6 +126,12 @@ class SessionStore {
   // Adds a session that was restored from its journal. Errors as for Open.
   absl::Status Restore(std::shared_ptr<const ServedPolicy> served, Session session,
                        SessionExtras extras);
+
+  // Calls `on_closed` for each session that has left the store, before its journal ends. To be
+  // called once, before sessions are opened.
+  void SetOnClosed(std::function<void(SessionEntry&)> on_closed) {
+    on_closed_ = std::move(on_closed);
+  }
 
   // Refuses new sessions while `draining`. Open sessions continue.
   void SetDraining(bool draining) { draining_.store(draining, std::memory_order_relaxed); }
@@ -214,11 +223,14 @@ class SessionStore {
   // Returns the session that Peek() finds, or the end of the slots.
   static Slots::iterator Look(Shard& shard, absl::string_view id, absl::string_view tenant)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(shard.mutex);
+  // Tells the observer, the quota, the ledger and the journal that a session has left the store.
+  void NotifyClosed(SessionEntry& entry);
   // Returns false if its tenant has an open session with this id.
   bool Insert(const std::string& id, std::shared_ptr<SessionEntry> entry);
 
   const int64_t max_sessions_;
   const Clock* const clock_;
+  std::function<void(SessionEntry&)> on_closed_;  // null: none
   std::atomic<int64_t> size_ = 0;
   std::atomic<bool> draining_ = false;
   std::array<Shard, kShards> shards_;

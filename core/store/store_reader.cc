@@ -81,6 +81,14 @@ absl::StatusOr<std::vector<std::string>> ReadList(RedisClient& client, const std
   return items;
 }
 
+absl::StatusOr<std::vector<std::string>> ReadLiving(RedisClient& client) {
+  ASSIGN_OR_RETURN(const auto reply, client.Run({"EVAL", kLiving, "1", kRedisReplicas,
+                                                 absl::StrCat(kAliveMilliseconds)}));
+  std::vector<std::string> living;
+  for (size_t i = 0; i < reply->elements; ++i) living.emplace_back(TextOf(*reply->element[i]));
+  return living;
+}
+
 // Checks one session, and adds it to `report`. Leaves in `epoch` that of its journal.
 absl::Status CheckRedisSession(RedisClient& client, const std::string& id, StoreReport* report,
                                std::string* epoch) {
@@ -221,11 +229,7 @@ absl::StatusOr<StoreReport> CheckRedisStore(const RedisOptions& options) {
   StoreReport report;
   ASSIGN_OR_RETURN(const auto durability, ReadRedisDurability(*client));
   report.warnings = durability.Warnings(options.replicas);
-  ASSIGN_OR_RETURN(const auto replicas, client->Run({"EVAL", kLiving, "1", kRedisReplicas,
-                                                     absl::StrCat(kAliveMilliseconds)}));
-  for (size_t i = 0; i < replicas->elements; ++i) {
-    report.replicas.emplace_back(TextOf(*replicas->element[i]));
-  }
+  ASSIGN_OR_RETURN(report.replicas, ReadLiving(*client));
   RedisKeys keys;
   auto status =
       client->ScanKeys(kRedisSessionKeys, [&](absl::string_view key) { AddKey(key, &keys); });
@@ -238,6 +242,24 @@ absl::StatusOr<StoreReport> CheckRedisStore(const RedisOptions& options) {
   }
   if (status = FindOrphans(*client, keys, epochs, &report); !status.ok()) return status;
   return report;
+}
+
+absl::Status VisitOwnerless(
+    const RedisOptions& options,
+    absl::FunctionRef<void(const std::string& id, const std::vector<std::string>& records)> visit) {
+  ASSIGN_OR_RETURN(auto client, RedisClient::Connect(options));
+  ASSIGN_OR_RETURN(const auto living, ReadLiving(*client));
+  RedisKeys keys;
+  RETURN_IF_ERROR(
+      client->ScanKeys(kRedisSessionKeys, [&](absl::string_view key) { AddKey(key, &keys); }));
+  for (const std::string& id : keys.sessions) {
+    ASSIGN_OR_RETURN(const auto session, ReadHash(*client, id));
+    if (!session.has_value() || session->state != "open") continue;
+    if (std::find(living.begin(), living.end(), session->owner) != living.end()) continue;
+    ASSIGN_OR_RETURN(const auto records, ReadList(*client, RedisListPrefix(id) + session->epoch));
+    visit(id, records);
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace spikeserve

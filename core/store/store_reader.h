@@ -13,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
@@ -48,6 +49,11 @@ absl::Status CheckJournal(absl::string_view id, absl::string_view tenant,
 // Checks every journal. NOT_FOUND if there is no store in `directory`.
 absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory);
 absl::StatusOr<StoreReport> CheckRedisStore(const RedisOptions& options);
+
+// Calls `visit` with the id and the records of each open session whose owner is not alive.
+absl::Status VisitOwnerless(
+    const RedisOptions& options,
+    absl::FunctionRef<void(const std::string& id, const std::vector<std::string>& records)> visit);
 
 }  // namespace spikeserve
 

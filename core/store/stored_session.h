@@ -36,6 +36,15 @@ inline std::string StoredRecordKey(absl::string_view id, uint64_t decisions) {
   return key;
 }
 
+// Returns the number of decisions in the key of a record.
+inline uint64_t StoredDecisions(absl::string_view key) {
+  uint64_t decisions = 0;
+  for (const char byte : key.substr(kStoredIdBytes)) {
+    decisions = decisions << 8 | static_cast<uint8_t>(byte);
+  }
+  return decisions;
+}
+
 // The size that a file store may grow to. It takes only the space that it needs.
 inline constexpr size_t kMostStoreBytes = size_t{64} << 30;
 

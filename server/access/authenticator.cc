@@ -66,6 +66,14 @@ absl::StatusOr<std::shared_ptr<const Credential>> Authenticator::Authenticate(
   return credential;
 }
 
+std::vector<std::shared_ptr<Tenant>> Authenticator::Tenants() const {
+  if (anonymous_ != nullptr) return {anonymous_->tenant()};
+  std::vector<std::shared_ptr<Tenant>> tenants;
+  absl::MutexLock lock(&mutex_);
+  for (const auto& [name, tenant] : tenants_) tenants.push_back(tenant);
+  return tenants;
+}
+
 absl::Status Authenticator::Reload() {
   if (path_.empty()) return absl::OkStatus();
   auto text = ReadFile(path_);

@@ -84,6 +84,10 @@ class Authenticator {
     return caller.ok() ? (*caller)->tenant()->refusals() : unauthenticated_;
   }
 
+  // Returns the tenants of the file, and those that still have sessions; without a file, the one
+  // that has an empty name.
+  std::vector<std::shared_ptr<Tenant>> Tenants() const ABSL_LOCKS_EXCLUDED(mutex_);
+
   // Reads the file again and applies it if its text has changed. On an error the tokens that were
   // read before stay valid.
   absl::Status Reload();
@@ -115,7 +119,7 @@ class Authenticator {
   std::shared_ptr<const Credential> anonymous_;  // every caller's; null if tokens are required
   mutable RefusalPacer unauthenticated_;
 
-  absl::Mutex mutex_;                                        // taken by writers only
+  mutable absl::Mutex mutex_;                                // taken by writers only
   std::optional<std::string> text_ ABSL_GUARDED_BY(mutex_);  // of the file that was applied
   int replicas_ ABSL_GUARDED_BY(mutex_) = 1;
   // By name. A tenant that was removed from the file is kept while sessions or calls belong to it.

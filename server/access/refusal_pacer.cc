@@ -19,6 +19,7 @@ bool IsRefusal(const absl::Status& status) {
 absl::Duration RefusalPacer::DelayFor(const absl::Status& status, size_t request_bytes,
                                       absl::Duration now) {
   if (!IsRefusal(status)) return absl::ZeroDuration();
+  refusals_.fetch_add(1, std::memory_order_relaxed);
   thread_local absl::InsecureBitGen bits;
   const double size = static_cast<double>(request_bytes) / kMiB;
   const absl::Duration turn = absl::Milliseconds(2) + absl::Milliseconds(250) * size;

@@ -28,7 +28,11 @@ class RefusalPacer {
   // do not retry together. `now` is the time of a monotonic clock, the same clock in every call.
   absl::Duration DelayFor(const absl::Status& status, size_t request_bytes, absl::Duration now);
 
+  // Returns how many refusals there were.
+  int64_t refusals() const { return refusals_.load(std::memory_order_relaxed); }
+
  private:
+  std::atomic<int64_t> refusals_ = 0;
   std::atomic<int64_t> free_at_ns_ = 0;  // when the next refusal may be sent
 };
 

@@ -3,10 +3,13 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "core/base/status_macros.h"
+#include "server/base/log.h"
 #include "server/base/retry_delay.h"
 
 namespace spikeserve {
@@ -32,7 +35,32 @@ absl::string_view NameOf(Cost cost) {
   return "decision";
 }
 
+constexpr double kAlertRatio = 0.8;
+
+absl::Status CheckBudgetLimits(const UsageBudgets& budgets) {
+  const auto check = [](absl::string_view field, double limit) {
+    if (std::isfinite(limit) && limit >= 0.0) return absl::OkStatus();
+    return absl::InvalidArgumentError(
+        absl::StrCat("budgets.", field, ": expected a number of at least 0, received ", limit));
+  };
+  RETURN_IF_ERROR(check("decisions", budgets.decisions));
+  RETURN_IF_ERROR(check("contributions", budgets.contributions));
+  for (const auto& [model, limit] : budgets.joules) {
+    RETURN_IF_ERROR(FieldOfJoules(model).status());
+    RETURN_IF_ERROR(check(absl::StrCat("joules.", model), limit));
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace
+
+absl::StatusOr<UsageField> FieldOfJoules(absl::string_view model) {
+  for (const UsageField field : kJoulesFields) {
+    if (ToString(field) == model) return field;
+  }
+  return absl::InvalidArgumentError(absl::StrCat(
+      "budgets.joules: expected horowitz_45nm, int_45nm or int_sram_45nm, received ", model));
+}
 
 absl::Status TenantLimits::Validate() const {
   const auto refuse = [](const char* field, auto received) {
@@ -49,7 +77,7 @@ absl::Status TenantLimits::Validate() const {
     }
   }
   if (max_message_bytes < 0) return refuse("max_message_bytes", max_message_bytes);
-  return absl::OkStatus();
+  return CheckBudgetLimits(budgets);
 }
 
 void Tenant::SetLimits(const TenantLimits& limits, int64_t default_sessions) {
@@ -57,6 +85,11 @@ void Tenant::SetLimits(const TenantLimits& limits, int64_t default_sessions) {
   max_message_bytes_.store(limits.max_message_bytes, std::memory_order_relaxed);
   max_durability_.store(limits.max_durability, std::memory_order_relaxed);
   decisions_.Set(limits.decisions_per_second);
+  {
+    absl::MutexLock lock(&budgets_mutex_);
+    budgets_ = limits.budgets;
+    JudgeBudgets();
+  }
   for (const NamedRate& rate : RatesOf(limits.calls_per_second)) {
     calls_[static_cast<size_t>(rate.cost)].Set(rate.per_second);
   }
@@ -76,6 +109,7 @@ absl::Status Tenant::Acquire() {
 }
 
 absl::Status Tenant::AcquireDecision(absl::Duration now) {
+  if (stops_open_.load(std::memory_order_relaxed)) RETURN_IF_ERROR(CheckBudgets());
   const absl::Duration wait = decisions_.Acquire(now);
   if (wait <= absl::ZeroDuration()) return absl::OkStatus();
   return WithRetryDelay(absl::ResourceExhaustedError(
@@ -91,6 +125,64 @@ absl::Status Tenant::AcquireCall(Cost cost, absl::Duration now) {
                             "calls_per_second.", NameOf(cost), ": the limit of tenant ", name_,
                             " is reached; try again in ", absl::FormatDuration(wait))),
                         wait);
+}
+
+std::vector<BudgetState> Tenant::StatesOfBudgets() const {
+  std::vector<BudgetState> states;
+  const auto add = [&](std::string name, double limit, UsageField field) {
+    if (limit > 0.0) states.push_back({std::move(name), limit, spent_[field]});
+  };
+  add("decisions", budgets_.decisions, UsageField::kDecisions);
+  for (const auto& [model, limit] : budgets_.joules) {
+    if (const auto field = FieldOfJoules(model); field.ok()) {
+      add(absl::StrCat("joules.", model), limit, *field);
+    }
+  }
+  add("contributions", budgets_.contributions, UsageField::kContributions);
+  return states;
+}
+
+std::vector<BudgetState> Tenant::Budgets() const {
+  absl::MutexLock lock(&budgets_mutex_);
+  return StatesOfBudgets();
+}
+
+void Tenant::SetSpent(const UsageCounts& spent, absl::Time reset) {
+  absl::MutexLock lock(&budgets_mutex_);
+  spent_ = spent;
+  if (std::exchange(reset_, reset) != reset) said_.clear();
+  JudgeBudgets();
+}
+
+void Tenant::JudgeBudgets() {
+  bool is_spent = false;
+  for (const BudgetState& budget : StatesOfBudgets()) {
+    const double ratio = budget.spent / budget.limit;
+    is_spent = is_spent || ratio >= 1.0;
+    const double level = ratio >= 1.0 ? 1.0 : ratio >= kAlertRatio ? kAlertRatio : 0.0;
+    if (std::exchange(said_[budget.name], level) >= level) continue;
+    LogWarning(level == 1.0 ? "budget of a tenant is spent" : "budget of a tenant is nearly spent",
+               {{"tenant", name_},
+                {"budget", budget.name},
+                {"limit", absl::StrCat(budget.limit)},
+                {"spent", absl::StrCat(budget.spent)},
+                {"resets", absl::FormatTime(reset_, absl::UTCTimeZone())}});
+  }
+  is_spent_.store(is_spent, std::memory_order_relaxed);
+  stops_open_.store(is_spent && budgets_.stop_open_sessions, std::memory_order_relaxed);
+}
+
+absl::Status Tenant::CheckBudgets() const {
+  if (!is_spent_.load(std::memory_order_relaxed)) return absl::OkStatus();
+  absl::MutexLock lock(&budgets_mutex_);
+  for (const BudgetState& budget : StatesOfBudgets()) {
+    if (budget.spent < budget.limit) continue;
+    return absl::ResourceExhaustedError(
+        absl::StrCat("budgets.", budget.name, ": expected less than ", budget.limit, " of tenant ",
+                     name_, " in this month, received ", budget.spent, "; begins again at ",
+                     absl::FormatTime("%Y-%m-%dT%H:%M:%SZ", reset_, absl::UTCTimeZone())));
+  }
+  return absl::OkStatus();
 }
 
 int64_t Tenant::LongestMessage(int64_t limit) const {

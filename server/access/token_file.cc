@@ -45,6 +45,13 @@ constexpr std::array<EnumName<Sees>, 2> EnumNames(Sees) {
   return {{{Sees::kTenant, "tenant"}, {Sees::kAll, "all"}}};
 }
 
+// What a spent budget does to open sessions.
+enum class OpenSessions { kGoOn, kStop };
+
+constexpr std::array<EnumName<OpenSessions>, 2> EnumNames(OpenSessions) {
+  return {{{OpenSessions::kGoOn, "go_on"}, {OpenSessions::kStop, "stop"}}};
+}
+
 }  // namespace
 
 absl::Status ReadJson(absl::string_view field, const Json& json, CallRates* rates) {
@@ -56,6 +63,17 @@ absl::Status ReadJson(absl::string_view field, const Json& json, CallRates* rate
   return object.Finish();
 }
 
+absl::Status ReadJson(absl::string_view field, const Json& json, UsageBudgets* budgets) {
+  JsonObject object(field, json);
+  OpenSessions open = OpenSessions::kGoOn;
+  object.Optional("decisions", &budgets->decisions);
+  object.Optional("joules", &budgets->joules);
+  object.Optional("contributions", &budgets->contributions);
+  object.Optional("open_sessions", &open);
+  budgets->stop_open_sessions = open == OpenSessions::kStop;
+  return object.Finish();
+}
+
 absl::Status ReadJson(absl::string_view field, const Json& json, TenantLimits* limits) {
   JsonObject object(field, json);
   object.Optional("max_sessions", &limits->max_sessions);
@@ -63,6 +81,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, TenantLimits* l
   object.Optional("calls_per_second", &limits->calls_per_second);
   object.Optional("max_message_bytes", &limits->max_message_bytes);
   object.Optional("max_durability", &limits->max_durability);
+  object.Optional("budgets", &limits->budgets);
   RETURN_IF_ERROR(object.Finish());
   const auto valid = limits->Validate();
   if (valid.ok()) return valid;

@@ -3,13 +3,17 @@
 //   {"tenants": {"fleet-a": {"max_sessions": 100, "decisions_per_second": 5000,
 //                            "max_message_bytes": 65536, "max_durability": "async",
 //                            "calls_per_second": {"light": 5000, "listing": 100, "explain": 20,
-//                                                 "operator": 100}}},
+//                                                 "operator": 100},
+//                            "budgets": {"decisions": 1e9, "joules": {"int_sram_45nm": 50},
+//                                        "contributions": 1000, "open_sessions": "go_on"}}},
 //    "tokens": [{"sha256": "<64 hexadecimal digits>", "tenant": "fleet-a", "role": "agent",
 //                "expires": "2027-01-31T00:00:00Z"},
 //               {"sha256": "...", "tenant": "fleet-a", "role": "operator", "sees": "all",
 //                "name": "alice"},
 //               {"sha256": "...", "tenant": "fleet-a", "role": "agent", "learning": false}]}
 //
+// `budgets` are of a calendar month of UTC. When one is spent, the tenant opens no more sessions;
+// with `"open_sessions": "stop"` its open sessions decide nothing either.
 // max_durability is none, async or sync. An absent limit does not apply, except that several
 // tenants share --max_sessions (TenantLimits::max_sessions). Sessions of a token with `"learning":
 // false` cannot learn. A token without `expires` is valid until it is removed. `sees` tells whose
@@ -56,6 +60,7 @@ struct TokenEntry {
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, TokenEntry* entry);
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, TenantLimits* limits);
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, CallRates* rates);
+absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, UsageBudgets* budgets);
 
 struct TokenFile {
   std::map<std::string, TenantLimits> tenants;

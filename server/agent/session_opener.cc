@@ -85,6 +85,7 @@ absl::StatusOr<Durability> SessionOpener::ChooseDurability(
 absl::Status SessionOpener::OpenNew(CallContext& context, std::string session_id,
                                     const v1::OpenSessionRequest& request, Durability durability,
                                     v1::OpenSessionResponse* response) const {
+  RETURN_IF_ERROR(context.caller->tenant()->CheckBudgets());
   absl::StatusOr<std::string> id = std::move(session_id);
   if (id->empty()) id = NewSessionId();
   if (!id.ok()) return id.status();

@@ -282,6 +282,15 @@ Instances RobotsSilent(const AlertRule& rule, const AlertInput& input) {
   return ServerIf(silent > rule.figures[0], silent);
 }
 
+Instances BudgetNearlySpent(const AlertRule& rule, const AlertInput& input) {
+  Instances found;
+  for (const MetricSeries* budget : input.history.Select("spikeserve_budget_ratio")) {
+    const double spent = budget->raw[0];
+    if (budget->present && spent > rule.figures[0]) found.push_back({budget->labels, spent});
+  }
+  return found;
+}
+
 const std::vector<AlertRule>& Rules() {
   static const auto* const rules = new std::vector<AlertRule>{
 #include "alert_rules.inc"  // made of deploy/prometheus/alerts.yml by cmake/AlertRules.cmake

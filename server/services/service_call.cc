@@ -30,6 +30,7 @@ void ServiceCall::Start() {
 
 void ServiceCall::OnMessage(absl::string_view message) {
   SPIKESERVE_DCHECK(admission_.ok());
+  caller().tenant()->CountReceived(static_cast<int64_t>(message.size()));
   HandleMessage(message);
 }
 

@@ -137,6 +137,7 @@ void Services::AddPolicyAdmin() {
   AddAdmin(admin, &AdminHandler::ListHistory);
   AddAdmin(admin, &AdminHandler::ListSessions);
   AddAdmin(admin, &AdminHandler::Drain);
+  AddAdmin(handlers_.usage, &UsageHandler::GetUsage);
   const VersionHandler* versions = handlers_.versions;
   AddAdmin(versions, &VersionHandler::PushPolicy);
   AddAdmin(versions, &VersionHandler::PullPolicy);

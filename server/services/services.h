@@ -14,6 +14,7 @@
 #include "server/admin/hold_handler.h"
 #include "server/admin/rollout_handler.h"
 #include "server/admin/seat_handler.h"
+#include "server/admin/usage_handler.h"
 #include "server/admin/version_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
@@ -37,6 +38,7 @@ struct Handlers {
   const SeatHandler* seats;
   const RolloutHandler* rollouts;
   const VersionHandler* versions;
+  const UsageHandler* usage;
   const Audit* audit;
   const InferenceHandler* inference;
   HealthService* health;

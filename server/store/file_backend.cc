@@ -64,6 +64,7 @@ class FileBackend final : public JournalBackend {
 
   // Opens the file, or what is left of it.
   absl::Status Open();
+  absl::Status VisitJournals(const JournalVisitor& visitor);
   // Removes old sessions, and dates the others from now on.
   absl::Status RemoveOld(absl::Duration retention);
   absl::StatusOr<std::vector<absl::Status>> Write(absl::Span<const JournalRecord> records) override;
@@ -143,6 +144,23 @@ absl::Status FileBackend::Open() {
   sessions_ = sessions;
   records_ = records;
   return Commit(transaction);
+}
+
+absl::Status FileBackend::VisitJournals(const JournalVisitor& visitor) {
+  ASSIGN_OR_RETURN(auto transaction, LmdbTransaction::BeginToRead(environment_.get()));
+  std::map<std::string, uint64_t> decisions;  // of the last record, by session
+  RETURN_IF_ERROR(transaction.Scan(records_, "", [&](absl::string_view key, absl::string_view) {
+    decisions[std::string(key.substr(0, kStoredIdBytes))] = StoredDecisions(key);
+  }));
+  for (const auto& [id, number] : decisions) {
+    if (!visitor.wants(id, number)) continue;
+    std::vector<std::string> records;
+    RETURN_IF_ERROR(transaction.Scan(records_, id, [&](absl::string_view, absl::string_view bytes) {
+      records.push_back(OpenRecord(bytes));
+    }));
+    visitor.visit(id, std::move(records));
+  }
+  return absl::OkStatus();
 }
 
 absl::Status FileBackend::RemoveOld(absl::Duration retention) {
@@ -425,7 +443,8 @@ absl::StatusOr<FolderLocks> LockFolder(const std::string& directory) {
 absl::StatusOr<std::unique_ptr<JournalBackend>> OpenFileBackend(const std::string& directory,
                                                                 absl::Duration retention,
                                                                 std::function<absl::Time()> now,
-                                                                const Clock* clock) {
+                                                                const Clock* clock,
+                                                                const JournalVisitor& visitor) {
   static const SteadyClock steady;
   std::error_code error;
   std::filesystem::create_directories(directory, error);
@@ -437,6 +456,12 @@ absl::StatusOr<std::unique_ptr<JournalBackend>> OpenFileBackend(const std::strin
   auto backend = std::make_unique<FileBackend>(directory, std::move(locks), std::move(now),
                                                clock == nullptr ? &steady : clock);
   RETURN_IF_ERROR(backend->Open());
+  if (visitor.begin != nullptr) {
+    RETURN_IF_ERROR(visitor.begin(directory));
+    if (auto status = backend->VisitJournals(visitor); !status.ok()) {
+      LogError("journals not read for the ledger", {{"error", status.message()}});
+    }
+  }
   RETURN_IF_ERROR(backend->RemoveOld(retention));
   return backend;
 }

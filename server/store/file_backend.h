@@ -13,6 +13,7 @@
 #ifndef SERVER_STORE_FILE_BACKEND_H_
 #define SERVER_STORE_FILE_BACKEND_H_
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <string>
@@ -26,14 +27,24 @@
 
 namespace spikeserve {
 
+// Reads the journals of a store that is opened. Null functions: none is read.
+struct JournalVisitor {
+  // Called with the folder of the store, which this process has locked.
+  std::function<absl::Status(const std::string& directory)> begin;
+  // Returns whether the journal of a session with so many decisions is to be read.
+  std::function<bool(const std::string& id, uint64_t decisions)> wants;
+  std::function<void(const std::string& id, std::vector<std::string> records)> visit;
+};
+
 // Opens the store in `directory`, which is created if it does not exist, and removes the sessions
-// that nothing was written to for `retention`. `now` returns the time of day; `clock`, which must
-// outlive the backend, that which passes. INVALID_ARGUMENT if
-// the folder cannot be used, or if another server uses it. DATA_LOSS if nothing of a damaged file
-// can be read.
+// that nothing was written to for `retention`, after `visitor` has seen them. `now` returns the
+// time of day; `clock`, which must outlive the backend, that which passes. INVALID_ARGUMENT if the
+// folder cannot be used, or if another server uses it. DATA_LOSS if nothing of a damaged file can
+// be read.
 absl::StatusOr<std::unique_ptr<JournalBackend>> OpenFileBackend(
     const std::string& directory, absl::Duration retention,
-    std::function<absl::Time()> now = absl::Now, const Clock* clock = nullptr);
+    std::function<absl::Time()> now = absl::Now, const Clock* clock = nullptr,
+    const JournalVisitor& visitor = {});
 
 }  // namespace spikeserve
 

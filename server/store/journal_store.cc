@@ -310,6 +310,13 @@ bool JournalStore::WriteRecords(Work* work) {
     const size_t end = std::min(first + kMostRecords, work->records.size());
     Work batch = TakeBatch(SkipReplaced(first, end, work), end, work);
     first = end;
+    const auto ends = [](const JournalRecord& record) {
+      return record.kind == JournalRecord::Kind::kClose;
+    };
+    const bool is_kept = sessions_.load(std::memory_order_acquire) != nullptr;
+    if (is_kept && before_ends_ != nullptr && std::ranges::any_of(batch.records, ends)) {
+      before_ends_();
+    }
     const auto outcomes = backend_->Write(batch.records);
     failure = outcomes.status();
     if (failure.ok()) {

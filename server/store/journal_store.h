@@ -67,7 +67,11 @@ class JournalStore final : public JournalWriter {
   ~JournalStore() override;
 
   // Writes those of `sessions` again that the store has lost. `sessions` must live until Stop().
-  void Keep(SessionStore* sessions) { sessions_.store(sessions, std::memory_order_release); }
+  // Calls `before_ends` before the ends of sessions are written. To be called once.
+  void Keep(SessionStore* sessions, std::function<void()> before_ends = nullptr) {
+    before_ends_ = std::move(before_ends);
+    sessions_.store(sessions, std::memory_order_release);
+  }
 
   void Write(JournalRecord record) override;
   void Hurry() override;
@@ -156,6 +160,7 @@ class JournalStore final : public JournalWriter {
   std::atomic<bool> reachable_ = true;
   std::atomic<size_t> backlog_bytes_ = 0;
   std::atomic<bool> may_lose_records_ = false;  // `keeps_records_` is not OK
+  std::function<void()> before_ends_;           // set before `sessions_`; null: none
   std::atomic<SessionStore*> sessions_ = nullptr;
 
   // Of the thread:

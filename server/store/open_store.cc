@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
+#include "absl/time/clock.h"
 #include "core/base/clock.h"
 #include "core/base/json.h"
 #include "core/base/status.h"
@@ -100,7 +101,16 @@ absl::Status StoreOptions::Validate() const {
   return CheckRedisOptions(*this, *parsed);
 }
 
-absl::StatusOr<OpenedStore> OpenStore(const StoreOptions& options, prometheus::Registry* registry) {
+absl::StatusOr<std::optional<RedisOptions>> RedisOptionsOf(const StoreOptions& options) {
+  auto address = ParseStoreAddress(options.address);
+  if (!address.ok()) return Annotate(address.status(), kAddressFlag);
+  if (address->kind != StoreAddress::Kind::kRedis) return std::nullopt;
+  ASSIGN_OR_RETURN(auto redis, ReadRedisOptions(std::move(address->redis), options));
+  return redis;
+}
+
+absl::StatusOr<OpenedStore> OpenStore(const StoreOptions& options, prometheus::Registry* registry,
+                                      const JournalVisitor& visitor) {
   static const SteadyClock clock;
   auto address = ParseStoreAddress(options.address);
   if (!address.ok()) return Annotate(address.status(), kAddressFlag);
@@ -111,7 +121,8 @@ absl::StatusOr<OpenedStore> OpenStore(const StoreOptions& options, prometheus::R
   store.replica = *replica;
   std::unique_ptr<JournalBackend> backend;
   if (address->kind == StoreAddress::Kind::kFile) {
-    auto opened = OpenFileBackend(address->folder, options.retention);
+    auto opened =
+        OpenFileBackend(address->folder, options.retention, absl::Now, /*clock=*/nullptr, visitor);
     if (!opened.ok()) return Annotate(opened.status(), kAddressFlag);
     backend = *std::move(opened);
   } else {

@@ -5,11 +5,13 @@
 #define SERVER_STORE_OPEN_STORE_H_
 
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "absl/status/statusor.h"
 #include "prometheus/registry.h"
 #include "server/heads/head_log_store.h"
+#include "server/store/file_backend.h"
 #include "server/store/journal_store.h"
 #include "server/store/redis_shared.h"
 #include "server/store/store_options.h"
@@ -27,8 +29,13 @@ struct OpenedStore {
 
 // Opens the store. Returns INVALID_ARGUMENT if a file store cannot be
 // used. A Redis server that cannot be reached is no error: the store tries again. `registry` must
-// outlive the store.
-absl::StatusOr<OpenedStore> OpenStore(const StoreOptions& options, prometheus::Registry* registry);
+// outlive the store. `visitor` reads the journals of a file store first.
+absl::StatusOr<OpenedStore> OpenStore(const StoreOptions& options, prometheus::Registry* registry,
+                                      const JournalVisitor& visitor = {});
+
+// Returns how the Redis that --session_store names is reached; nullopt: it names none.
+// INVALID_ARGUMENT, which names the flag.
+absl::StatusOr<std::optional<RedisOptions>> RedisOptionsOf(const StoreOptions& options);
 
 }  // namespace spikeserve
 

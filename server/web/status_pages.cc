@@ -8,6 +8,7 @@
 #include "absl/functional/function_ref.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "absl/time/time.h"
 #include "core/base/json.h"
@@ -46,7 +47,7 @@ HttpResponse FileResponse(absl::string_view path) {
     return {.code = 404,
             .body =
                 "expected /, /metrics, /healthz, /schema.json, /status.json, /history.json, "
-                "/sessions.json, /session.json, /explain.json or /watch\n"};
+                "/sessions.json, /session.json, /usage.json, /explain.json or /watch\n"};
   }
   return {.code = 200,
           .content_type = std::string(ContentTypeOf(name)),
@@ -59,11 +60,11 @@ HttpResponse JsonResponse(absl::StatusOr<std::string> json) {
           .body = json.ok() ? *std::move(json) : ErrorJson(json.status())};
 }
 
-// Returns what distinguishes the page that a request gets. Only lists of sessions depend on the
-// caller.
+// Returns what distinguishes the page that a request gets. Lists of sessions and usage depend on
+// the caller.
 std::string KeyOf(const HttpRequest& request, const Credential& caller) {
   std::string key = request.path;
-  if (request.path == "/sessions.json") {
+  if (request.path == "/sessions.json" || request.path == "/usage.json") {
     absl::StrAppend(&key, " ", reinterpret_cast<uintptr_t>(&caller));
   }
   for (const auto& [name, value] : request.parameters) {
@@ -136,6 +137,7 @@ void StatusPages::AnswerPage(const std::shared_ptr<const Credential>& caller,
   if (path == "/status.json") return share([&] { return Status(*caller, request); });
   if (path == "/history.json") return share([&] { return History(request); });
   if (path == "/sessions.json") return share([&] { return Sessions(*caller, request); });
+  if (path == "/usage.json") return share([&] { return Usage(*caller, request); });
   if (path == "/session.json") return done(JsonResponse(Session(*caller, request)));
   if (path == "/explain.json") return Explain(caller, request, done);
   if (path == "/watch") return Watch(caller, request, done);
@@ -195,6 +197,20 @@ absl::StatusOr<std::string> StatusPages::Sessions(const Credential& caller,
       const auto query,
       HttpQuery::Parse(request.parameters, {"filter", "sort", "order", "page_size", "page_token"}));
   return SessionsJson(*parts_.store, caller, query);
+}
+
+absl::StatusOr<std::string> StatusPages::Usage(const Credential& caller,
+                                               const HttpRequest& request) const {
+  ASSIGN_OR_RETURN(const auto query, HttpQuery::Parse(request.parameters, {"month", "by"}));
+  v1::GetUsageRequest usage;
+  usage.set_month(query.Get("month"));
+  for (const auto& key : absl::StrSplit(query.Get("by"), ',', absl::SkipEmpty())) {
+    usage.add_by(std::string(key));
+  }
+  CallContext context{.caller = &caller};
+  v1::GetUsageResponse response;
+  RETURN_IF_ERROR(parts_.usage->GetUsage(context, usage, &response));
+  return MessageToJson(response);
 }
 
 void StatusPages::Explain(const std::shared_ptr<const Credential>& caller,

@@ -12,6 +12,7 @@
 #include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/admin/rollout_handler.h"
+#include "server/admin/usage_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
 #include "server/base/replica_reports.h"
@@ -32,6 +33,7 @@ class StatusPages {
     const Authenticator* authenticator;
     const PolicyHandler* handler;
     const RolloutHandler* rollouts;
+    const UsageHandler* usage;
     SessionStore* store;
     const Metrics* metrics;
     const ServerHistory* history;
@@ -64,6 +66,7 @@ class StatusPages {
   absl::StatusOr<std::string> History(const HttpRequest& request) const;
   absl::StatusOr<std::string> Session(const Credential& caller, const HttpRequest& request) const;
   absl::StatusOr<std::string> Sessions(const Credential& caller, const HttpRequest& request) const;
+  absl::StatusOr<std::string> Usage(const Credential& caller, const HttpRequest& request) const;
   // Calls `done` when the background worker has explained the decision.
   void Explain(const std::shared_ptr<const Credential>& caller, const HttpRequest& request,
                const HttpServer::Done& done) const;

@@ -13,7 +13,7 @@ const BRIDGED_SECONDS = 30;  // between two episodes there is no return, for exa
 const MINUTES = [30, 60, 120, 180, 300, 600];  // in seconds
 const LINES = 8;  // more lines cannot be told apart; the tables show all versions
 // Colours by Okabe and Ito, distinguishable for the colour-blind, on a light and a dark background.
-const COLOURS = ['#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9', '#8a8f00', '#888888'];
+export const COLOURS = ['#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9', '#8a8f00', '#888888'];
 
 function axisStyle() {
   const style = getComputedStyle(document.documentElement);

@@ -11,9 +11,11 @@ import {Servers} from './servers.js';
 import {SessionView} from './session.js';
 import {Sessions} from './sessions.js';
 import {AlertList, Tiles} from './tiles.js';
+import {Usage} from './usage.js';
 
 const PERIOD_MILLISECONDS = 1000;
 const HISTORY_EVERY = 5;  // periods
+const USAGE_EVERY = 30;
 const SESSIONS_EVERY = 3;  // a list costs the server one pass over all sessions
 const NAMED_ROBOTS = 8;
 const LOST_SECONDS = 60;  // SpikeserveDown waits as long
@@ -27,6 +29,7 @@ const comparisons = new Comparisons(get('comparisons'));
 const servers = new Servers();
 const sessions = new Sessions();
 const session = new SessionView();
+const usage = new Usage();
 
 const state = {status: undefined, history: undefined, answered: Date.now(), route: {}};
 
@@ -47,8 +50,8 @@ function navigate() {
                               : [`${route.policy}/${route.version}`];
   scope.replaceChildren(element('a', {href: '#/', textContent: 'All policies'}), ' › ', ...place);
   scope.hidden = !route.session && !route.policy;
-  for (const id of ['overview', 'policies', 'comparisons', 'sessions', 'stages', 'calls']) {
-    get(id).hidden = Boolean(route.session) || (id === 'calls' && Boolean(route.policy));
+  for (const id of ['overview', 'policies', 'comparisons', 'usage', 'sessions', 'stages', 'calls']) {
+    get(id).hidden = Boolean(route.session) || (['usage', 'calls'].includes(id) && Boolean(route.policy));
   }
   get('session').hidden = !route.session;
   sessions.setScope(route.policy ? `${route.policy}/${route.version}` : '');
@@ -69,6 +72,7 @@ function draw() {
   policies.show(status, route, model);
   comparisons.show(status, route);
   servers.show(status, route);
+  usage.show(model);
 }
 
 function setHealth(text, good) {
@@ -143,6 +147,7 @@ async function update(turn) {
   setText(get('version'), status.version + store);
   const health = healthOf(status);
   setHealth(`${health.word}: ${health.alerts}`, health.good);
+  if (turn % USAGE_EVERY === 0 && !state.route.session) await usage.refresh();
   draw();
   if (state.route.session) await session.refresh();
   else if (turn % SESSIONS_EVERY === 0) await sessions.refresh();

@@ -47,6 +47,7 @@ METHODS = {
         "SetTraffic": ("operator", {}),
         "SetTrafficShares": ("operator", {}),
         "SetShadow": ("operator", {}),
+        "GetUsage": ("listing", {}),
         "ListHistory": ("listing", {}),
         "StartRollout": ("operator", {}),
         "AbortRollout": ("operator", {}),

@@ -65,6 +65,7 @@ def test_the_schema_is_valid_and_published(server):
         ("sessions", "/sessions.json"),
         ("sessions", "/sessions.json?filter=nothing"),
         ("session", "/session.json?session={session}"),
+        ("usage", "/usage.json?by=day,tenant,policy,label"),
         ("explain", "/explain.json?session={session}"),
     ],
 )

@@ -1,0 +1,248 @@
+#include "server/usage/redis_usage_store.h"
+
+#include <algorithm>
+
+#include "absl/strings/numbers.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/strip.h"
+#include "core/base/status_macros.h"
+
+namespace spikeserve {
+namespace {
+
+// Books a batch, unless the process has booked it already. KEYS: processes, sessions, the open
+// part, the month, open parts. ARGV: process, number, seconds, name of the open part, most series,
+// series, sessions. A field of the last two ends with the byte 254: series, other series, tenant
+// and counts; and session, series, other series, tenant and totals.
+constexpr char kBook[] = R"(
+local last = redis.call('HGET', KEYS[1], ARGV[1])
+if last and tonumber(string.match(last, '^%d+')) >= tonumber(ARGV[2]) then return 0 end
+local function parse(text)
+  local list = {}
+  for number in string.gmatch(text or '', '%S+') do list[#list + 1] = tonumber(number) end
+  return list
+end
+local function format(list)
+  local texts = {}
+  for i = 1, #list do texts[i] = string.format('%.17g', list[i]) end
+  return table.concat(texts, ' ')
+end
+local function fields(text)
+  local list = {}
+  for field in string.gmatch(text, '([^\254]*)\254') do list[#list + 1] = field end
+  return list
+end
+local function add(list, more)
+  for i = 1, #more do list[i] = (list[i] or 0) + more[i] end
+end
+local rows, tenants = {}, {}
+local function count(series, other, tenant, counts)
+  rows[series] = rows[series] or {other = other}
+  tenants[tenant] = tenants[tenant] or {}
+  add(rows[series], counts)
+  add(tenants[tenant], counts)
+end
+local added = fields(ARGV[6])
+for i = 1, #added, 4 do count(added[i], added[i + 1], added[i + 2], parse(added[i + 3])) end
+local sessions = fields(ARGV[7])
+for i = 1, #sessions, 5 do
+  local booked = parse(redis.call('HGET', KEYS[2], sessions[i]))
+  local more = {}
+  local totals = parse(sessions[i + 4])
+  for j = 1, #totals do
+    local before = booked[j + 1] or 0
+    more[j] = math.max(0, totals[j] - before)
+    totals[j] = math.max(totals[j], before)
+  end
+  count(sessions[i + 1], sessions[i + 2], sessions[i + 3], more)
+  redis.call('HSET', KEYS[2], sessions[i], ARGV[3] .. ' ' .. format(totals))
+end
+local function store(key, field, counts)
+  local sums = parse(redis.call('HGET', key, field))
+  add(sums, counts)
+  redis.call('HSET', key, field, format(sums))
+end
+redis.call('HINCRBY', KEYS[3], '', 1)
+for series, counts in pairs(rows) do
+  local fits = redis.call('HLEN', KEYS[3]) <= tonumber(ARGV[5]) or
+               redis.call('HEXISTS', KEYS[3], series) == 1
+  store(KEYS[3], fits and series or counts.other, counts)
+end
+for tenant, counts in pairs(tenants) do store(KEYS[4], tenant, counts) end
+redis.call('SADD', KEYS[5], ARGV[4])
+redis.call('HSET', KEYS[1], ARGV[1], ARGV[2] .. ' ' .. ARGV[3])
+return 1)";
+
+// KEYS: packed parts, the source if it is open, open parts. ARGV: source, its revision, target, its
+// revision, packed rows.
+constexpr char kReplace[] = R"(
+local is_open = string.sub(ARGV[1], 1, 1) == 'o'
+local source = is_open and redis.call('HGET', KEYS[2], '') or
+               not is_open and redis.call('HGET', KEYS[1], ARGV[1] .. ':r')
+local target = redis.call('HGET', KEYS[1], ARGV[3] .. ':r')
+if (source or '') ~= ARGV[2] or (target or '') ~= ARGV[4] then return 0 end
+redis.call('HSET', KEYS[1], ARGV[3], ARGV[5])
+redis.call('HINCRBY', KEYS[1], ARGV[3] .. ':r', 1)
+if is_open then redis.call('DEL', KEYS[2]) end
+redis.call('SREM', KEYS[3], ARGV[1])
+redis.call('HDEL', KEYS[1], ARGV[1], ARGV[1] .. ':r')
+return 1)";
+
+// Removes the fields of a part of a hash that are older, and returns the cursor of the next part.
+// The time is the number at `ARGV[3]` of a field. KEYS: hash. ARGV: cursor, seconds, position.
+constexpr char kForget[] = R"(
+local found = redis.call('HSCAN', KEYS[1], ARGV[1], 'COUNT', 500)
+for i = 1, #found[2], 2 do
+  local numbers = {}
+  for number in string.gmatch(found[2][i + 1], '%S+') do numbers[#numbers + 1] = tonumber(number) end
+  if (numbers[tonumber(ARGV[3])] or 0) < tonumber(ARGV[2]) then
+    redis.call('HDEL', KEYS[1], found[2][i])
+  end
+end
+return found[1])";
+
+constexpr char kProcessesKey[] = "us:{u}:p";
+constexpr char kSessionsKey[] = "us:{u}:s";
+constexpr char kPackedKey[] = "us:{u}:b";
+constexpr char kOpenKey[] = "us:{u}:h";
+
+std::string OpenKey(absl::string_view part) { return absl::StrCat("us:{u}:", part); }
+
+std::string RedisMonthKey(absl::Time time) {
+  return absl::FormatTime("us:{u}:t%Y%m", time, absl::UTCTimeZone());
+}
+
+void AppendField(absl::string_view field, std::string* out) {
+  absl::StrAppend(out, field, "\xfe");  // no byte of UTF-8
+}
+
+// Appends what tells where counts of a series go.
+void AppendSeries(const std::string& series, std::string* out) {
+  AppendField(series, out);
+  AppendField(OtherSeries(series), out);
+  AppendField(UsageSeries::FromKey(series).tenant, out);
+}
+
+absl::Status Unexpected(absl::string_view expected) {
+  return absl::UnavailableError(absl::StrCat("ledger: expected ", expected));
+}
+
+}  // namespace
+
+absl::StatusOr<RedisReply> RedisUsageStore::Run(
+    bool writes, std::initializer_list<absl::string_view> arguments) {
+  absl::MutexLock lock(&mutex_);
+  if (client_ == nullptr || !client_->is_usable()) {
+    ASSIGN_OR_RETURN(client_, RedisClient::Connect(options_));
+  }
+  auto reply = client_->Run(arguments);
+  if (reply.ok() && writes && options_.replicas > 0) {
+    RETURN_IF_ERROR(client_->WaitForReplicas());
+  }
+  if (!client_->is_usable()) client_ = nullptr;
+  return reply;
+}
+
+absl::Status RedisUsageStore::Book(const UsageBatch& batch) {
+  std::string series;
+  for (const auto& [key, counts] : batch.added) {
+    AppendSeries(key, &series);
+    AppendField(FormatCounts(counts), &series);
+  }
+  std::string sessions;
+  for (const SessionTotals& session : batch.totals) {
+    AppendField(session.session, &sessions);
+    AppendSeries(session.series, &sessions);
+    std::string totals;
+    for (const double total : session.totals) absl::StrAppendFormat(&totals, "%.17g ", total);
+    AppendField(totals, &sessions);
+  }
+  const std::string part = OpenPart(batch.time);
+  return Run(/*writes=*/true,
+             {"EVAL", kBook, "5", kProcessesKey, kSessionsKey, OpenKey(part),
+              RedisMonthKey(batch.time), kOpenKey, batch.source, absl::StrCat(batch.number),
+              absl::StrCat(absl::ToUnixSeconds(batch.time)), part, absl::StrCat(kMostSeries),
+              series, sessions})
+      .status();
+}
+
+absl::StatusOr<std::vector<std::pair<std::string, std::string>>> RedisUsageStore::ReadHash(
+    const std::string& key) {
+  ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/false, {"HGETALL", key}));
+  if (reply->type != REDIS_REPLY_ARRAY || reply->elements % 2 != 0) return Unexpected("a hash");
+  std::vector<std::pair<std::string, std::string>> fields;
+  for (size_t i = 0; i < reply->elements; i += 2) {
+    fields.emplace_back(TextOf(*reply->element[i]), TextOf(*reply->element[i + 1]));
+  }
+  return fields;
+}
+
+absl::StatusOr<std::map<std::string, UsageCounts>> RedisUsageStore::MonthOf(absl::Time time) {
+  ASSIGN_OR_RETURN(const auto fields, ReadHash(RedisMonthKey(time)));
+  std::map<std::string, UsageCounts> tenants;
+  for (const auto& [tenant, counts] : fields) tenants[tenant] = ParseCounts(counts);
+  return tenants;
+}
+
+absl::StatusOr<std::vector<std::string>> RedisUsageStore::Parts() {
+  std::vector<std::string> names;
+  ASSIGN_OR_RETURN(const auto open, Run(/*writes=*/false, {"SMEMBERS", kOpenKey}));
+  ASSIGN_OR_RETURN(const auto packed, Run(/*writes=*/false, {"HKEYS", kPackedKey}));
+  for (const auto* reply : {open.get(), packed.get()}) {
+    for (size_t i = 0; i < reply->elements; ++i) {
+      std::string name(TextOf(*reply->element[i]));
+      if (SpanOf(name).has_value()) names.push_back(std::move(name));
+    }
+  }
+  std::ranges::sort(names);
+  return names;
+}
+
+absl::StatusOr<UsagePart> RedisUsageStore::Read(const std::string& part) {
+  UsagePart read = {.name = part};
+  const auto span = SpanOf(part);
+  if (!span.has_value()) return Unexpected("the name of a part");
+  if (part[0] == 'o') {
+    const int64_t hour = absl::ToInt64Hours(span->first - absl::UnixEpoch());
+    ASSIGN_OR_RETURN(const auto fields, ReadHash(OpenKey(part)));
+    for (const auto& [series, value] : fields) {
+      if (series.empty()) {
+        read.revision = value;
+      } else {
+        read.rows.push_back({.series = series, .hour = hour, .counts = ParseCounts(value)});
+      }
+    }
+    return read;
+  }
+  ASSIGN_OR_RETURN(const auto reply,
+                   Run(/*writes=*/false, {"HMGET", kPackedKey, part, absl::StrCat(part, ":r")}));
+  if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 2) return Unexpected("two fields");
+  read.revision = std::string(TextOf(*reply->element[1]));
+  if (reply->element[0]->type == REDIS_REPLY_NIL) return read;
+  ASSIGN_OR_RETURN(read.rows, UnpackRows(TextOf(*reply->element[0])));
+  return read;
+}
+
+absl::Status RedisUsageStore::Replace(const UsagePart& source, const UsagePart& target,
+                                      const std::string& packed) {
+  return Run(/*writes=*/true, {"EVAL", kReplace, "3", kPackedKey, OpenKey(source.name), kOpenKey,
+                               source.name, source.revision, target.name, target.revision, packed})
+      .status();
+}
+
+absl::Status RedisUsageStore::Forget(absl::Time time) {
+  const std::string seconds = absl::StrCat(absl::ToUnixSeconds(time));
+  for (const auto& [key, position] :
+       {std::pair(kProcessesKey, "2"), std::pair(kSessionsKey, "1")}) {
+    std::string cursor = "0";
+    do {
+      ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/true, {"EVAL", kForget, "1", key, cursor,
+                                                               seconds, position}));
+      cursor = std::string(TextOf(*reply));
+    } while (cursor != "0" && !cursor.empty());
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace spikeserve

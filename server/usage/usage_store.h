@@ -1,0 +1,78 @@
+// Where the ledger is kept: by hour and series what was used, and for each stored session what of
+// it was booked.
+//
+// What a session has used follows from its journal, which has the totals of its life. Together with
+// each sum, in the same transaction or script, the store keeps the totals that the sum has: booking
+// adds the difference. Therefore it does not matter which server books a session, how often, or
+// after which crash: each decision is in the sums once. What a process alone knows is numbered, so
+// that a booking that is sent again adds nothing.
+#ifndef SERVER_USAGE_USAGE_STORE_H_
+#define SERVER_USAGE_USAGE_STORE_H_
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
+#include "server/usage/usage_rows.h"
+
+namespace spikeserve {
+
+// The totals of a stored session.
+struct SessionTotals {
+  std::string session;  // id in the session store
+  std::string series;
+  UsageTotals totals = {};
+};
+
+// What one call books, all or nothing.
+struct UsageBatch {
+  std::string source;   // names the process
+  uint64_t number = 0;  // of its batches, from 1; a batch that was booked is not booked again
+  absl::Time time;
+  std::map<std::string, UsageCounts> added = {};  // by series
+  std::vector<SessionTotals> totals = {};
+};
+
+// A part of the ledger; see OpenPart().
+struct UsagePart {
+  std::string name;
+  std::string revision = "";  // empty: the part does not exist
+  std::vector<UsageRow> rows = {};
+};
+
+// Thread-safe. Methods may block, and return UNAVAILABLE if the store cannot be reached.
+class UsageStore {
+ public:
+  virtual ~UsageStore() = default;
+
+  virtual absl::Status Book(const UsageBatch& batch) = 0;
+
+  // Returns the sums of the tenants in the month of `time`.
+  virtual absl::StatusOr<std::map<std::string, UsageCounts>> MonthOf(absl::Time time) = 0;
+
+  // Returns the names of all parts, sorted.
+  virtual absl::StatusOr<std::vector<std::string>> Parts() = 0;
+  virtual absl::StatusOr<UsagePart> Read(const std::string& part) = 0;
+  // Puts the packed rows in the place of `target`, and removes `source`. Does nothing, and returns
+  // OK, if one of them has another revision by now.
+  virtual absl::Status Replace(const UsagePart& source, const UsagePart& target,
+                               const std::string& packed) = 0;
+
+  // Forgets the totals of sessions that were not booked since `time`.
+  virtual absl::Status Forget(absl::Time time) = 0;
+};
+
+// Returns the rows that begin in [from, to).
+absl::StatusOr<std::vector<UsageRow>> ReadUsage(UsageStore& store, absl::Time from, absl::Time to);
+
+// Moves the rows of each part that is old enough to its target.
+absl::Status CompactUsage(UsageStore& store, absl::Time now);
+
+}  // namespace spikeserve
+
+#endif  // SERVER_USAGE_USAGE_STORE_H_
