@@ -248,21 +248,21 @@ def test_control_goes_on_at_the_next_server():
 
 
 def test_the_commands(server):
-    session = server.agent.OpenSession(policy="cartpole").session_id
+    session = server.agent.OpenSession(policy="cartpole", labels={"site": "east"}).session_id
 
     def act(step):
         return server.agent.Act(session_id=session, step=step, observation=OBSERVATION)
 
     act(0)
-    held = server.spikectl("hold", "--policy=cartpole", "--id=fire", "--reason=smoke", "--wait=0s", "--json", status=1)
+    held = server.spikectl("hold", "--label=site=east", "--id=fire", "--reason=smoke", "--wait=0s", "--json", status=1)
     verdict = json.loads(held.stdout)
     assert (verdict["id"], verdict["not_confirmed"]) == ("fire", 1)
     assert verdict["robots"][0]["session_id"] == session
     act(1), act(2)
-    shown = server.spikectl("hold", "--policy=cartpole", "--id=fire").stdout
+    shown = server.spikectl("hold", "--label=site=east", "--id=fire").stdout
     assert "fire: 1 of 1 robots at their neutral action\n" in shown
-    assert "fire: policy cartpole; 1 sessions" in server.spikectl("holds").stdout
-    assert server.spikectl("resume", "--id=fire").stdout == "resumed fire: policy cartpole\n"
+    assert "fire: label site=east; 1 sessions" in server.spikectl("holds").stdout
+    assert server.spikectl("resume", "--id=fire").stdout == "resumed fire: label site=east\n"
     assert server.spikectl("holds").stdout == "no holds\n"
 
     here, there = pty.openpty()
