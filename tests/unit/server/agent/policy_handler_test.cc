@@ -268,7 +268,7 @@ TEST_F(PolicyHandlerTest, ABatchSaysWhetherAnItemWasOverTheLimit) {
   };
   EXPECT_EQ(over_the_limit(), 0) << "a wrong step is not a limit";
   caller_->tenant()->SetLimits(
-      {.max_sessions = {}, .decisions_per_second = 1.0, .calls_per_second = {}});
+      {.max_sessions = {}, .decisions_per_second = 1.0, .calls_per_second = {}, .budgets = {}});
   EXPECT_EQ(over_the_limit(), 1);
 }
 
