@@ -235,7 +235,9 @@ def test_a_version_from_load_to_unload(own_server, tmp_path):
     assert result(own_server, "admin", "reload")["loaded"] == []
 
 
-COMMANDS = "policies, health, run, explain, adapt, replay, push, pull, rm, admin, store, emit-c, policy, doctor"
+COMMANDS = (
+    "policies, health, run, explain, adapt, replay, usage, push, pull, rm, admin, hold, resume, holds, take, store, emit-c, policy, doctor"
+)
 PENDULUM = "--policy=pendulum-v1"
 MISTAKES = [
     (["fly"], f'command: expected one of {COMMANDS}, received "fly"'),
