@@ -129,16 +129,16 @@ absl::Status Tenant::AcquireCall(Cost cost, absl::Duration now) {
 
 std::vector<BudgetState> Tenant::StatesOfBudgets() const {
   std::vector<BudgetState> states;
-  const auto add = [&](std::string name, double limit, UsageField field) {
-    if (limit > 0.0) states.push_back({std::move(name), limit, spent_[field]});
+  const auto add = [&](std::string name, double limit, double spent) {
+    if (limit > 0.0) states.push_back({std::move(name), limit, spent});
   };
-  add("decisions", budgets_.decisions, UsageField::kDecisions);
+  add("decisions", budgets_.decisions, spent_[UsageField::kDecisions]);
   for (const auto& [model, limit] : budgets_.joules) {
     if (const auto field = FieldOfJoules(model); field.ok()) {
-      add(absl::StrCat("joules.", model), limit, *field);
+      add(absl::StrCat("joules.", model), limit, spent_[*field]);
     }
   }
-  add("contributions", budgets_.contributions, UsageField::kContributions);
+  add("contributions", budgets_.contributions, spent_[UsageField::kContributions]);
   return states;
 }
 

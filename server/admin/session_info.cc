@@ -36,10 +36,11 @@ void ToProto(const ListedSession& listed, v1::SessionInfo* info) {
   if (const auto& report = listed.entry->robot.report(); report.has_value()) {
     ToProto(*report, info->mutable_beats());
   }
-  const AgentSession& agent = entry.agent;
-  if (agent.hold() != nullptr) ToProto(*agent.hold(), info->mutable_hold());
-  info->set_at_neutral(agent.is_at_neutral());
-  if (const Seat* seat = agent.seat()) info->set_operator_id(seat->operator_id);
+  if (const auto& hold = listed.entry->agent.hold(); hold != nullptr) {
+    ToProto(*hold, info->mutable_hold());
+  }
+  info->set_at_neutral(listed.entry->agent.is_at_neutral());
+  if (const Seat* seat = listed.entry->agent.seat()) info->set_operator_id(seat->operator_id);
   info->mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());
 }
 

@@ -35,13 +35,12 @@ UsageTotals TotalsOf(const Session& session) {
 UsageCounts CountsOf(SessionEntry& entry, absl::Duration now)
     ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex) {
   UsageCounts counts;
-  const AgentSession& agent = entry.agent;
-  const SessionLife& life = agent.life();
+  const SessionLife& life = entry.agent.life();
   if (entry.journal == nullptr) {
-    const UsageTotals totals = TotalsOf(agent.session());
+    const UsageTotals totals = TotalsOf(entry.agent.session());
     std::copy(totals.begin(), totals.end(), counts.values.begin());
   }
-  const ModelConfig& config = agent.policy().config;
+  const ModelConfig& config = entry.agent.policy().config;
   const auto joules = [&](EnergyModel model) {
     return EstimateEnergy(model, life.counts(), config).value_or(0.0);
   };
@@ -52,7 +51,7 @@ UsageCounts CountsOf(SessionEntry& entry, absl::Duration now)
   counts[UsageField::kHeld] = static_cast<double>(beats.held);
   counts[UsageField::kLocal] = static_cast<double>(beats.local);
   counts[UsageField::kSafe] = static_cast<double>(beats.safe);
-  counts[UsageField::kSessionSeconds] = absl::ToDoubleSeconds(now - agent.created());
+  counts[UsageField::kSessionSeconds] = absl::ToDoubleSeconds(now - entry.agent.created());
   counts[UsageField::kContributions] = static_cast<double>(life.contributions());
   counts[UsageField::kSessions] = entry.journal == nullptr || entry.journal->is_new() ? 1.0 : 0.0;
   return counts;

@@ -292,8 +292,8 @@ std::optional<std::pair<absl::Time, absl::Time>> SpanOf(absl::string_view part) 
 std::optional<std::string> TargetOf(absl::string_view part, absl::Time now) {
   const auto span = SpanOf(part);
   if (!span.has_value()) return std::nullopt;
-  const auto& [begin, end] = *span;
-  const auto named = [&](const char* format) {
+  const auto [begin, end] = *span;
+  const auto named = [begin = begin](const char* format) {
     return absl::FormatTime(format, begin, absl::UTCTimeZone());
   };
   if (part[0] == 'o' && now >= end + kAfterHour) return named("h%Y%m%d");
