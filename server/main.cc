@@ -24,8 +24,13 @@
 namespace spikeserve {
 namespace {
 
-void AddLimitFlags(Command program, TransportLimits* limits) {
-  program.Flags("Advanced: limits of connections")
+void AddConnectionFlags(Command program, ServerOptions* options) {
+  TransportLimits* limits = &options->transport_limits;
+  program.Flags("Advanced: connections")
+      .Add("datagram_listen", "HOST:PORT", &options->datagram_listen,
+           "Address of datagrams (UDP), port 0: a free one; empty: none")
+      .Add("datagram_advertise", "HOST:PORT", &options->datagram_advertise,
+           "Where robots send datagrams; empty: where the server listens")
       .Add("max_streams", "N", &limits->max_streams, "Calls at a time on one connection")
       .Add("max_header_bytes", "BYTES", &limits->max_header_bytes, "Metadata of one call")
       .Add("max_headers", "N", &limits->max_headers, "Headers of one call")
@@ -66,10 +71,6 @@ void AddServingFlags(Command program, ServerOptions* options) {
   program.Flags("Serving")
       .Add("listen", "HOST:PORT", &options->listen,
            "Address of gRPC, or unix:PATH; port 0: a free one")
-      .Add("datagram_listen", "HOST:PORT", &options->datagram_listen,
-           "Address of datagrams (UDP), with port 0 as above; empty: none")
-      .Add("datagram_advertise", "HOST:PORT", &options->datagram_advertise,
-           "Where robots send datagrams; empty: where the server listens")
       .Add("loops", "N", &options->loops, "Threads that serve connections; 0: one for each core")
       .Add("http_listen", "HOST:PORT", &options->http_listen,
            "Status page and /metrics; empty: none")
@@ -91,14 +92,6 @@ void AddSessionFlags(Command program, ServerOptions* options) {
            "JSON file that stores the settings of operators")
       .Add("audit_log", "FILE", &options->audit_log,
            "File to which the actions of operators are appended");
-  program.Flags("Usage")
-      .Add("usage_label", "KEY", &options->usage.label,
-           "Label of sessions, such as robot, that rows of usage are told apart by")
-      .Add("usage_interval", "DURATION", &options->usage.interval, "Time until usage is booked")
-      .Add("usage_dir", "DIR", &options->usage.directory,
-           "Where usage is kept without --session_store; empty: in memory")
-      .AddSwitch("usage_metrics", &options->usage.tenant_metrics,
-                 "Metrics of this month by tenant, of at most 100 tenants");
   program.Flags("Sessions")
       .Add("session_ttl", "DURATION", &options->session_ttl, "Idle time that ends a session")
       .Add("max_sessions", "N", &options->max_sessions, "Largest number of open sessions")
@@ -110,7 +103,14 @@ void AddSessionFlags(Command program, ServerOptions* options) {
 }
 
 void AddAdvancedFlags(Command program, ServerOptions* options) {
-  program.Flags("Advanced: policies and sessions")
+  program.Flags("Advanced: policies, sessions and usage")
+      .Add("usage_label", "KEY", &options->usage.label,
+           "Label that tells rows of usage apart, such as robot")
+      .Add("usage_interval", "DURATION", &options->usage.interval, "Time until usage is booked")
+      .Add("usage_dir", "DIR", &options->usage.directory,
+           "Where usage is kept without --session_store; empty: in memory")
+      .AddSwitch("usage_metrics", &options->usage.tenant_metrics,
+                 "Metrics of this month by tenant, of at most 100 tenants")
       .Add("max_policy_bytes", "N", &options->max_policy_bytes,
            "Most bytes of promoted and pushed versions, which tenants divide")
       .Add("max_pushed_versions", "N", &options->max_pushed_versions,
@@ -174,7 +174,7 @@ void AddSecurityFlags(Command program, ServerOptions* options) {
 
 void AddFlags(Command program, ServerOptions* options) {
   AddServingFlags(program, options);
-  AddLimitFlags(program, &options->transport_limits);
+  AddConnectionFlags(program, options);
   AddSessionFlags(program, options);
   AddAdvancedFlags(program, options);
   AddSecurityFlags(program, options);

@@ -101,7 +101,7 @@ def test_refusals(tmp_path):
     float32 = ROOT / "tests/releases/0.1.0/policies/cartpole-sparse/1/policy.safetensors"
     small = shipped()[0]
     assert "spiketrain quantize --policy=FILE --to=integer" in refusal(f"--policy={float32}", f"--out={tmp_path}/c")
-    assert "--ram: expected at least 3816 bytes" in refusal(f"--policy={small}", f"--out={tmp_path}/c", "--ram=3000")
+    assert "--ram: expected at least 3944 bytes" in refusal(f"--policy={small}", f"--out={tmp_path}/c", "--ram=3000")
     assert "--policy: expected a policy file" in refusal(f"--out={tmp_path}/c")
     assert "--kind: expected plain, arduino or zephyr" in refusal(
         f"--policy={small}", f"--out={tmp_path}/c", "--kind=x"

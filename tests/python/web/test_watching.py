@@ -34,6 +34,8 @@ ABSENT = {"ActStream"}
 SCRAPE_LABELS = {"job", "instance"}
 # What Prometheus makes itself, with the labels of its own.
 OF_PROMETHEUS = {"up": set(), "ALERTS": {"alertname", "alertstate"}}
+# What only a server whose tenants have budgets exports (operate/test_usage.py).
+OF_BUDGETS = {"spikeserve_budget_ratio": {"tenant", "budget"}}
 STEPS = 5  # of an episode
 OBSERVATION = [0.01, -0.02, 0.03, 0.1]
 PROMTOOL_SECONDS = 600  # it evaluates days of every alert, and other tests run at the same time
@@ -258,8 +260,8 @@ def check_expression(expression, scraped):
     metrics, grouped_by = names_and_labels(expression)
     known = set(SCRAPE_LABELS)
     for name, matchers in metrics:
-        if name in OF_PROMETHEUS:
-            known |= OF_PROMETHEUS[name]
+        if name in OF_PROMETHEUS | OF_BUDGETS:
+            known |= (OF_PROMETHEUS | OF_BUDGETS)[name]
             continue
         assert name in scraped, f"{name} is not exported"
         known.update(*scraped[name])
