@@ -271,7 +271,7 @@ refuses '--arithmetic: expected float32 or integer, received "int4"' train --dat
 refuses "--ablate: expected context, changes, attention, phase, routing or return, received 'head'" \
   eval --policy=tuned/policy.safetensors --ablate=head
 
-refuses 'command: expected one of expert, dataset, train, quantize, eval, compare, neurobench, account, received none'
+refuses 'command: expected one of expert, dataset, train, quantize, eval, compare, neurobench, ope, account, received none'
 refuses '--out: expected the directory to write into, received none' train
 refuses '--heads: expected what --init has, 2, or no such flag, received 8' \
   train --data=data.cbor --init=whole/policy.safetensors --out=x --heads=8
