@@ -96,6 +96,7 @@ def test_a_hold_is_kept_with_the_settings(tmp_path):
         with operating(server.address) as (client, operator):
             held = operator.hold(policy="cartpole", reason="smoke")
             assert held.kept and held.robots == ()
+            assert operator.verdict(held.id).kept is None
             server.kill()
             server.start()
             session = client.open_session("cartpole")
@@ -108,7 +109,8 @@ def test_a_held_session_learns_nothing(server):
     with operating(server.grpc) as (client, operator), client.open_session("cartpole", learning) as session:
         for hold in (False, True, False):
             if hold:
-                operator.hold(session_ids=[session.session_id], hold_id="one", wait=0.0)
+                held = operator.hold(session_ids=[session.session_id], hold_id="one", wait=0.0)
+                assert held.kept is False  # the server has no --policy_settings
             before = session.state(include_head_delta=True).head_delta
             for step in range(5):
                 assert (session.act(OBSERVATION, float(step)).source == "HOLD") == hold

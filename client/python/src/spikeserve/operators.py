@@ -49,7 +49,8 @@ class HoldVerdict:
 
     id: str
     robots: tuple[HeldRobot, ...]  # sorted by session_id
-    kept: bool  # it outlives a restart of the servers
+    # It outlives a restart of each server that has it; None: only `Operator.hold` learns it.
+    kept: bool | None
     unreached: dict[str, str]  # the servers that did not answer, and why
 
     @property
@@ -187,7 +188,7 @@ class Operator:
         held = [answer for _, answer in answers if not isinstance(answer, SpikeserveError)]
         if not held:
             raise next(error for _, error in answers)
-        kept = any(answer.kept for answer in held)
+        kept = all(answer.kept for answer in held)
         ends = time.monotonic() + wait
         while True:
             verdict = self._verdict(hold_id, kept)
@@ -198,7 +199,7 @@ class Operator:
 
     def verdict(self, hold_id: str) -> HoldVerdict:
         """Returns where the robots of a hold are now."""
-        return self._verdict(hold_id, True)
+        return self._verdict(hold_id, None)
 
     def resume(
         self,
@@ -227,7 +228,7 @@ class Operator:
                 # A server that was not reached may have the hold.
                 raise next((a for a in answers if not isinstance(a, NotFoundError)), answers[0])
 
-    def _verdict(self, hold_id: str, kept: bool) -> HoldVerdict:
+    def _verdict(self, hold_id: str, kept: bool | None) -> HoldVerdict:
         newest: dict[tuple[str, str], tuple[int, HeldRobot]] = {}
         unreached: dict[str, str] = {}
         token = dict.fromkeys(self._admin.replicas, "")
