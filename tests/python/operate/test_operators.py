@@ -238,15 +238,21 @@ def test_control_goes_on_at_the_next_server():
         with operator.take(session.session_id, lease=60.0, action=1) as control:
             for server in fleet.replicas:
                 for action in (0, 1):
-                    control.act(action)
-                    decision = session.act(OBSERVATION, 1.0)
-                    assert (decision.source, decision.action) == ("OPERATOR", action)
+
+                    def is_heard(action=action):
+                        # A session that moves meanwhile has the operator's action of its last decision.
+                        control.act(action)
+                        decision = session.act(OBSERVATION, 1.0)
+                        assert decision.source == "OPERATOR"
+                        return decision.action == action
+
+                    until(is_heard)
                 server.kill()
                 decision = session.act(OBSERVATION, 1.0, timeout=30.0)
                 assert (decision.source, decision.action) == ("OPERATOR", 1)
                 server.start()
             control.renew()
-            assert control.steps == 6
+            assert control.steps >= 6
 
 
 def test_the_commands(server):
