@@ -2,6 +2,7 @@
 #include <iostream>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -159,11 +160,14 @@ absl::Status HoldRobots(const HoldFlags& flags) {
   }
   const auto answers = servers.AtEach<v1::HoldSessionsRequest, v1::HoldSessionsResponse>(
       &AdminStub::HoldSessions, [&](size_t) { return request; });
-  const v1::HoldSessionsResponse* held = nullptr;
+  std::optional<v1::HoldSessionsResponse> held;
   for (const auto& answer : answers) {
-    if (answer.ok()) held = &*answer;
+    if (!answer.ok()) continue;
+    const bool all_keep = answer->kept() && (!held.has_value() || held->kept());
+    held = *answer;
+    held->set_kept(all_keep);
   }
-  if (held == nullptr) return answers[0].status();
+  if (!held.has_value()) return answers[0].status();
   const absl::Time end = absl::Now() + flags.wait;
   Verdict verdict = LookAtRobots(servers, request.id());
   while ((!verdict.NotConfirmed().empty() || !verdict.unreached.empty()) && absl::Now() < end) {
