@@ -44,14 +44,14 @@ LoadReport Caller::RunClosedLoop(steady_clock::duration duration) {
   const Time end = start + duration;
   for (const auto& agent : agents_) Send(*agent, steady_clock::now());
   while (!in_flight_.empty() || (!stalled_.empty() && steady_clock::now() < end)) {
-    if (!stalled_.empty() && steady_clock::now() < end) {
-      ResumeStalled();
-    }
+    const bool resumes = steady_clock::now() < end;
+    if (resumes && !stalled_.empty()) ResumeStalled();
     if (in_flight_.empty()) continue;
-    const auto reply = exchange_->Receive(stalled_.empty() ? patience_ : pause_after_error_);
+    const bool is_pause = resumes && !stalled_.empty();
+    const auto reply = exchange_->Receive(is_pause ? pause_after_error_ : patience_);
     if (!reply.ok()) {
-      const bool is_pause = !stalled_.empty() && absl::IsDeadlineExceeded(reply.status());
-      if (!is_pause || steady_clock::now() >= end) FailRequestsInFlight(reply.status());
+      if (is_pause && absl::IsDeadlineExceeded(reply.status())) continue;
+      FailRequestsInFlight(reply.status());
       continue;
     }
     SimulatedAgent* agent = TakeReply(*reply, end);
@@ -76,7 +76,7 @@ LoadReport Caller::RunAtRate(const Schedule& schedule, steady_clock::duration du
     }
     const bool waits_for_time = next < end && !(free.empty() && stalled_.empty());
     auto pause = waits_for_time ? absl::FromChrono(next - steady_clock::now()) : patience_;
-    if (!stalled_.empty()) pause = std::min(pause, pause_after_error_);
+    if (waits_for_time && !stalled_.empty()) pause = std::min(pause, pause_after_error_);
     if (in_flight_.empty()) {
       absl::SleepFor(pause);
       continue;

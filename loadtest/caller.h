@@ -14,8 +14,7 @@
 // other error an agent sends no more requests.
 //
 // Not thread-safe; each caller runs on its own thread.
-#ifndef LOADTEST_CALLER_H_
-#define LOADTEST_CALLER_H_
+#pragma once
 
 #include <chrono>
 #include <deque>
@@ -92,5 +91,3 @@ class Caller {
 };
 
 }  // namespace spikeserve
-
-#endif  // LOADTEST_CALLER_H_

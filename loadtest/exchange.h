@@ -2,8 +2,7 @@
 // calls, a stream or batches.
 //
 // Not thread-safe: an exchange is used by one thread.
-#ifndef LOADTEST_EXCHANGE_H_
-#define LOADTEST_EXCHANGE_H_
+#pragma once
 
 #include <memory>
 
@@ -38,5 +37,3 @@ std::unique_ptr<Exchange> MakeExchange(LoadMode mode, int batch_size, Client* cl
                                        std::shared_ptr<Route> route = nullptr);
 
 }  // namespace spikeserve
-
-#endif  // LOADTEST_EXCHANGE_H_

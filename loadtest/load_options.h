@@ -1,6 +1,5 @@
 // The options of a load test.
-#ifndef LOADTEST_LOAD_OPTIONS_H_
-#define LOADTEST_LOAD_OPTIONS_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -56,5 +55,3 @@ struct LoadOptions {
 };
 
 }  // namespace spikeserve
-
-#endif  // LOADTEST_LOAD_OPTIONS_H_

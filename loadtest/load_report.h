@@ -1,8 +1,7 @@
 // The measurements of a load test.
 //
 // A plain value, not thread-safe: each caller fills its own report, and Merge adds them up.
-#ifndef LOADTEST_LOAD_REPORT_H_
-#define LOADTEST_LOAD_REPORT_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -33,5 +32,3 @@ struct LoadReport {
 };
 
 }  // namespace spikeserve
-
-#endif  // LOADTEST_LOAD_REPORT_H_

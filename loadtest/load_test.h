@@ -1,6 +1,5 @@
 // A load test: many sessions on one server, in a closed loop or at a fixed rate, for a fixed time.
-#ifndef LOADTEST_LOAD_TEST_H_
-#define LOADTEST_LOAD_TEST_H_
+#pragma once
 
 #include "absl/status/statusor.h"
 #include "loadtest/load_options.h"
@@ -15,5 +14,3 @@ namespace spikeserve {
 absl::StatusOr<LoadReport> RunLoadTest(const LoadOptions& options);
 
 }  // namespace spikeserve
-
-#endif  // LOADTEST_LOAD_TEST_H_

@@ -1,6 +1,5 @@
 // Reads an episode whose observations and rewards a load test sends instead of random ones.
-#ifndef LOADTEST_RECORDED_EPISODE_H_
-#define LOADTEST_RECORDED_EPISODE_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -23,5 +22,3 @@ using RecordedEpisode = std::vector<RecordedStep>;
 absl::StatusOr<RecordedEpisode> ReadRecordedEpisode(const std::string& path);
 
 }  // namespace spikeserve
-
-#endif  // LOADTEST_RECORDED_EPISODE_H_

@@ -2,8 +2,7 @@
 // per step, or the steps of a recorded episode, in episodes of a fixed length.
 //
 // Not thread-safe. A seed gives the same observations on every machine.
-#ifndef LOADTEST_SIMULATED_AGENT_H_
-#define LOADTEST_SIMULATED_AGENT_H_
+#pragma once
 
 #include <chrono>
 #include <cstdint>
@@ -74,5 +73,3 @@ class SimulatedAgent {
 };
 
 }  // namespace spikeserve
-
-#endif  // LOADTEST_SIMULATED_AGENT_H_

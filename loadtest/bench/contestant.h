@@ -5,8 +5,7 @@
 // Then each line on standard input, a number of seconds, is one round, which the contestant answers
 // with one line of JSON: {"decisions": N, "seconds": S, "spikes": M}. S is processor time, which is
 // not affected by other processes. The contestant exits at the end of its standard input.
-#ifndef LOADTEST_BENCH_CONTESTANT_H_
-#define LOADTEST_BENCH_CONTESTANT_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -23,5 +22,3 @@ struct Work {
 void RunContestant(const std::function<Work()>& decide);
 
 }  // namespace spikeserve
-
-#endif  // LOADTEST_BENCH_CONTESTANT_H_
