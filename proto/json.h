@@ -1,6 +1,5 @@
 // Converts protobuf messages to JSON and back.
-#ifndef PROTO_JSON_H_
-#define PROTO_JSON_H_
+#pragma once
 
 #include <google/protobuf/message.h>
 
@@ -22,5 +21,3 @@ absl::StatusOr<std::string> MessageToJson(const google::protobuf::Message& messa
 absl::Status JsonToMessage(absl::string_view json, google::protobuf::Message* message);
 
 }  // namespace spikeserve
-
-#endif  // PROTO_JSON_H_

@@ -1,8 +1,7 @@
 // The metrics that are read from the parts of the server whenever somebody asks for them.
 //
 // Free functions, safe to call from many threads.
-#ifndef SERVER_GAUGES_H_
-#define SERVER_GAUGES_H_
+#pragma once
 
 #include <vector>
 
@@ -55,5 +54,3 @@ std::vector<prometheus::MetricFamily> CollectDatagrams(const DatagramChannels& d
 std::vector<prometheus::MetricFamily> CollectConnections(const Transport& transport);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_GAUGES_H_

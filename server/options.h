@@ -1,6 +1,5 @@
 // The options of a server. Plain data, safe to read from many threads.
-#ifndef SERVER_OPTIONS_H_
-#define SERVER_OPTIONS_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -73,5 +72,3 @@ struct ServerOptions {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_OPTIONS_H_

@@ -1,6 +1,5 @@
 // A running server: creates all parts of the server, and starts and stops them in order.
-#ifndef SERVER_SERVER_H_
-#define SERVER_SERVER_H_
+#pragma once
 
 #include <atomic>
 #include <memory>
@@ -182,5 +181,3 @@ class Server {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVER_H_

@@ -1,6 +1,5 @@
 // Parses --wiring: what follows from verdicts about the wiring of sessions.
-#ifndef SERVER_WIRING_RULES_H_
-#define SERVER_WIRING_RULES_H_
+#pragma once
 
 #include <map>
 #include <string>
@@ -18,5 +17,3 @@ using WiringRules = std::map<std::string, WiringResponse>;
 absl::StatusOr<WiringRules> ParseWiringRules(const std::string& text);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WIRING_RULES_H_

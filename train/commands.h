@@ -2,8 +2,7 @@
 //
 // Each function adds one subcommand to `program`, with its flags and its action. Errors name the
 // flag or the file.
-#ifndef TRAIN_COMMANDS_H_
-#define TRAIN_COMMANDS_H_
+#pragma once
 
 #include "core/cli/program.h"
 
@@ -43,5 +42,3 @@ void AddAccountCommand(Program& program);
 void AddCompareCommand(Program& program);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_COMMANDS_H_

@@ -1,7 +1,6 @@
 // The episodes by which a subcommand of spiketrain measures a policy: those that it plays, or those
 // that a server has recorded.
-#ifndef TRAIN_DECIDED_EPISODES_H_
-#define TRAIN_DECIDED_EPISODES_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -30,5 +29,3 @@ absl::StatusOr<Evaluation> Decide(const DecidedEpisodesFlags& flags,
 absl::StatusOr<std::shared_ptr<const Policy>> ReadRequiredPolicy(const std::string& path);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_DECIDED_EPISODES_H_

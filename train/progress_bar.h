@@ -2,8 +2,7 @@
 // as an occasional line.
 //
 // Not thread-safe.
-#ifndef TRAIN_PROGRESS_BAR_H_
-#define TRAIN_PROGRESS_BAR_H_
+#pragma once
 
 #include <chrono>
 
@@ -27,5 +26,3 @@ class ProgressBar {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_PROGRESS_BAR_H_

@@ -1,6 +1,5 @@
 // The flags for recording data.
-#ifndef TRAIN_RECORD_FLAGS_H_
-#define TRAIN_RECORD_FLAGS_H_
+#pragma once
 
 #include <string>
 
@@ -42,5 +41,3 @@ absl::Status RequireOut(const std::string& out, absl::string_view what);
 absl::Status NameFlag(const absl::Status& status);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_RECORD_FLAGS_H_

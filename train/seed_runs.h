@@ -1,6 +1,5 @@
 // Trains the same policy with several seeds, and keeps the best.
-#ifndef TRAIN_SEED_RUNS_H_
-#define TRAIN_SEED_RUNS_H_
+#pragma once
 
 #include <string>
 
@@ -17,5 +16,3 @@ namespace spikeserve {
 absl::Status TrainSeeds(const TrainFlags& flags, const std::string& command_line);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_SEED_RUNS_H_

@@ -1,6 +1,5 @@
 // The flags for the shape of a policy and for its training.
-#ifndef TRAIN_TRAIN_FLAGS_H_
-#define TRAIN_TRAIN_FLAGS_H_
+#pragma once
 
 #include <optional>
 #include <string>
@@ -61,5 +60,3 @@ absl::Status SetShape(const ShapeFlags& flags, ModelConfig* config);
 absl::Status ContinueShape(const ShapeFlags& flags, ModelConfig* config);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_TRAIN_FLAGS_H_

@@ -1,8 +1,7 @@
 // One training: from data and an initial policy to a policy file, as `spiketrain train` does it.
 //
 // Free functions without shared state. Errors name the flag or the file.
-#ifndef TRAIN_TRAIN_RUN_H_
-#define TRAIN_TRAIN_RUN_H_
+#pragma once
 
 #include <optional>
 #include <string>
@@ -66,5 +65,3 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
                                           const std::string& command_line);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_TRAIN_RUN_H_

@@ -1,8 +1,7 @@
 // Says at the end of a training what was made and how to continue.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef TRAIN_TRAIN_SUMMARY_H_
-#define TRAIN_TRAIN_SUMMARY_H_
+#pragma once
 
 #include <array>
 #include <optional>
@@ -50,5 +49,3 @@ std::string ToText(const TrainSummary& summary, const Policy& policy);
 nlohmann::ordered_json ToJson(const TrainSummary& summary, const Policy& policy);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_TRAIN_SUMMARY_H_

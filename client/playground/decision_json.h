@@ -3,8 +3,7 @@
 // those of 64 bits.
 //
 // Free functions, thread-safe.
-#ifndef CLIENT_PLAYGROUND_DECISION_JSON_H_
-#define CLIENT_PLAYGROUND_DECISION_JSON_H_
+#pragma once
 
 #include "core/agent/served_policy.h"
 #include "core/engine/trace.h"
@@ -21,5 +20,3 @@ nlohmann::json DecisionToJson(const ServedPolicy& served, const Session& session
 void AddTrace(const Trace& trace, nlohmann::json* decision);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_PLAYGROUND_DECISION_JSON_H_

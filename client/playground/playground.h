@@ -5,8 +5,7 @@
 //   const absl::StatusOr<nlohmann::json> decision = (*playground)->Step();
 //
 // Not thread-safe.
-#ifndef CLIENT_PLAYGROUND_PLAYGROUND_H_
-#define CLIENT_PLAYGROUND_PLAYGROUND_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -65,5 +64,3 @@ class Playground {
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_PLAYGROUND_PLAYGROUND_H_

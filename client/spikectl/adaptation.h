@@ -1,7 +1,6 @@
 // The experiment of `spikectl adapt`: plays a task, whose physics may be perturbed, with learning
 // enabled, and then evaluates the learned head.
-#ifndef CLIENT_SPIKECTL_ADAPTATION_H_
-#define CLIENT_SPIKECTL_ADAPTATION_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -52,5 +51,3 @@ absl::StatusOr<Adaptation> Adapt(Client& client, const AdaptationOptions& option
 std::string CurveLine(int episode, double value, double low, double high);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_ADAPTATION_H_

@@ -1,7 +1,6 @@
 // The actions of operators about shared heads, roll-outs, the files of versions and usage. Each one
 // calls one server, and returns what is to be printed, or the error of the call.
-#ifndef CLIENT_SPIKECTL_ADMIN_ACTIONS_H_
-#define CLIENT_SPIKECTL_ADMIN_ACTIONS_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "client/spikectl/admin_call.h"
@@ -34,5 +33,3 @@ absl::StatusOr<Answer> RemoveVersion(const AdminFlags& flags);
 absl::StatusOr<Answer> ShowUsage(const AdminFlags& flags);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_ADMIN_ACTIONS_H_

@@ -1,7 +1,6 @@
 // Functions that the actions of `spikectl admin` share. Every action makes one call of PolicyAdmin
 // with the values of its flags, and returns the answer of one server.
-#ifndef CLIENT_SPIKECTL_ADMIN_CALL_H_
-#define CLIENT_SPIKECTL_ADMIN_CALL_H_
+#pragma once
 
 #include <grpcpp/client_context.h>
 
@@ -76,5 +75,3 @@ Request HeadRequest(const AdminFlags& flags) {
 }
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_ADMIN_CALL_H_

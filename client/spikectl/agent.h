@@ -1,6 +1,5 @@
 // A remote agent: steps an environment in this process with the decisions of the server.
-#ifndef CLIENT_SPIKECTL_AGENT_H_
-#define CLIENT_SPIKECTL_AGENT_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -46,5 +45,3 @@ absl::StatusOr<EpisodeRecord> PlayEpisode(Environment& environment, RemoteSessio
 absl::Status PlaySteps(Environment& environment, RemoteSession& session, uint64_t seed, int steps);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_AGENT_H_

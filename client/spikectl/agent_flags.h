@@ -1,6 +1,5 @@
 // The flags that select the environment and the policy of an agent.
-#ifndef CLIENT_SPIKECTL_AGENT_FLAGS_H_
-#define CLIENT_SPIKECTL_AGENT_FLAGS_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -57,5 +56,3 @@ absl::StatusOr<OpenedSession> OpenAgentSession(const AgentFlags& flags,
                                                bool reopens = false);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_AGENT_FLAGS_H_

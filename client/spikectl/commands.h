@@ -3,8 +3,7 @@
 // Each function adds one subcommand to `program`, with its flags and its action. The action calls
 // the server and writes the result to standard output, or returns an error. `server` must live
 // until Program::Run returns.
-#ifndef CLIENT_SPIKECTL_COMMANDS_H_
-#define CLIENT_SPIKECTL_COMMANDS_H_
+#pragma once
 
 #include "client/spikectl/server_flags.h"
 #include "core/cli/program.h"
@@ -51,5 +50,3 @@ void AddHoldCommands(Command program, const ServerFlags& server);
 void AddTakeCommand(Command program, const ServerFlags& server);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_COMMANDS_H_

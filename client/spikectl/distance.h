@@ -1,7 +1,6 @@
 // Plays a task as if the server were far away, in steps and without a clock. As Distance of the
 // Python client, with the same meaning; the draws are others.
-#ifndef CLIENT_SPIKECTL_DISTANCE_H_
-#define CLIENT_SPIKECTL_DISTANCE_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -56,5 +55,3 @@ class Arrivals {
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_DISTANCE_H_

@@ -1,8 +1,7 @@
 // Runs a command of operators on every server of --server, and prints a row for each.
 //
 // Free functions. Not thread-safe: they print.
-#ifndef CLIENT_SPIKECTL_EVERY_SERVER_H_
-#define CLIENT_SPIKECTL_EVERY_SERVER_H_
+#pragma once
 
 #include <string>
 
@@ -30,5 +29,3 @@ absl::Status OnEveryServer(const ServerFlags& flags,
                            absl::FunctionRef<absl::StatusOr<Answer>(const ServerFlags&)> call);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_EVERY_SERVER_H_

@@ -1,6 +1,5 @@
 // Formats the explanation of a decision for `spikectl explain`.
-#ifndef CLIENT_SPIKECTL_EXPLAIN_REPORT_H_
-#define CLIENT_SPIKECTL_EXPLAIN_REPORT_H_
+#pragma once
 
 #include <string>
 
@@ -18,5 +17,3 @@ absl::StatusOr<std::string> ExplainToText(const v1::ExplainResponse& explained,
                                           const v1::PolicyInfo& policy);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_EXPLAIN_REPORT_H_

@@ -1,8 +1,7 @@
 // The servers that an operator calls: all at once, or the one that has a session.
 //
 // Not thread-safe; AtEach() calls the servers from threads of its own.
-#ifndef CLIENT_SPIKECTL_OPERATOR_SERVERS_H_
-#define CLIENT_SPIKECTL_OPERATOR_SERVERS_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -87,5 +86,3 @@ class OperatorServers {
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_OPERATOR_SERVERS_H_

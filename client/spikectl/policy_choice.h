@@ -1,8 +1,7 @@
 // Chooses the policy version of an agent from those that a server serves.
 //
 // Free functions, safe to call from many threads.
-#ifndef CLIENT_SPIKECTL_POLICY_CHOICE_H_
-#define CLIENT_SPIKECTL_POLICY_CHOICE_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -26,5 +25,3 @@ absl::StatusOr<v1::PolicyInfo> ChoosePolicy(const v1::ListPoliciesResponse& serv
 absl::Status CheckSpacesMatch(const v1::PolicyInfo& policy, const Environment& environment);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_POLICY_CHOICE_H_

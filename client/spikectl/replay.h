@@ -1,7 +1,6 @@
 // Replays recorded episodes with the same or another version of a policy, and compares every
 // decision bit for bit.
-#ifndef CLIENT_SPIKECTL_REPLAY_H_
-#define CLIENT_SPIKECTL_REPLAY_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -47,5 +46,3 @@ absl::StatusOr<ReplayResult> Replay(const std::vector<Dataset>& recording,
                                     const std::string& policy, int64_t version, Client& client);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_REPLAY_H_

@@ -1,6 +1,5 @@
 // Formats the episodes of `spikectl run` as a table or as one JSON object.
-#ifndef CLIENT_SPIKECTL_RUN_REPORT_H_
-#define CLIENT_SPIKECTL_RUN_REPORT_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -28,5 +27,3 @@ std::string RunSummary(const std::vector<EpisodeRecord>& episodes);
 nlohmann::ordered_json RunToJson(const std::vector<EpisodeRecord>& episodes);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_RUN_REPORT_H_

@@ -1,6 +1,5 @@
 // The flags that every command of spikectl has: the server to call, and the output format.
-#ifndef CLIENT_SPIKECTL_SERVER_FLAGS_H_
-#define CLIENT_SPIKECTL_SERVER_FLAGS_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -31,5 +30,3 @@ absl::StatusOr<std::unique_ptr<Client>> Connect(const ServerFlags& flags);
 absl::StatusOr<std::unique_ptr<AdminClient>> ConnectAdmin(const ServerFlags& flags);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_SERVER_FLAGS_H_

@@ -1,7 +1,6 @@
 // The flags of a session that an agent opens: every field of OpenSessionRequest and LearningConfig
 // that a user decides.
-#ifndef CLIENT_SPIKECTL_SESSION_FLAGS_H_
-#define CLIENT_SPIKECTL_SESSION_FLAGS_H_
+#pragma once
 
 #include <optional>
 #include <string>
@@ -59,5 +58,3 @@ absl::Status CheckLearning(Scope scope, const LearningFlags& flags, const Action
 absl::Status FillRequest(const SessionFlags& flags, v1::OpenSessionRequest* request);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_SESSION_FLAGS_H_

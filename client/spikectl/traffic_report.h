@@ -1,8 +1,7 @@
 // Shows how the traffic of a policy is divided, and how a call has changed it.
 //
 // Pure functions; safe to call from many threads.
-#ifndef CLIENT_SPIKECTL_TRAFFIC_REPORT_H_
-#define CLIENT_SPIKECTL_TRAFFIC_REPORT_H_
+#pragma once
 
 #include <string>
 
@@ -18,5 +17,3 @@ std::string ToText(const v1::TrafficChange& change);
 void AddTraffic(const v1::TrafficChange& change, nlohmann::ordered_json* json);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SPIKECTL_TRAFFIC_REPORT_H_

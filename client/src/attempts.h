@@ -2,8 +2,7 @@
 // replica of the next attempt.
 //
 // Not thread-safe.
-#ifndef CLIENT_SRC_ATTEMPTS_H_
-#define CLIENT_SRC_ATTEMPTS_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -57,5 +56,3 @@ class Attempts {
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SRC_ATTEMPTS_H_

@@ -7,8 +7,7 @@
 // cancelled.
 //
 // Thread-safe.
-#ifndef CLIENT_SRC_CONNECTION_H_
-#define CLIENT_SRC_CONNECTION_H_
+#pragma once
 
 #include <grpcpp/channel.h>
 #include <grpcpp/client_context.h>
@@ -124,5 +123,3 @@ class Connection {
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SRC_CONNECTION_H_

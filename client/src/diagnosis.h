@@ -2,8 +2,7 @@
 // gRPC reports one status for all causes, and its text differs from version to version.
 //
 // Free functions, safe to call from many threads. They block for at most a few seconds.
-#ifndef CLIENT_SRC_DIAGNOSIS_H_
-#define CLIENT_SRC_DIAGNOSIS_H_
+#pragma once
 
 #include <string>
 
@@ -16,5 +15,3 @@ namespace spikeserve {
 std::string DiagnoseConnection(const std::string& server, bool tls, absl::string_view message);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SRC_DIAGNOSIS_H_

@@ -1,6 +1,5 @@
 // The status of one item of a batch or a stream.
-#ifndef CLIENT_SRC_ITEM_STATUS_H_
-#define CLIENT_SRC_ITEM_STATUS_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -23,5 +22,3 @@ absl::Status StatusOfItem(const Item& item) {
 }
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SRC_ITEM_STATUS_H_

@@ -1,7 +1,6 @@
 // Lets a condition variable of the standard library wait with a mutex of Abseil. A CondVar of
 // Abseil would measure its timeouts by the time of day.
-#ifndef CLIENT_SRC_LOCKABLE_H_
-#define CLIENT_SRC_LOCKABLE_H_
+#pragma once
 
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
@@ -20,5 +19,3 @@ class Lockable {
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SRC_LOCKABLE_H_

@@ -1,8 +1,7 @@
 // The requests of a stream that have no answer. Times are those of SteadyNow().
 //
 // Not thread-safe.
-#ifndef CLIENT_SRC_OPEN_REQUESTS_H_
-#define CLIENT_SRC_OPEN_REQUESTS_H_
+#pragma once
 
 #include <cstddef>
 #include <deque>
@@ -97,5 +96,3 @@ class OpenRequests {
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SRC_OPEN_REQUESTS_H_

@@ -3,8 +3,7 @@
 // Servers that keep their sessions in one store are replicas: each of them can continue with every
 // session. The calls of a session go to the same replica while it answers, because a session that
 // moves costs a claim.
-#ifndef CLIENT_SRC_REPLICAS_H_
-#define CLIENT_SRC_REPLICAS_H_
+#pragma once
 
 #include <grpcpp/channel.h>
 #include <grpcpp/client_context.h>
@@ -138,5 +137,3 @@ class Replicas {
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SRC_REPLICAS_H_

@@ -1,8 +1,7 @@
 // The times by which the client measures. A step of the time of day changes neither.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef CLIENT_SRC_STEADY_TIME_H_
-#define CLIENT_SRC_STEADY_TIME_H_
+#pragma once
 
 #include <time.h>
 
@@ -29,5 +28,3 @@ inline absl::Duration RobotNow() {
 }
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SRC_STEADY_TIME_H_

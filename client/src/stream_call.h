@@ -1,8 +1,7 @@
 // One call of ActStream.
 //
 // Thread-safe.
-#ifndef CLIENT_SRC_STREAM_CALL_H_
-#define CLIENT_SRC_STREAM_CALL_H_
+#pragma once
 
 #include <grpcpp/client_context.h>
 #include <grpcpp/support/client_callback.h>
@@ -68,5 +67,3 @@ class StreamCall : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActRespons
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SRC_STREAM_CALL_H_

@@ -1,6 +1,5 @@
 // The servers that a client program calls if no flag names them.
-#ifndef CLIENT_TOOLS_DEFAULT_SERVER_H_
-#define CLIENT_TOOLS_DEFAULT_SERVER_H_
+#pragma once
 
 #include <string>
 
@@ -15,5 +14,3 @@ std::string DefaultServer();
 void SilenceGrpc();
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_TOOLS_DEFAULT_SERVER_H_

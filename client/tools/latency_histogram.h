@@ -6,8 +6,7 @@
 //   double p99 = latencies.Quantile(0.99);
 //
 // A plain value, not thread-safe. Each thread fills its own; Merge combines them.
-#ifndef CLIENT_TOOLS_LATENCY_HISTOGRAM_H_
-#define CLIENT_TOOLS_LATENCY_HISTOGRAM_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -38,5 +37,3 @@ class LatencyHistogram {
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_TOOLS_LATENCY_HISTOGRAM_H_

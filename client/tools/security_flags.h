@@ -1,6 +1,5 @@
 // The flags of client programs for TLS and the token.
-#ifndef CLIENT_TOOLS_SECURITY_FLAGS_H_
-#define CLIENT_TOOLS_SECURITY_FLAGS_H_
+#pragma once
 
 #include <string>
 
@@ -23,5 +22,3 @@ void AddSecurityFlags(Command program, SecurityFlags* flags);
 absl::StatusOr<SecurityOptions> ReadSecurityOptions(const SecurityFlags& flags);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_TOOLS_SECURITY_FLAGS_H_

@@ -1,7 +1,6 @@
 // Defines what core uses of C++20 and the C++ library of Debian's emscripten lacks. Every source
 // for WebAssembly includes it.
-#ifndef CMAKE_TOOLCHAINS_WASM_STD_H_
-#define CMAKE_TOOLCHAINS_WASM_STD_H_
+#pragma once
 
 #include <cerrno>
 #include <charconv>
@@ -42,5 +41,3 @@ inline from_chars_result from_chars(const char* first, const char* last, float& 
 
 }  // namespace std
 #endif
-
-#endif  // CMAKE_TOOLCHAINS_WASM_STD_H_

@@ -4,8 +4,7 @@
 // the engine.
 //
 // All functions are thread-safe.
-#ifndef CORE_ACTION_ACTION_HEAD_H_
-#define CORE_ACTION_ACTION_HEAD_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -48,5 +47,3 @@ void ChooseAction(const Linear& head, const ActionSpace& space, absl::Span<const
                   const ActionSelection& selection, uint64_t random, ActionChoice* choice);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ACTION_ACTION_HEAD_H_

@@ -1,8 +1,7 @@
 // Defines the actions of a policy: Gymnasium's Discrete and Box action spaces.
 //
 // Plain values; const members are thread-safe.
-#ifndef CORE_ACTION_ACTION_SPACE_H_
-#define CORE_ACTION_ACTION_SPACE_H_
+#pragma once
 
 #include <vector>
 
@@ -57,5 +56,3 @@ struct ActionSpace {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ACTION_ACTION_SPACE_H_

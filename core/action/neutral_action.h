@@ -1,6 +1,5 @@
 // The action that a robot takes when it has no other.
-#ifndef CORE_ACTION_NEUTRAL_ACTION_H_
-#define CORE_ACTION_NEUTRAL_ACTION_H_
+#pragma once
 
 #include "core/action/action_space.h"
 
@@ -11,5 +10,3 @@ namespace spikeserve {
 Action NeutralAction(const ActionSpace& space);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ACTION_NEUTRAL_ACTION_H_

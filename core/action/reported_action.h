@@ -2,8 +2,7 @@
 // the answered action.
 //
 // Free functions, safe to call from many threads.
-#ifndef CORE_ACTION_REPORTED_ACTION_H_
-#define CORE_ACTION_REPORTED_ACTION_H_
+#pragma once
 
 #include <cstdint>
 #include <variant>
@@ -32,5 +31,3 @@ absl::StatusOr<Action> ParseExecutedAction(const ReportedAction& reported,
                                            const ActionSpace& space);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ACTION_REPORTED_ACTION_H_

@@ -1,6 +1,5 @@
 // Defines who chose the action that a robot executed at a step. Plain values.
-#ifndef CORE_ACTION_STEP_SOURCE_H_
-#define CORE_ACTION_STEP_SOURCE_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -59,5 +58,3 @@ struct ReportedSource {
 inline constexpr size_t kLongestOperatorId = 128;  // bytes
 
 }  // namespace spikeserve
-
-#endif  // CORE_ACTION_STEP_SOURCE_H_

@@ -5,8 +5,7 @@
 //   agent.AppendPendingAction();  // after the answer was sent
 //
 // Not thread-safe: one caller at a time.
-#ifndef CORE_AGENT_AGENT_SESSION_H_
-#define CORE_AGENT_AGENT_SESSION_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -185,5 +184,3 @@ class AgentSession {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_AGENT_SESSION_H_

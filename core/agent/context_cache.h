@@ -2,8 +2,7 @@
 // before a decision if it is absent. Answers do not depend on whether it was.
 //
 // Not thread-safe: protected by the lock of its session.
-#ifndef CORE_AGENT_CONTEXT_CACHE_H_
-#define CORE_AGENT_CONTEXT_CACHE_H_
+#pragma once
 
 #include <memory>
 #include <utility>
@@ -49,5 +48,3 @@ class ContextCache {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_CONTEXT_CACHE_H_

@@ -1,8 +1,7 @@
 // Records the episodes of one session while they are played.
 //
 // Not thread-safe: protected by the same lock as its session.
-#ifndef CORE_AGENT_EPISODE_RECORDER_H_
-#define CORE_AGENT_EPISODE_RECORDER_H_
+#pragma once
 
 #include <atomic>
 #include <functional>
@@ -74,5 +73,3 @@ class EpisodeRecorder final : public SessionListener {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_EPISODE_RECORDER_H_

@@ -1,6 +1,5 @@
 // Explains a session's last decision by recomputing it from the session's value.
-#ifndef CORE_AGENT_EXPLANATION_H_
-#define CORE_AGENT_EXPLANATION_H_
+#pragma once
 
 #include <vector>
 
@@ -23,5 +22,3 @@ struct Explanation {
 absl::StatusOr<Explanation> Explain(const Policy& policy, const Session& session);
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_EXPLANATION_H_

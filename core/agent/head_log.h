@@ -5,8 +5,7 @@
 //   auto fleet = std::make_shared<FleetContribution>(served, contribution);
 //   fleet->Append();  // once the store has the session with `contribution`
 //   fleet->WhenMerged([](const absl::Status& status) { ... });
-#ifndef CORE_AGENT_HEAD_LOG_H_
-#define CORE_AGENT_HEAD_LOG_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -90,5 +89,3 @@ class FleetContribution : public std::enable_shared_from_this<FleetContribution>
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_HEAD_LOG_H_

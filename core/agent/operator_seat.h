@@ -6,8 +6,7 @@
 //   if (const Seat* taken = seat.Heard(&session)) Execute(taken->action);
 //
 // Not thread-safe: protected by the lock of its session.
-#ifndef CORE_AGENT_OPERATOR_SEAT_H_
-#define CORE_AGENT_OPERATOR_SEAT_H_
+#pragma once
 
 #include <string>
 
@@ -60,5 +59,3 @@ class OperatorSeat {
 bool Agree(const ActionSpace& space, const Action& a, const Action& b);
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_OPERATOR_SEAT_H_

@@ -2,8 +2,7 @@
 // again has the same content; another content is that of a second robot with the same session id.
 //
 // Free functions without shared state; safe to call from many threads on distinct sessions.
-#ifndef CORE_AGENT_REPEATED_STEP_H_
-#define CORE_AGENT_REPEATED_STEP_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "core/agent/step.h"
@@ -23,5 +22,3 @@ absl::Status CheckRepeatedStep(const Step& step);
 bool TakeConflict(absl::Status* status);
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_REPEATED_STEP_H_

@@ -6,8 +6,7 @@
 //   if (link.LeastAge(clock.Now(), observed_at) > budget) ...  // the observation is too old
 //
 // Not thread-safe: protected by the lock of its session.
-#ifndef CORE_AGENT_ROBOT_LINK_H_
-#define CORE_AGENT_ROBOT_LINK_H_
+#pragma once
 
 #include <algorithm>
 #include <cstdint>
@@ -175,5 +174,3 @@ class RobotLink {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_ROBOT_LINK_H_

@@ -1,7 +1,6 @@
 // Defines one policy version as it is served: its engine, the learning that its sessions share, and
 // the observer of its sessions.
-#ifndef CORE_AGENT_SERVED_POLICY_H_
-#define CORE_AGENT_SERVED_POLICY_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -135,5 +134,3 @@ struct ServedPolicy {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_SERVED_POLICY_H_

@@ -5,8 +5,7 @@
 // head.
 //
 // Not thread-safe: protected by the lock of its session.
-#ifndef CORE_AGENT_SESSION_HEAD_H_
-#define CORE_AGENT_SESSION_HEAD_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -72,5 +71,3 @@ class SessionHead {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_SESSION_HEAD_H_

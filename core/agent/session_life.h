@@ -5,8 +5,7 @@
 //   for (const auto& [first, count, sum] : life.decisions()) ...
 //
 // Not thread-safe.
-#ifndef CORE_AGENT_SESSION_LIFE_H_
-#define CORE_AGENT_SESSION_LIFE_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -157,5 +156,3 @@ class SessionLife {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_SESSION_LIFE_H_

@@ -4,8 +4,7 @@
 //
 // A session calls its listeners in the order in which they were added, under its lock. They return
 // quickly and never call back into the session.
-#ifndef CORE_AGENT_SESSION_LISTENER_H_
-#define CORE_AGENT_SESSION_LISTENER_H_
+#pragma once
 
 #include <memory>
 #include <optional>
@@ -63,5 +62,3 @@ class SessionListener {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_SESSION_LISTENER_H_

@@ -1,6 +1,5 @@
 // The three passes of AgentSession::Apply(). Private to the session.
-#ifndef CORE_AGENT_SESSION_PASSES_H_
-#define CORE_AGENT_SESSION_PASSES_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -86,5 +85,3 @@ struct AgentSession::EndPass {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_SESSION_PASSES_H_

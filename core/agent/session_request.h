@@ -2,8 +2,7 @@
 // the Python engine both open sessions with it.
 //
 // Plain values; free functions without shared state.
-#ifndef CORE_AGENT_SESSION_REQUEST_H_
-#define CORE_AGENT_SESSION_REQUEST_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -31,5 +30,3 @@ struct SessionRequest {
 absl::StatusOr<SessionOptions> ResolveSession(SessionRequest request, const ServedPolicy& served);
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_SESSION_REQUEST_H_

@@ -3,8 +3,7 @@
 // never sent to a client.
 //
 // Not thread-safe: one caller at a time.
-#ifndef CORE_AGENT_SHADOW_SESSION_H_
-#define CORE_AGENT_SHADOW_SESSION_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -71,5 +70,3 @@ class ShadowSteps final : public SessionListener {
 bool Agree(const Action& a, const Action& b, const ActionSpace& space);
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_SHADOW_SESSION_H_

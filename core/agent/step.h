@@ -7,8 +7,7 @@
 //   if (step.result.status.ok()) Execute(step.result.answer->action);
 //
 // Plain values with views of the request, which must outlive them. Not thread-safe.
-#ifndef CORE_AGENT_STEP_H_
-#define CORE_AGENT_STEP_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -134,5 +133,3 @@ struct StepBudget {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_STEP_H_

@@ -13,8 +13,7 @@
 //
 // Free functions; safe to call from many threads on distinct states. The results have equal bits on
 // every processor.
-#ifndef CORE_AGENT_WIRING_CHECK_H_
-#define CORE_AGENT_WIRING_CHECK_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -57,5 +56,3 @@ std::string WiringText(const Policy& policy, const WiringVerdict& verdict);
 absl::Status CheckWiringState(const Policy& policy, const WiringState& state);
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_WIRING_CHECK_H_

@@ -4,8 +4,7 @@
 // Not thread-safe: the steps of a thread share its scratch memory, so a step is valid until the
 // next one is made. The numbers have equal bits on every processor. Symbol: obs number of elements
 // of an observation.
-#ifndef CORE_AGENT_WIRING_STEP_H_
-#define CORE_AGENT_WIRING_STEP_H_
+#pragma once
 
 #include <cstddef>
 #include <vector>
@@ -67,5 +66,3 @@ class WiringStep {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_AGENT_WIRING_STEP_H_

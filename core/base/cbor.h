@@ -2,8 +2,7 @@
 // throws.
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_BASE_CBOR_H_
-#define CORE_BASE_CBOR_H_
+#pragma once
 
 #include <optional>
 
@@ -24,5 +23,3 @@ inline constexpr int kMaxCborDepth = 32;
 std::optional<nlohmann::json> ParseCbor(absl::string_view bytes);
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_CBOR_H_

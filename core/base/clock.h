@@ -1,7 +1,6 @@
 // Provides time through an interface, so that tests can replace the machine's clock with one that
 // they control.
-#ifndef CORE_BASE_CLOCK_H_
-#define CORE_BASE_CLOCK_H_
+#pragma once
 
 #include <chrono>
 
@@ -28,5 +27,3 @@ class SteadyClock final : public Clock {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_CLOCK_H_

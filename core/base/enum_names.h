@@ -9,8 +9,7 @@
 //
 // ToString(Gate::kSigmoid) then returns "sigmoid", and ParseEnum<Gate>("gate", "sigmoid") returns
 // Gate::kSigmoid. All functions are pure and thread-safe.
-#ifndef CORE_BASE_ENUM_NAMES_H_
-#define CORE_BASE_ENUM_NAMES_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -61,5 +60,3 @@ absl::StatusOr<Enum> ParseEnum(absl::string_view field, absl::string_view name) 
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_ENUM_NAMES_H_

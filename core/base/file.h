@@ -2,8 +2,7 @@
 // the new content, never a part of it.
 //
 // All functions are thread-safe.
-#ifndef CORE_BASE_FILE_H_
-#define CORE_BASE_FILE_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -26,5 +25,3 @@ absl::Status WriteFileAtomically(const std::string& path,
                                  const std::vector<absl::string_view>& pieces);
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_FILE_H_

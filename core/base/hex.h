@@ -1,6 +1,5 @@
 // Reads bytes from hexadecimal text. A free function, safe to call from many threads.
-#ifndef CORE_BASE_HEX_H_
-#define CORE_BASE_HEX_H_
+#pragma once
 
 #include <optional>
 #include <string>
@@ -14,5 +13,3 @@ namespace spikeserve {
 std::optional<std::string> ParseHex(absl::string_view text);
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_HEX_H_

@@ -2,8 +2,7 @@
 // function throws.
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_BASE_JSON_H_
-#define CORE_BASE_JSON_H_
+#pragma once
 
 #include <string>
 
@@ -31,5 +30,3 @@ std::string Quoted(absl::string_view text);
 std::string Describe(const nlohmann::json& value);
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_JSON_H_

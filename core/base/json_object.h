@@ -10,8 +10,7 @@
 // nlohmann::json& value, T* result)` in its namespace.
 //
 // A JsonObject is not thread-safe; the functions are.
-#ifndef CORE_BASE_JSON_OBJECT_H_
-#define CORE_BASE_JSON_OBJECT_H_
+#pragma once
 
 #include <cmath>
 #include <concepts>
@@ -159,5 +158,3 @@ class JsonObject {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_JSON_OBJECT_H_

@@ -1,8 +1,7 @@
 // Error texts about names that do not exist.
 //
 // Pure functions; thread-safe.
-#ifndef CORE_BASE_NAMES_H_
-#define CORE_BASE_NAMES_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -20,5 +19,3 @@ std::string NamesLike(absl::string_view received, std::vector<std::string> known
 std::string DidYouMean(absl::string_view received, const std::vector<std::string>& known);
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_NAMES_H_

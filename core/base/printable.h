@@ -1,8 +1,7 @@
 // Texts that others have sent, as texts that a terminal shows and does not obey.
 //
 // Pure functions; thread-safe.
-#ifndef CORE_BASE_PRINTABLE_H_
-#define CORE_BASE_PRINTABLE_H_
+#pragma once
 
 #include <cstddef>
 #include <string>
@@ -27,5 +26,3 @@ bool IsPrintable(absl::string_view text);
 void AppendEscaped(absl::string_view bytes, std::string* text);
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_PRINTABLE_H_

@@ -4,8 +4,7 @@
 //   auto weights = ShareBytes("/dev/shm/policies", bytes);  // equal to `bytes`, which can be freed
 //
 // All functions are thread-safe.
-#ifndef CORE_BASE_SHARED_BYTES_H_
-#define CORE_BASE_SHARED_BYTES_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -32,5 +31,3 @@ absl::StatusOr<std::shared_ptr<const char>> ShareBytes(const std::string& folder
                                                        absl::string_view bytes);
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_SHARED_BYTES_H_

@@ -1,8 +1,7 @@
 // Makes statuses, and adds context to their messages.
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_BASE_STATUS_H_
-#define CORE_BASE_STATUS_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
@@ -19,5 +18,3 @@ absl::Status Annotate(const absl::Status& status, absl::string_view prefix);
 absl::Status SystemError(absl::string_view what, absl::string_view path);
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_STATUS_H_

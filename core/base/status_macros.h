@@ -1,6 +1,5 @@
 // Early returns of a status. For source files: no header of ours includes this one.
-#ifndef CORE_BASE_STATUS_MACROS_H_
-#define CORE_BASE_STATUS_MACROS_H_
+#pragma once
 
 #include <utility>
 
@@ -27,5 +26,3 @@
 
 #define STATUS_MACROS_CONCAT(a, b) STATUS_MACROS_CONCAT_IMPL(a, b)
 #define STATUS_MACROS_CONCAT_IMPL(a, b) a##b
-
-#endif  // CORE_BASE_STATUS_MACROS_H_

@@ -3,8 +3,7 @@
 //
 // Use these instead of the timeouts of absl::Mutex, absl::CondVar and absl::Notification: those of
 // Abseil 20220623 end at a time of day, so that after a step of a day back they last a day longer.
-#ifndef CORE_BASE_STEADY_WAIT_H_
-#define CORE_BASE_STEADY_WAIT_H_
+#pragma once
 
 #include <condition_variable>
 
@@ -49,5 +48,3 @@ class SteadyNotification {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_STEADY_WAIT_H_

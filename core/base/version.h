@@ -1,7 +1,6 @@
 // Provides the version of all programs and packages, which is set by project() in the root
 // CMakeLists.txt.
-#ifndef CORE_BASE_VERSION_H_
-#define CORE_BASE_VERSION_H_
+#pragma once
 
 #include "absl/strings/string_view.h"
 
@@ -11,5 +10,3 @@ namespace spikeserve {
 absl::string_view Version();
 
 }  // namespace spikeserve
-
-#endif  // CORE_BASE_VERSION_H_

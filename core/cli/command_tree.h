@@ -2,8 +2,7 @@
 // manual page are generated from it.
 //
 // Immutable once built; safe to read from many threads.
-#ifndef CORE_CLI_COMMAND_TREE_H_
-#define CORE_CLI_COMMAND_TREE_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -55,5 +54,3 @@ std::vector<FlagInfo> AcceptedFlags(const CommandInfo& program, const CommandInf
 std::vector<const CommandInfo*> AllCommands(const CommandInfo& command);
 
 }  // namespace spikeserve
-
-#endif  // CORE_CLI_COMMAND_TREE_H_

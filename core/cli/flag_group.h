@@ -1,8 +1,7 @@
 // Declares the flags of a command.
 //
 // Not thread-safe. Declare all flags before Program::Run.
-#ifndef CORE_CLI_FLAG_GROUP_H_
-#define CORE_CLI_FLAG_GROUP_H_
+#pragma once
 
 #include <functional>
 #include <string>
@@ -67,5 +66,3 @@ class FlagGroup {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_CLI_FLAG_GROUP_H_

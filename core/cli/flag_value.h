@@ -1,8 +1,7 @@
 // Converts between the values of flags and their texts, for every type that a flag can have.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef CORE_CLI_FLAG_VALUE_H_
-#define CORE_CLI_FLAG_VALUE_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -66,5 +65,3 @@ std::string EnumKind() {
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_CLI_FLAG_VALUE_H_

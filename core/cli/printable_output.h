@@ -1,7 +1,6 @@
 // Escapes what a terminal would obey, in everything that a program writes to std::cout and
 // std::cerr. Peers choose names, labels and error texts, which a program prints.
-#ifndef CORE_CLI_PRINTABLE_OUTPUT_H_
-#define CORE_CLI_PRINTABLE_OUTPUT_H_
+#pragma once
 
 #include <memory>
 
@@ -25,5 +24,3 @@ class PrintableOutput {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_CLI_PRINTABLE_OUTPUT_H_

@@ -14,8 +14,7 @@
 //   }
 //
 // Not thread-safe. Declaring the same flag or command twice ends the process.
-#ifndef CORE_CLI_PROGRAM_H_
-#define CORE_CLI_PROGRAM_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -94,5 +93,3 @@ class Program {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_CLI_PROGRAM_H_

@@ -1,8 +1,7 @@
 // The parts of Program that only program.cc puts together: files, variables, errors and texts.
 //
 // Functions have no shared state and are safe to call from many threads; an object belongs to one.
-#ifndef CORE_CLI_PROGRAM_PARTS_H_
-#define CORE_CLI_PROGRAM_PARTS_H_
+#pragma once
 
 #include <CLI/CLI.hpp>
 #include <istream>
@@ -71,5 +70,3 @@ std::string FishCompletion(const CommandInfo& program);
 std::string ManualPage(const CommandInfo& program);
 
 }  // namespace spikeserve
-
-#endif  // CORE_CLI_PROGRAM_PARTS_H_

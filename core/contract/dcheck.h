@@ -10,8 +10,7 @@
 // gets an absl::Status.
 //
 // Thread-safety: may be used on any thread.
-#ifndef CORE_CONTRACT_DCHECK_H_
-#define CORE_CONTRACT_DCHECK_H_
+#pragma once
 
 #include <string>
 #include <type_traits>
@@ -70,5 +69,3 @@ std::string ComparedValues(const A& a, const B& b) {
 #define SPIKESERVE_DCHECK_LE(a, b) SPIKESERVE_DCHECK_COMPARED(a, <=, b)
 #define SPIKESERVE_DCHECK_GT(a, b) SPIKESERVE_DCHECK_COMPARED(a, >, b)
 #define SPIKESERVE_DCHECK_GE(a, b) SPIKESERVE_DCHECK_COMPARED(a, >=, b)
-
-#endif  // CORE_CONTRACT_DCHECK_H_

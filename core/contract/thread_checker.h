@@ -13,8 +13,7 @@
 // thread refer to it.
 //
 // Thread-safety: every method may be called from any thread.
-#ifndef CORE_CONTRACT_THREAD_CHECKER_H_
-#define CORE_CONTRACT_THREAD_CHECKER_H_
+#pragma once
 
 #include <atomic>
 #include <thread>
@@ -48,5 +47,3 @@ class ABSL_LOCKABLE ThreadChecker {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_CONTRACT_THREAD_CHECKER_H_

@@ -2,8 +2,7 @@
 // newer ones, is refused.
 //
 // Not thread-safe.
-#ifndef CORE_DATAGRAM_REPLAY_WINDOW_H_
-#define CORE_DATAGRAM_REPLAY_WINDOW_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -29,5 +28,3 @@ class ReplayWindow {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_DATAGRAM_REPLAY_WINDOW_H_

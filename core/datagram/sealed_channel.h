@@ -10,8 +10,7 @@
 // HKDF-SHA256 (RFC 5869). docs/design/datagrams.md has the reasons.
 //
 // Not thread-safe.
-#ifndef CORE_DATAGRAM_SEALED_CHANNEL_H_
-#define CORE_DATAGRAM_SEALED_CHANNEL_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -95,5 +94,3 @@ class SealedChannel {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_DATAGRAM_SEALED_CHANNEL_H_

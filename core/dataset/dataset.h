@@ -1,8 +1,7 @@
 // Defines recorded episodes, which offline training learns from and which can be replayed.
 //
 // Plain values and free functions; thread-safe on distinct data.
-#ifndef CORE_DATASET_DATASET_H_
-#define CORE_DATASET_DATASET_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -113,5 +112,3 @@ absl::Status WriteDataset(const Dataset& dataset, const std::string& path);
 absl::StatusOr<Dataset> ReadDataset(const std::string& path);
 
 }  // namespace spikeserve
-
-#endif  // CORE_DATASET_DATASET_H_

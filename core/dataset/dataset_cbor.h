@@ -1,8 +1,7 @@
 // Converts recorded episodes to CBOR (RFC 8949) and back: one object with the fields of dataset.h.
 //
 // Pure functions; safe to call from many threads.
-#ifndef CORE_DATASET_DATASET_CBOR_H_
-#define CORE_DATASET_DATASET_CBOR_H_
+#pragma once
 
 #include <string>
 
@@ -18,5 +17,3 @@ std::string SerializeDataset(const Dataset& dataset);
 absl::StatusOr<Dataset> ParseDataset(absl::string_view bytes);
 
 }  // namespace spikeserve
-
-#endif  // CORE_DATASET_DATASET_CBOR_H_

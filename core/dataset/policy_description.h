@@ -2,8 +2,7 @@
 // model of its observations, by which the wiring of sessions is checked.
 //
 // Thread-safe on distinct policies.
-#ifndef CORE_DATASET_POLICY_DESCRIPTION_H_
-#define CORE_DATASET_POLICY_DESCRIPTION_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "absl/types/span.h"
@@ -26,5 +25,3 @@ absl::Status CheckRecordedNames(const nlohmann::json& recipe, const Policy& poli
 absl::Status AddWiringModel(absl::Span<const Episode> episodes, Policy* policy);
 
 }  // namespace spikeserve
-
-#endif  // CORE_DATASET_POLICY_DESCRIPTION_H_

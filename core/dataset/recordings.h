@@ -2,8 +2,7 @@
 // holds the episodes of one session; each file is a dataset of one episode.
 //
 // All functions are thread-safe.
-#ifndef CORE_DATASET_RECORDINGS_H_
-#define CORE_DATASET_RECORDINGS_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -26,5 +25,3 @@ absl::StatusOr<std::vector<Dataset>> ReadRecordings(const std::string& path,
                                                     absl::string_view environment = "");
 
 }  // namespace spikeserve
-
-#endif  // CORE_DATASET_RECORDINGS_H_

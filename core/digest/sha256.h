@@ -1,8 +1,7 @@
 // The digest that identifies a policy file.
 //
 // Pure function; safe to call from many threads.
-#ifndef CORE_DIGEST_SHA256_H_
-#define CORE_DIGEST_SHA256_H_
+#pragma once
 
 #include <string>
 
@@ -14,5 +13,3 @@ namespace spikeserve {
 std::string Sha256Of(absl::string_view bytes);
 
 }  // namespace spikeserve
-
-#endif  // CORE_DIGEST_SHA256_H_

@@ -4,8 +4,7 @@
 //   // c.source decides as the server does, bit for bit, without heap, libm or recursion.
 //
 // Pure functions, thread-safe.
-#ifndef CORE_EMIT_EMIT_C_H_
-#define CORE_EMIT_EMIT_C_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -34,5 +33,3 @@ struct EmittedC {
 absl::StatusOr<EmittedC> EmitC(absl::string_view policy_file, const EmitOptions& options);
 
 }  // namespace spikeserve
-
-#endif  // CORE_EMIT_EMIT_C_H_

@@ -1,8 +1,7 @@
 // The C that is the same for every policy, compiled into the program; see cmake/EmbedFiles.cmake.
 //
 // Thread-safe.
-#ifndef CORE_EMIT_FIXED_SOURCES_H_
-#define CORE_EMIT_FIXED_SOURCES_H_
+#pragma once
 
 #include <map>
 
@@ -14,5 +13,3 @@ namespace spikeserve {
 const std::map<absl::string_view, absl::string_view>& FixedSources();
 
 }  // namespace spikeserve
-
-#endif  // CORE_EMIT_FIXED_SOURCES_H_

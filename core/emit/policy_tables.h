@@ -1,8 +1,7 @@
 // Writes the numbers of an integer policy as C tables, for the sources of core/emit/c.
 //
 // Pure functions, thread-safe.
-#ifndef CORE_EMIT_POLICY_TABLES_H_
-#define CORE_EMIT_POLICY_TABLES_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -20,5 +19,3 @@ struct PolicyTables {
 PolicyTables TablesOf(const Policy& policy);
 
 }  // namespace spikeserve
-
-#endif  // CORE_EMIT_POLICY_TABLES_H_

@@ -1,6 +1,5 @@
 // Writes arrays of numbers as C. Plain functions, thread-safe.
-#ifndef CORE_EMIT_TABLE_TEXT_H_
-#define CORE_EMIT_TABLE_TEXT_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -36,5 +35,3 @@ std::string CTable(absl::string_view type, absl::string_view name, const Numbers
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_EMIT_TABLE_TEXT_H_

@@ -8,8 +8,7 @@
 //   for (const PricedOperation& operation : OperationsOf(counts, config)) {
 //     picojoules += operation.count * operation.price;
 //   }
-#ifndef CORE_ENGINE_ACCOUNT_H_
-#define CORE_ENGINE_ACCOUNT_H_
+#pragma once
 
 #include <array>
 
@@ -59,5 +58,3 @@ ModelConfig DenseBaseline(const ModelConfig& config);
 Counts DenseBaselineCounts(const ModelConfig& config, int inputs, int actions);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_ACCOUNT_H_

@@ -7,8 +7,7 @@
 //   counts.accumulates += CountProducts(weights.query, spikes[tick]);
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_ENGINE_COUNTING_H_
-#define CORE_ENGINE_COUNTING_H_
+#pragma once
 
 #include <algorithm>
 #include <cstddef>
@@ -39,5 +38,3 @@ uint64_t CountProducts(const auto& map, const auto& input) {
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_COUNTING_H_

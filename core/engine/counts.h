@@ -5,8 +5,7 @@
 // and s_t (G_0 and s_0 at step 0), whenever these were computed, and of the phase spikes of
 // timestep t. Not counted are additions of biases and residuals, the action head's softmax or tanh,
 // and single exponentials, roots and divisions.
-#ifndef CORE_ENGINE_COUNTS_H_
-#define CORE_ENGINE_COUNTS_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -83,5 +82,3 @@ struct Counts {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_COUNTS_H_

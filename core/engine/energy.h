@@ -7,8 +7,7 @@
 //
 //   const auto joules = EstimateEnergy(EnergyModel::kInt45nm, output.counts, policy.config);
 //   if (joules.has_value()) ...  // the model applies to this policy
-#ifndef CORE_ENGINE_ENERGY_H_
-#define CORE_ENGINE_ENERGY_H_
+#pragma once
 
 #include <array>
 #include <optional>
@@ -55,5 +54,3 @@ std::optional<double> EstimateEnergy(EnergyModel model, const Counts& counts,
 double DefaultEnergy(const Counts& counts, const ModelConfig& config);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_ENERGY_H_

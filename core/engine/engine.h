@@ -10,8 +10,7 @@
 //
 // Symbols: d hidden size, obs observation length, act action head outputs, t timestep within the
 // episode.
-#ifndef CORE_ENGINE_ENGINE_H_
-#define CORE_ENGINE_ENGINE_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -91,5 +90,3 @@ class Engine {
 int HistorySize(const ModelConfig& config);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_ENGINE_H_

@@ -3,8 +3,7 @@
 //
 // For the reference engine, for dense policies and for training; the streaming engine has kernels.
 // All functions are pure and thread-safe.
-#ifndef CORE_ENGINE_FIXED_POINT_MAPS_H_
-#define CORE_ENGINE_FIXED_POINT_MAPS_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -30,5 +29,3 @@ void LimitResidual(std::vector<int32_t>& x);
 uint64_t GateScores(const ModelConfig& config, std::vector<int32_t>& scores);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_FIXED_POINT_MAPS_H_

@@ -1,6 +1,5 @@
 // Base class of the engines that recompute the whole episode at every decision.
-#ifndef CORE_ENGINE_PREFIX_ENGINE_H_
-#define CORE_ENGINE_PREFIX_ENGINE_H_
+#pragma once
 
 #include <memory>
 #include <utility>
@@ -51,5 +50,3 @@ class PrefixEngine : public Engine {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_PREFIX_ENGINE_H_

@@ -1,8 +1,7 @@
 // Defines the tokens of an episode and their inputs.
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_ENGINE_TOKEN_H_
-#define CORE_ENGINE_TOKEN_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -83,5 +82,3 @@ inline Token ActionToken(int64_t timestep, absl::Span<const float> encoded_actio
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_TOKEN_H_

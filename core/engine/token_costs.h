@@ -1,8 +1,7 @@
 // Counts the operations of a token that depend only on the model's sizes, not on its activity:
 // membrane updates, coder gains, LayerNorm, softmax and gate products, and in integer arithmetic
 // the weights that are read once for all new tokens.
-#ifndef CORE_ENGINE_TOKEN_COSTS_H_
-#define CORE_ENGINE_TOKEN_COSTS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -29,5 +28,3 @@ uint64_t SpikeBytes(int ticks, int neurons);
 uint64_t ValueBytes(const ModelConfig& config, int ticks, int neurons);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_TOKEN_COSTS_H_

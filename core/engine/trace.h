@@ -3,8 +3,7 @@
 //
 // Plain values. The reference engines record a trace on request; the streaming engine cannot.
 // Symbols: T ticks, H heads, L layers, N timesteps of context, t the decision's timestep.
-#ifndef CORE_ENGINE_TRACE_H_
-#define CORE_ENGINE_TRACE_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -57,5 +56,3 @@ struct Trace {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_TRACE_H_

@@ -6,8 +6,7 @@
 // differs from Gymnasium's only by the rounding of sine and cosine.
 //
 // Not thread-safe. A copy of an environment continues the episode independently.
-#ifndef CORE_ENVIRONMENT_CLASSIC_CONTROL_H_
-#define CORE_ENVIRONMENT_CLASSIC_CONTROL_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -64,5 +63,3 @@ class ClassicControl : public Environment {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENVIRONMENT_CLASSIC_CONTROL_H_

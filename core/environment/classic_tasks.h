@@ -1,7 +1,6 @@
 // Gymnasium's classic-control tasks. Each Make function returns a task with the given physical
 // constants, whose defaults are Gymnasium's.
-#ifndef CORE_ENVIRONMENT_CLASSIC_TASKS_H_
-#define CORE_ENVIRONMENT_CLASSIC_TASKS_H_
+#pragma once
 
 #include <memory>
 
@@ -98,5 +97,3 @@ inline constexpr absl::string_view kPendulumId = "Pendulum-v1";
 inline constexpr double kPendulumMaxSpeed = 8.0;  // rad/s
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENVIRONMENT_CLASSIC_TASKS_H_

@@ -5,8 +5,7 @@
 //   const StepResult result = environment->Step({.discrete = 1, .continuous = {}});
 //
 // An environment is not thread-safe; each agent owns its own.
-#ifndef CORE_ENVIRONMENT_ENVIRONMENT_H_
-#define CORE_ENVIRONMENT_ENVIRONMENT_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -61,5 +60,3 @@ class Environment {
 absl::StatusOr<std::unique_ptr<Environment>> MakeEnvironment(absl::string_view id);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENVIRONMENT_ENVIRONMENT_H_

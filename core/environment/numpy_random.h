@@ -9,8 +9,7 @@
 // compatibility policy (NEP 19) guarantees that the streams of SeedSequence and PCG64 never change.
 //
 // A copy of a generator continues the stream independently. Not thread-safe.
-#ifndef CORE_ENVIRONMENT_NUMPY_RANDOM_H_
-#define CORE_ENVIRONMENT_NUMPY_RANDOM_H_
+#pragma once
 
 #include <cstdint>
 #include <limits>
@@ -45,5 +44,3 @@ class NumpyRandom {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENVIRONMENT_NUMPY_RANDOM_H_

@@ -2,8 +2,7 @@
 // trained on, to measure how far plasticity makes up for the change.
 //
 // All functions are thread-safe.
-#ifndef CORE_ENVIRONMENT_PERTURBATION_H_
-#define CORE_ENVIRONMENT_PERTURBATION_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -36,5 +35,3 @@ absl::StatusOr<std::unique_ptr<Environment>> MakePerturbedEnvironment(
     absl::string_view id, const Perturbation& perturbation);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENVIRONMENT_PERTURBATION_H_

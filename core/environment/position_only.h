@@ -4,8 +4,7 @@
 // Equivalent to a Gymnasium ObservationWrapper. POPGym (S. Morad et al., ICLR 2023) calls these
 // tasks PositionOnlyCartPole and PositionOnlyPendulum. State, actions, rewards and ends of episodes
 // are those of the wrapped environment.
-#ifndef CORE_ENVIRONMENT_POSITION_ONLY_H_
-#define CORE_ENVIRONMENT_POSITION_ONLY_H_
+#pragma once
 
 #include <memory>
 #include <vector>
@@ -53,5 +52,3 @@ class PositionOnly final : public Environment {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENVIRONMENT_POSITION_ONLY_H_

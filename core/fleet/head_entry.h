@@ -1,8 +1,7 @@
 // Defines the entries of the log of a policy version's heads, and their binary form (CBOR).
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef CORE_FLEET_HEAD_ENTRY_H_
-#define CORE_FLEET_HEAD_ENTRY_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -60,5 +59,3 @@ struct LoggedEntry {
 std::string NextDigest(absl::string_view before, const LoggedEntry& entry);
 
 }  // namespace spikeserve
-
-#endif  // CORE_FLEET_HEAD_ENTRY_H_

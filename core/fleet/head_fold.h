@@ -6,8 +6,7 @@
 // Folds of the same entries have heads that are equal bit for bit: the merge, its bounds, the guard
 // and the budgets depend on the entries alone. Not thread-safe, except that the
 // heads may be read at any time.
-#ifndef CORE_FLEET_HEAD_FOLD_H_
-#define CORE_FLEET_HEAD_FOLD_H_
+#pragma once
 
 #include <algorithm>
 #include <cstddef>
@@ -83,5 +82,3 @@ class HeadFold {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_FLEET_HEAD_FOLD_H_

@@ -7,8 +7,7 @@
 //
 // The caller opens arrays and maps with their number of items and then writes these items. Numbers
 // are exact: floats keep their 32 bits and doubles their 64 bits. Not thread-safe.
-#ifndef CORE_JOURNAL_CBOR_WRITER_H_
-#define CORE_JOURNAL_CBOR_WRITER_H_
+#pragma once
 
 #include <bit>
 #include <cstddef>
@@ -68,5 +67,3 @@ class CborWriter {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_JOURNAL_CBOR_WRITER_H_

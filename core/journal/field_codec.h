@@ -3,8 +3,7 @@
 // Arrays are compact, because they do not contain the names of the members. Numbers are exact. The
 // writer streams, because it runs beside decisions. The reader builds a JSON document first,
 // because it must check every value and runs only when a session is restored.
-#ifndef CORE_JOURNAL_FIELD_CODEC_H_
-#define CORE_JOURNAL_FIELD_CODEC_H_
+#pragma once
 
 #include <array>
 #include <cmath>
@@ -276,5 +275,3 @@ class Reader {
 };
 
 }  // namespace spikeserve::codec
-
-#endif  // CORE_JOURNAL_FIELD_CODEC_H_

@@ -10,8 +10,7 @@
 //   auto session = RestoreSession(*std::move(journal), policy);
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef CORE_JOURNAL_JOURNAL_ENTRY_H_
-#define CORE_JOURNAL_JOURNAL_ENTRY_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -68,5 +67,3 @@ absl::StatusOr<Journal> ParseJournal(absl::Span<const std::string> records);
 absl::StatusOr<Session> RestoreSession(Journal journal, const Policy& policy);
 
 }  // namespace spikeserve
-
-#endif  // CORE_JOURNAL_JOURNAL_ENTRY_H_

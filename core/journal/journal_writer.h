@@ -1,6 +1,5 @@
 // Defines where the journals of sessions are written.
-#ifndef CORE_JOURNAL_JOURNAL_WRITER_H_
-#define CORE_JOURNAL_JOURNAL_WRITER_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -58,5 +57,3 @@ class JournalWriter {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_JOURNAL_JOURNAL_WRITER_H_

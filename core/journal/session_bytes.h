@@ -1,8 +1,7 @@
 // Converts a session to bytes and back.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef CORE_JOURNAL_SESSION_BYTES_H_
-#define CORE_JOURNAL_SESSION_BYTES_H_
+#pragma once
 
 #include <string>
 
@@ -21,5 +20,3 @@ std::string SerializeSession(const Session& session);
 absl::StatusOr<Session> ParseSession(const std::string& bytes);
 
 }  // namespace spikeserve
-
-#endif  // CORE_JOURNAL_SESSION_BYTES_H_

@@ -8,8 +8,7 @@
 // encrypted, and the checksum proves no origin.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef CORE_JOURNAL_SESSION_EXPORT_H_
-#define CORE_JOURNAL_SESSION_EXPORT_H_
+#pragma once
 
 #include <string>
 
@@ -33,5 +32,3 @@ std::string ExportSession(const AgentSession& agent);
 absl::StatusOr<Session> ImportSession(absl::string_view value);
 
 }  // namespace spikeserve
-
-#endif  // CORE_JOURNAL_SESSION_EXPORT_H_

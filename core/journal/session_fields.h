@@ -1,8 +1,7 @@
 // Lists the members of every struct in a session's binary form, in order.
 //
 // The writer and the reader share these lists. Changing a list changes the format.
-#ifndef CORE_JOURNAL_SESSION_FIELDS_H_
-#define CORE_JOURNAL_SESSION_FIELDS_H_
+#pragma once
 
 #include <concepts>
 #include <cstddef>
@@ -313,5 +312,3 @@ concept HasFields = requires(T& value) {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_JOURNAL_SESSION_FIELDS_H_

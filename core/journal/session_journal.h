@@ -10,8 +10,7 @@
 //
 // Thread-safe. The writing methods are called in the order of the session's changes, under the
 // session's lock.
-#ifndef CORE_JOURNAL_SESSION_JOURNAL_H_
-#define CORE_JOURNAL_SESSION_JOURNAL_H_
+#pragma once
 
 #include <atomic>
 #include <cstddef>
@@ -211,5 +210,3 @@ class SessionJournal final : public SessionListener,
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_JOURNAL_SESSION_JOURNAL_H_

@@ -1,7 +1,6 @@
 // Defines what an episode contributes to the shared head of a fleet, and what becomes of it. Plain
 // values.
-#ifndef CORE_LEARNING_CONTRIBUTION_H_
-#define CORE_LEARNING_CONTRIBUTION_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -57,5 +56,3 @@ inline void TakeOutcome(const MergeOutcome& outcome, LearningSummary* summary) {
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_CONTRIBUTION_H_

@@ -16,8 +16,7 @@
 // count. Otherwise no window would end while all contributors are suspended.
 //
 // A plain value: equal calls leave equal budgets, whichever process makes them.
-#ifndef CORE_LEARNING_CONTRIBUTION_BUDGET_H_
-#define CORE_LEARNING_CONTRIBUTION_BUDGET_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -60,5 +59,3 @@ struct ContributionBudget {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_CONTRIBUTION_BUDGET_H_

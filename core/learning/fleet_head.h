@@ -20,8 +20,7 @@
 // processes they run, if all of them pass the time and the number of members.
 //
 // Thread-safe.
-#ifndef CORE_LEARNING_FLEET_HEAD_H_
-#define CORE_LEARNING_FLEET_HEAD_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -175,5 +174,3 @@ class FleetHead {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_FLEET_HEAD_H_

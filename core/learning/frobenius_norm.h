@@ -1,8 +1,7 @@
 // The Frobenius norm of weights, equal bit for bit on every machine.
 //
 // A free function, safe to call from many threads.
-#ifndef CORE_LEARNING_FROBENIUS_NORM_H_
-#define CORE_LEARNING_FROBENIUS_NORM_H_
+#pragma once
 
 #include <cmath>
 
@@ -23,5 +22,3 @@ double FrobeniusNorm(const Eigen::MatrixBase<Vector>& vector) {
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_FROBENIUS_NORM_H_

@@ -1,8 +1,7 @@
 // One bounded step of an action head (eq. 4.3).
 //
 // Free functions, safe to call from many threads.
-#ifndef CORE_LEARNING_HEAD_UPDATE_H_
-#define CORE_LEARNING_HEAD_UPDATE_H_
+#pragma once
 
 #include <array>
 
@@ -50,5 +49,3 @@ UpdateOutcome ApplyUpdate(double factor, const Eigen::VectorXd& direction,
                           const UpdateBounds& bounds, Eigen::VectorXf* delta);
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_HEAD_UPDATE_H_

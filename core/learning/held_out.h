@@ -2,8 +2,7 @@
 // with it and contribute nothing, so that their returns judge what others have contributed.
 //
 // Free functions, safe to call from many threads.
-#ifndef CORE_LEARNING_HELD_OUT_H_
-#define CORE_LEARNING_HELD_OUT_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -36,5 +35,3 @@ constexpr bool IsHeldOut(const HeldOutKey& key, absl::string_view session_id) {
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_HELD_OUT_H_

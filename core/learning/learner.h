@@ -26,8 +26,7 @@
 // gamma / (1 - gamma) mean_k r_k to the last reward. Nothing is added if gamma is 1.
 //
 // Plain values; their size does not depend on the length of the episode. Not thread-safe.
-#ifndef CORE_LEARNING_LEARNER_H_
-#define CORE_LEARNING_LEARNER_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -132,5 +131,3 @@ void HeadWith(const Policy& policy, const Eigen::VectorXf& head_delta, Linear* h
 double BaseNorm(const Policy& policy);
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_LEARNER_H_

@@ -1,8 +1,7 @@
 // The options of eqs. 4.1 to 4.3: how an action head learns.
 //
 // Plain values; free functions without shared state.
-#ifndef CORE_LEARNING_LEARNING_OPTIONS_H_
-#define CORE_LEARNING_LEARNING_OPTIONS_H_
+#pragma once
 
 #include <array>
 
@@ -61,5 +60,3 @@ struct LearningOptions {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_LEARNING_OPTIONS_H_

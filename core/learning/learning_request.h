@@ -1,8 +1,7 @@
 // The learning that a caller requests for a session, before defaults and checks.
 //
 // Plain values; free functions without shared state.
-#ifndef CORE_LEARNING_LEARNING_REQUEST_H_
-#define CORE_LEARNING_LEARNING_REQUEST_H_
+#pragma once
 
 #include <optional>
 #include <string>
@@ -32,5 +31,3 @@ absl::StatusOr<LearningOptions> ResolveLearning(const LearningRequest& request,
                                                 const ActionSelection& selection);
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_LEARNING_REQUEST_H_

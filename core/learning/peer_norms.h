@@ -9,8 +9,7 @@
 // raise the limit beyond what the others do.
 //
 // A plain value.
-#ifndef CORE_LEARNING_PEER_NORMS_H_
-#define CORE_LEARNING_PEER_NORMS_H_
+#pragma once
 
 #include <cstddef>
 #include <string>
@@ -38,5 +37,3 @@ struct PeerNorms {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_PEER_NORMS_H_

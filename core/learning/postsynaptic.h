@@ -19,8 +19,7 @@
 //   This is the standard normal noise itself, so y is exact at any temperature.
 //
 // Free functions, safe to call from many threads.
-#ifndef CORE_LEARNING_POSTSYNAPTIC_H_
-#define CORE_LEARNING_POSTSYNAPTIC_H_
+#pragma once
 
 #include <vector>
 
@@ -57,5 +56,3 @@ void ReplaceAction(Rule rule, const ActionSpace& space, absl::Span<const float> 
                    absl::Span<float> post);
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_POSTSYNAPTIC_H_

@@ -17,8 +17,7 @@
 // environment has given, does not stay. Nothing else makes the guard give up what was learned.
 //
 // A plain value of constant size. Not thread-safe.
-#ifndef CORE_LEARNING_RETURN_GUARD_H_
-#define CORE_LEARNING_RETURN_GUARD_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -68,5 +67,3 @@ struct ReturnGuard {
 WindowLevel InterquartileMean(absl::Span<const double> values);
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_RETURN_GUARD_H_

@@ -1,8 +1,7 @@
 // mu and sigma of eq. 4.2: a running mean and deviation of the returns that followed the decisions.
 //
 // Plain values; their size does not depend on the length of the episode. Not thread-safe.
-#ifndef CORE_LEARNING_RETURN_STATISTICS_H_
-#define CORE_LEARNING_RETURN_STATISTICS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -60,5 +59,3 @@ struct ReturnStatistics {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_RETURN_STATISTICS_H_

@@ -2,8 +2,7 @@
 // sessions without a tenant.
 //
 // Thread-safe.
-#ifndef CORE_LEARNING_TENANT_HEADS_H_
-#define CORE_LEARNING_TENANT_HEADS_H_
+#pragma once
 
 #include <map>
 #include <memory>
@@ -55,5 +54,3 @@ class TenantHeads {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_LEARNING_TENANT_HEADS_H_

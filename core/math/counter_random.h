@@ -5,8 +5,7 @@
 //   const float draw = UniformFloat(RandomBits({seed, step, neuron}));
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_MATH_COUNTER_RANDOM_H_
-#define CORE_MATH_COUNTER_RANDOM_H_
+#pragma once
 
 #include <cstdint>
 #include <initializer_list>
@@ -36,5 +35,3 @@ constexpr float UniformFloat(uint64_t bits) { return static_cast<float>(bits >> 
 constexpr double UniformDouble(uint64_t bits) { return static_cast<double>(bits >> 11) * 0x1p-53; }
 
 }  // namespace spikeserve
-
-#endif  // CORE_MATH_COUNTER_RANDOM_H_

@@ -4,8 +4,7 @@
 // The C library's expf differs in its last bit between versions and processors, and that bit can
 // decide whether a neuron fires. The functions below use only float32 arithmetic in a fixed order.
 // All are pure and thread-safe.
-#ifndef CORE_MATH_EXP_H_
-#define CORE_MATH_EXP_H_
+#pragma once
 
 #include <bit>
 #include <cstdint>
@@ -42,5 +41,3 @@ inline float Sigmoid(float x) { return 1.0f / (1.0f + Exp(-x)); }
 inline float Tanh(float x) { return 1.0f - 2.0f / (Exp(2.0f * x) + 1.0f); }
 
 }  // namespace spikeserve
-
-#endif  // CORE_MATH_EXP_H_

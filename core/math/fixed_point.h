@@ -1,8 +1,7 @@
 // Defines the roundings of integer arithmetic (docs/design/integer.md).
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_MATH_FIXED_POINT_H_
-#define CORE_MATH_FIXED_POINT_H_
+#pragma once
 
 #include <algorithm>
 #include <bit>
@@ -67,5 +66,3 @@ constexpr int32_t PowerOfTwo(int64_t octaves) {
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_MATH_FIXED_POINT_H_

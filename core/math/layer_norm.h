@@ -2,8 +2,7 @@
 // bits.
 //
 // All functions are thread-safe on distinct arrays.
-#ifndef CORE_MATH_LAYER_NORM_H_
-#define CORE_MATH_LAYER_NORM_H_
+#pragma once
 
 #include <cstddef>
 
@@ -23,5 +22,3 @@ float OrderedSum(const float* values, size_t size);
 void LayerNorm(const float* weight, const float* bias, float* x, size_t size);
 
 }  // namespace spikeserve
-
-#endif  // CORE_MATH_LAYER_NORM_H_

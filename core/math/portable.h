@@ -4,8 +4,7 @@
 // (an action that is drawn, a learner's guard, the evidence of a roll-out) uses the functions
 // below. They consist of + - * / and sqrt, which IEEE 754 rounds in one way, in a fixed order; the
 // build fuses none of them. All are pure and thread-safe.
-#ifndef CORE_MATH_PORTABLE_H_
-#define CORE_MATH_PORTABLE_H_
+#pragma once
 
 namespace spikeserve::portable {
 
@@ -27,5 +26,3 @@ double Hypot(double x, double y);
 double LogNormalDistribution(double z);
 
 }  // namespace spikeserve::portable
-
-#endif  // CORE_MATH_PORTABLE_H_

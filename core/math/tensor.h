@@ -1,8 +1,7 @@
 // Defines row-major arrays of numbers, and the affine maps that they are the parameters of.
 //
 // Plain values; const members are thread-safe.
-#ifndef CORE_MATH_TENSOR_H_
-#define CORE_MATH_TENSOR_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -44,5 +43,3 @@ struct Linear {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_MATH_TENSOR_H_

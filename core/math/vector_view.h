@@ -3,8 +3,7 @@
 // `values` is a std::vector, an absl::Span, an Eigen vector or anything else with data() and
 // size(). A view is writable if `values` is, and valid as long as the memory of `values`. Free
 // functions, safe to call from many threads.
-#ifndef CORE_MATH_VECTOR_VIEW_H_
-#define CORE_MATH_VECTOR_VIEW_H_
+#pragma once
 
 #include <type_traits>
 
@@ -34,5 +33,3 @@ auto AsMatrix(Values&& values, Eigen::Index rows) {
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_MATH_VECTOR_VIEW_H_

@@ -1,8 +1,7 @@
 // Defines the sizes and variants of one SNN-DT, as stored in a policy file.
 //
 // Plain values; safe to copy and to share between threads.
-#ifndef CORE_MODEL_CONFIG_H_
-#define CORE_MODEL_CONFIG_H_
+#pragma once
 
 #include <array>
 
@@ -145,5 +144,3 @@ struct ModelLimits {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_MODEL_CONFIG_H_

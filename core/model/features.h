@@ -1,8 +1,7 @@
 // Names the elements of a policy's observations and actions, with their units and ranges.
 //
 // Plain values and pure functions; thread-safe.
-#ifndef CORE_MODEL_FEATURES_H_
-#define CORE_MODEL_FEATURES_H_
+#pragma once
 
 #include <optional>
 #include <string>
@@ -72,5 +71,3 @@ std::optional<double> UnitFactor(absl::string_view from, absl::string_view to);
 std::string FeatureName(absl::Span<const Feature> features, size_t element);
 
 }  // namespace spikeserve
-
-#endif  // CORE_MODEL_FEATURES_H_

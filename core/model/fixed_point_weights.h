@@ -3,8 +3,7 @@
 //
 // A number with f fraction bits stands for itself / 2^f. Symbols as in weights.h, T ticks. Plain
 // values.
-#ifndef CORE_MODEL_FIXED_POINT_WEIGHTS_H_
-#define CORE_MODEL_FIXED_POINT_WEIGHTS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -91,5 +90,3 @@ absl::Status CheckFixedPointLayer(absl::string_view name, const ModelConfig& con
 absl::Status CheckFixedPointEnds(const ModelConfig& config, const FixedPointEnds& ends);
 
 }  // namespace spikeserve
-
-#endif  // CORE_MODEL_FIXED_POINT_WEIGHTS_H_

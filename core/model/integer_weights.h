@@ -3,8 +3,7 @@
 // Weights are 8-bit integers in units of a scale, one scale per output neuron; currents, membranes
 // and thresholds are 16-bit integers in the same units (see core/neuron/shift_lif.h). Sums are
 // exact, so the order of addition does not matter. Symbols as in weights.h. Plain values.
-#ifndef CORE_MODEL_INTEGER_WEIGHTS_H_
-#define CORE_MODEL_INTEGER_WEIGHTS_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
@@ -45,5 +44,3 @@ absl::Status ElementError(absl::string_view tensor, absl::string_view expected,
 absl::Status CheckIntegerMaps(absl::string_view name, const IntegerMaps& maps);
 
 }  // namespace spikeserve
-
-#endif  // CORE_MODEL_INTEGER_WEIGHTS_H_

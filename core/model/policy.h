@@ -2,8 +2,7 @@
 //
 // Immutable once built, and shared as std::shared_ptr<const Policy>, so that replacing a policy
 // never waits for a reader.
-#ifndef CORE_MODEL_POLICY_H_
-#define CORE_MODEL_POLICY_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -67,5 +66,3 @@ Policy RandomPolicy(const ModelConfig& config, int observation_size,
 std::optional<double> TrainingReturn(const Policy& policy);
 
 }  // namespace spikeserve
-
-#endif  // CORE_MODEL_POLICY_H_

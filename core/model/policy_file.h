@@ -2,8 +2,7 @@
 // `spikeserve.policy.v1`).
 //
 // All functions are thread-safe.
-#ifndef CORE_MODEL_POLICY_FILE_H_
-#define CORE_MODEL_POLICY_FILE_H_
+#pragma once
 
 #include <string>
 
@@ -32,5 +31,3 @@ absl::StatusOr<std::string> FormatPolicyFile(const Policy& policy);
 absl::Status WritePolicyFile(const Policy& policy, const std::string& path);
 
 }  // namespace spikeserve
-
-#endif  // CORE_MODEL_POLICY_FILE_H_

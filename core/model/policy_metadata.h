@@ -2,8 +2,7 @@
 // file.
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_MODEL_POLICY_METADATA_H_
-#define CORE_MODEL_POLICY_METADATA_H_
+#pragma once
 
 #include <map>
 #include <string>
@@ -24,5 +23,3 @@ absl::Status ParsePolicyMetadata(const std::map<std::string, std::string>& metad
                                  Policy* policy);
 
 }  // namespace spikeserve
-
-#endif  // CORE_MODEL_POLICY_METADATA_H_

@@ -7,8 +7,7 @@
 // and `__metadata__` to a map from strings to strings.
 //
 // All functions are thread-safe.
-#ifndef CORE_MODEL_SAFETENSORS_H_
-#define CORE_MODEL_SAFETENSORS_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -58,5 +57,3 @@ absl::StatusOr<std::string> FormatSafetensors(const Safetensors& contents);
 absl::Status WriteSafetensors(const Safetensors& contents, const std::string& path);
 
 }  // namespace spikeserve
-
-#endif  // CORE_MODEL_SAFETENSORS_H_

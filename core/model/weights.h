@@ -4,8 +4,7 @@
 // Symbols: d hidden size, H heads, L layers, m routing hidden size, F FFN size, obs observation
 // length, act outputs of the action head, in = d + H with phase spikes and d without. Immutable
 // once they belong to a policy, and then shared by all threads.
-#ifndef CORE_MODEL_WEIGHTS_H_
-#define CORE_MODEL_WEIGHTS_H_
+#pragma once
 
 #include <string>
 #include <variant>
@@ -98,5 +97,3 @@ std::vector<TensorSlot> TensorSlots(const ModelConfig& config, int observation_s
                                     int action_size, Weights* weights);
 
 }  // namespace spikeserve
-
-#endif  // CORE_MODEL_WEIGHTS_H_

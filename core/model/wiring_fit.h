@@ -6,8 +6,7 @@
 //
 // Deterministic: the same episodes in the same order give the same numbers on every processor. Not
 // thread-safe. Symbols: obs, act as in wiring_model.h.
-#ifndef CORE_MODEL_WIRING_FIT_H_
-#define CORE_MODEL_WIRING_FIT_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -45,5 +44,3 @@ class WiringFit {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_MODEL_WIRING_FIT_H_

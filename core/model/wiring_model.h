@@ -11,8 +11,7 @@
 // Plain values and pure functions; thread-safe. The numbers are float64, computed with + - * / and
 // portable::Log in a fixed order, so that they have equal bits everywhere. Symbols: obs, act number
 // of elements of an observation and of an encoded action.
-#ifndef CORE_MODEL_WIRING_MODEL_H_
-#define CORE_MODEL_WIRING_MODEL_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -86,5 +85,3 @@ absl::StatusOr<WiringModel> ParseWiringModel(absl::string_view json);
 std::string FormatWiringModel(const WiringModel& model);
 
 }  // namespace spikeserve
-
-#endif  // CORE_MODEL_WIRING_MODEL_H_

@@ -1,8 +1,7 @@
 // Defines the leaky integrate-and-fire (LIF) neuron in discrete time.
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_NEURON_LIF_H_
-#define CORE_NEURON_LIF_H_
+#pragma once
 
 namespace spikeserve {
 
@@ -38,5 +37,3 @@ struct Lif {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_NEURON_LIF_H_

@@ -10,8 +10,7 @@
 //   table.Period(0.3f);  // equals lif.Period(0.3f, ticks)
 //
 // Immutable and thread-safe.
-#ifndef CORE_NEURON_PERIOD_TABLE_H_
-#define CORE_NEURON_PERIOD_TABLE_H_
+#pragma once
 
 #include <bit>
 #include <cstdint>
@@ -59,5 +58,3 @@ class PeriodTable {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_NEURON_PERIOD_TABLE_H_

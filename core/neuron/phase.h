@@ -1,8 +1,7 @@
 // Defines phase-shifted positional spikes (eq. 4.4).
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_NEURON_PHASE_H_
-#define CORE_NEURON_PHASE_H_
+#pragma once
 
 #include <cmath>
 #include <cstdint>
@@ -60,5 +59,3 @@ inline IntegerPhase MakeIntegerPhase(float omega, float phi, int ticks, bool win
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_NEURON_PHASE_H_

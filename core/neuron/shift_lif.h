@@ -2,8 +2,7 @@
 // response to an input spike.
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_NEURON_SHIFT_LIF_H_
-#define CORE_NEURON_SHIFT_LIF_H_
+#pragma once
 
 #include <algorithm>
 #include <cstdint>
@@ -47,5 +46,3 @@ struct ShiftLif {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_NEURON_SHIFT_LIF_H_

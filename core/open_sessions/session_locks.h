@@ -1,6 +1,5 @@
 // Locks several sessions at once.
-#ifndef CORE_OPEN_SESSIONS_SESSION_LOCKS_H_
-#define CORE_OPEN_SESSIONS_SESSION_LOCKS_H_
+#pragma once
 
 #include <algorithm>
 #include <functional>
@@ -41,5 +40,3 @@ class SessionLocks {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_OPEN_SESSIONS_SESSION_LOCKS_H_

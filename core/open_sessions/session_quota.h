@@ -1,6 +1,5 @@
 // Limits how many sessions may be open at a time.
-#ifndef CORE_OPEN_SESSIONS_SESSION_QUOTA_H_
-#define CORE_OPEN_SESSIONS_SESSION_QUOTA_H_
+#pragma once
 
 #include "absl/status/status.h"
 
@@ -19,5 +18,3 @@ class SessionQuota {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_OPEN_SESSIONS_SESSION_QUOTA_H_

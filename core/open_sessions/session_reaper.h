@@ -2,8 +2,7 @@
 //
 // Time in which the process did not run, for example because it was stopped, does not count as
 // idle: the requests of that time still wait to be read.
-#ifndef CORE_OPEN_SESSIONS_SESSION_REAPER_H_
-#define CORE_OPEN_SESSIONS_SESSION_REAPER_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -38,5 +37,3 @@ class SessionReaper {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_OPEN_SESSIONS_SESSION_REAPER_H_

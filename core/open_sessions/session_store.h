@@ -3,8 +3,7 @@
 // Thread-safe. Ids are distributed over shards, each with a mutex that is held only for a lookup. A
 // decision holds only the mutex of its session. Lock order: a thread that takes a session's mutex
 // holds no mutex of the store.
-#ifndef CORE_OPEN_SESSIONS_SESSION_STORE_H_
-#define CORE_OPEN_SESSIONS_SESSION_STORE_H_
+#pragma once
 
 #include <array>
 #include <atomic>
@@ -237,5 +236,3 @@ class SessionStore {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_OPEN_SESSIONS_SESSION_STORE_H_

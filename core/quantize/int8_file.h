@@ -2,8 +2,7 @@
 // before the integers wrote and served.
 //
 // All functions are thread-safe.
-#ifndef CORE_QUANTIZE_INT8_FILE_H_
-#define CORE_QUANTIZE_INT8_FILE_H_
+#pragma once
 
 #include <string>
 
@@ -24,5 +23,3 @@ struct ConvertiblePolicy {
 absl::StatusOr<ConvertiblePolicy> ReadConvertiblePolicy(const std::string& path);
 
 }  // namespace spikeserve
-
-#endif  // CORE_QUANTIZE_INT8_FILE_H_

@@ -1,8 +1,7 @@
 // Leaves hidden neurons out of a policy in integer arithmetic.
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_QUANTIZE_PRUNE_HIDDEN_H_
-#define CORE_QUANTIZE_PRUNE_HIDDEN_H_
+#pragma once
 
 #include <vector>
 
@@ -18,5 +17,3 @@ namespace spikeserve {
 Policy PruneHidden(const Policy& policy, const std::vector<std::vector<bool>>& is_needed);
 
 }  // namespace spikeserve
-
-#endif  // CORE_QUANTIZE_PRUNE_HIDDEN_H_

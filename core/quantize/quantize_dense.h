@@ -1,6 +1,5 @@
 // Converts a dense policy to integer arithmetic, see quantize_integer.h.
-#ifndef CORE_QUANTIZE_QUANTIZE_DENSE_H_
-#define CORE_QUANTIZE_QUANTIZE_DENSE_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "core/model/policy.h"
@@ -13,5 +12,3 @@ namespace spikeserve {
 absl::Status RoundDensePolicy(const Policy& policy, Policy* integer);
 
 }  // namespace spikeserve
-
-#endif  // CORE_QUANTIZE_QUANTIZE_DENSE_H_

@@ -3,8 +3,7 @@
 //   absl::StatusOr<Policy> integer = QuantizeToInteger(policy, {.mode = Mode::kBaseline});
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_QUANTIZE_QUANTIZE_INTEGER_H_
-#define CORE_QUANTIZE_QUANTIZE_INTEGER_H_
+#pragma once
 
 #include <optional>
 
@@ -32,5 +31,3 @@ struct IntegerOptions {
 absl::StatusOr<Policy> QuantizeToInteger(const Policy& policy, const IntegerOptions& options = {});
 
 }  // namespace spikeserve
-
-#endif  // CORE_QUANTIZE_QUANTIZE_INTEGER_H_

@@ -2,8 +2,7 @@
 //
 // Functions that return a status fail with INVALID_ARGUMENT, which names the tensor and the bound,
 // if a number is too large. All functions are pure and thread-safe.
-#ifndef CORE_QUANTIZE_ROUND_FIXED_POINT_H_
-#define CORE_QUANTIZE_ROUND_FIXED_POINT_H_
+#pragma once
 
 #include <string>
 
@@ -34,5 +33,3 @@ absl::Status RoundNorm(const std::string& name, const Norm& norm, int fraction,
                        FixedPointNorm* rounded);
 
 }  // namespace spikeserve
-
-#endif  // CORE_QUANTIZE_ROUND_FIXED_POINT_H_

@@ -1,8 +1,7 @@
 // Rounds the float32 maps of a policy to 8-bit weights with a scale for each output neuron.
 //
 // All functions are pure and thread-safe.
-#ifndef CORE_QUANTIZE_ROUND_POPULATION_H_
-#define CORE_QUANTIZE_ROUND_POPULATION_H_
+#pragma once
 
 #include <string>
 
@@ -24,5 +23,3 @@ absl::Status RoundPopulation(const std::string& name, const Linear& linear, floa
                              IntegerPopulation* population);
 
 }  // namespace spikeserve
-
-#endif  // CORE_QUANTIZE_ROUND_POPULATION_H_

@@ -1,7 +1,6 @@
 // The actions of a policy as a robot stores them: of one size, so that nothing is allocated later;
 // and who chose them.
-#ifndef CORE_ROBOT_ACTION_SHAPE_H_
-#define CORE_ROBOT_ACTION_SHAPE_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -94,5 +93,3 @@ class ActionShape {
 };
 
 }  // namespace spikeserve::robot
-
-#endif  // CORE_ROBOT_ACTION_SHAPE_H_

@@ -1,8 +1,7 @@
 // Counts what a robot does, in bounded memory.
 //
 // Not thread-safe.
-#ifndef CORE_ROBOT_COUNTERS_H_
-#define CORE_ROBOT_COUNTERS_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -84,5 +83,3 @@ class Counters {
 };
 
 }  // namespace spikeserve::robot
-
-#endif  // CORE_ROBOT_COUNTERS_H_

@@ -2,8 +2,7 @@
 // waits, and nothing allocates memory after the constructor.
 //
 // Not thread-safe.
-#ifndef CORE_ROBOT_FALLBACK_ORDER_H_
-#define CORE_ROBOT_FALLBACK_ORDER_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -93,5 +92,3 @@ class FallbackOrder {
 };
 
 }  // namespace spikeserve::robot
-
-#endif  // CORE_ROBOT_FALLBACK_ORDER_H_

@@ -1,6 +1,5 @@
 // The requests of a robot that have no reply.
-#ifndef CORE_ROBOT_IN_FLIGHT_H_
-#define CORE_ROBOT_IN_FLIGHT_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -46,5 +45,3 @@ class InFlight {
 };
 
 }  // namespace spikeserve::robot
-
-#endif  // CORE_ROBOT_IN_FLIGHT_H_

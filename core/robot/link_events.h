@@ -1,6 +1,5 @@
 // What happens on the link of a robot, and what its session wants to be done there. Plain values.
-#ifndef CORE_ROBOT_LINK_EVENTS_H_
-#define CORE_ROBOT_LINK_EVENTS_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -96,5 +95,3 @@ struct Task {
 };
 
 }  // namespace spikeserve::robot
-
-#endif  // CORE_ROBOT_LINK_EVENTS_H_

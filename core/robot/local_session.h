@@ -6,8 +6,7 @@
 // a step from the log, the engine plays work(), Commit moves on.
 //
 // Not thread-safe; between Prepare and Commit, work() may be read while others use the rest.
-#ifndef CORE_ROBOT_LOCAL_SESSION_H_
-#define CORE_ROBOT_LOCAL_SESSION_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -78,5 +77,3 @@ class LocalSession {
 };
 
 }  // namespace spikeserve::robot
-
-#endif  // CORE_ROBOT_LOCAL_SESSION_H_

@@ -2,8 +2,7 @@
 // a control step can.
 //
 // Free functions, safe to call from many threads.
-#ifndef CORE_ROBOT_OBSERVATION_H_
-#define CORE_ROBOT_OBSERVATION_H_
+#pragma once
 
 #include <cstddef>
 #include <span>
@@ -26,5 +25,3 @@ struct InvalidObservation {
 bool IsObservation(std::span<const float> observation, size_t size, InvalidObservation* why);
 
 }  // namespace spikeserve::robot
-
-#endif  // CORE_ROBOT_OBSERVATION_H_

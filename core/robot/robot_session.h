@@ -13,8 +13,7 @@
 //   session.OnReply(reply, now);          // what became of it
 //
 // A control step allocates no memory after the first ones. Times are those of Now. Not thread-safe.
-#ifndef CORE_ROBOT_ROBOT_SESSION_H_
-#define CORE_ROBOT_ROBOT_SESSION_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -275,5 +274,3 @@ class RobotSession {
 };
 
 }  // namespace spikeserve::robot
-
-#endif  // CORE_ROBOT_ROBOT_SESSION_H_

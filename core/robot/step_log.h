@@ -11,8 +11,7 @@
 // answer to the last end only.
 //
 // Not thread-safe.
-#ifndef CORE_ROBOT_STEP_LOG_H_
-#define CORE_ROBOT_STEP_LOG_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -219,5 +218,3 @@ class StepLog {
 };
 
 }  // namespace spikeserve::robot
-
-#endif  // CORE_ROBOT_STEP_LOG_H_

@@ -1,6 +1,5 @@
 // The times of a robot's end of a session, which has no clock of its own.
-#ifndef CORE_ROBOT_TIME_H_
-#define CORE_ROBOT_TIME_H_
+#pragma once
 
 #include <chrono>
 
@@ -19,5 +18,3 @@ struct Now {
 };
 
 }  // namespace spikeserve::robot
-
-#endif  // CORE_ROBOT_TIME_H_

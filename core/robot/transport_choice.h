@@ -6,8 +6,7 @@
 // is decided once. An answer to a datagram ends the doubt.
 //
 // A pure state machine. Not thread-safe.
-#ifndef CORE_ROBOT_TRANSPORT_CHOICE_H_
-#define CORE_ROBOT_TRANSPORT_CHOICE_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -57,5 +56,3 @@ class TransportChoice {
 };
 
 }  // namespace spikeserve::robot
-
-#endif  // CORE_ROBOT_TRANSPORT_CHOICE_H_

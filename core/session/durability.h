@@ -1,6 +1,5 @@
 // Names how much of a session survives the process that holds it.
-#ifndef CORE_SESSION_DURABILITY_H_
-#define CORE_SESSION_DURABILITY_H_
+#pragma once
 
 #include <array>
 
@@ -20,5 +19,3 @@ constexpr std::array<EnumName<Durability>, 3> EnumNames(Durability) {
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_SESSION_DURABILITY_H_

@@ -1,6 +1,5 @@
 // Defines the end of an episode and its summary. Plain values.
-#ifndef CORE_SESSION_EPISODE_H_
-#define CORE_SESSION_EPISODE_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -50,5 +49,3 @@ struct EndedEpisode {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_SESSION_EPISODE_H_

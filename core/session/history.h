@@ -3,8 +3,7 @@
 //
 // A plain value; not thread-safe. Symbols: obs observation length; act number of values of a Box
 // action, 0 for Discrete spaces.
-#ifndef CORE_SESSION_HISTORY_H_
-#define CORE_SESSION_HISTORY_H_
+#pragma once
 
 #include <cstddef>
 #include <vector>
@@ -66,5 +65,3 @@ class History {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_SESSION_HISTORY_H_

@@ -1,6 +1,5 @@
 // Defines what holds a session. Plain values.
-#ifndef CORE_SESSION_HOLD_H_
-#define CORE_SESSION_HOLD_H_
+#pragma once
 
 #include <string>
 
@@ -15,5 +14,3 @@ struct Hold {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_SESSION_HOLD_H_

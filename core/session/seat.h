@@ -1,6 +1,5 @@
 // Defines the operator who acts in the place of a session's policy. Plain values.
-#ifndef CORE_SESSION_SEAT_H_
-#define CORE_SESSION_SEAT_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -24,5 +23,3 @@ struct Seat {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_SESSION_SEAT_H_

@@ -3,8 +3,7 @@
 // It can be serialized, moved to another process and restored, and then continues bit for bit as it
 // would have. Keys and values are not part of it: they are a cache (Engine::Context) that is
 // rebuilt from the history.
-#ifndef CORE_SESSION_SESSION_H_
-#define CORE_SESSION_SESSION_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -96,5 +95,3 @@ struct Session {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_SESSION_SESSION_H_

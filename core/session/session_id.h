@@ -1,8 +1,7 @@
 // Draws the ids of sessions, and refuses those that are not known.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef CORE_SESSION_SESSION_ID_H_
-#define CORE_SESSION_SESSION_ID_H_
+#pragma once
 
 #include <string>
 
@@ -20,5 +19,3 @@ absl::StatusOr<std::string> NewSessionId();
 absl::Status NoSuchSession(absl::string_view id);
 
 }  // namespace spikeserve
-
-#endif  // CORE_SESSION_SESSION_ID_H_

@@ -1,8 +1,7 @@
 // What decisions do to the value of a session, and the checks of the numbers that they come with.
 //
 // Free functions without shared state; safe to call from many threads on distinct sessions.
-#ifndef CORE_SESSION_SESSION_VALUE_H_
-#define CORE_SESSION_SESSION_VALUE_H_
+#pragma once
 
 #include <optional>
 #include <string>
@@ -47,5 +46,3 @@ absl::Status CheckObservation(absl::Span<const float> observation, int expected_
 absl::Status CheckReward(double reward, double next_return_to_go);
 
 }  // namespace spikeserve
-
-#endif  // CORE_SESSION_SESSION_VALUE_H_

@@ -1,6 +1,5 @@
 // What the ledger of usage counts. Plain values.
-#ifndef CORE_SESSION_USAGE_H_
-#define CORE_SESSION_USAGE_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -77,5 +76,3 @@ struct SessionUsage {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_SESSION_USAGE_H_

@@ -2,8 +2,7 @@
 // Nothing while the steps are usual: a state that is equal to WiringState() is not stored.
 //
 // Plain values; not thread-safe.
-#ifndef CORE_SESSION_WIRING_STATE_H_
-#define CORE_SESSION_WIRING_STATE_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -57,5 +56,3 @@ struct WiringState {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_SESSION_WIRING_STATE_H_

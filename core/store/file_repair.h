@@ -1,7 +1,6 @@
 // Checks a file store before LMDB opens it, and replaces one that is damaged by what can be read of
 // it.
-#ifndef CORE_STORE_FILE_REPAIR_H_
-#define CORE_STORE_FILE_REPAIR_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -27,5 +26,3 @@ struct FileRepair {
 absl::StatusOr<std::optional<FileRepair>> RepairFileStore(const std::string& directory);
 
 }  // namespace spikeserve
-
-#endif  // CORE_STORE_FILE_REPAIR_H_

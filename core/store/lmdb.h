@@ -6,8 +6,7 @@
 //   if (status.ok()) status = transaction->Commit();
 //
 // Not thread-safe: one thread uses an environment and its transactions.
-#ifndef CORE_STORE_LMDB_H_
-#define CORE_STORE_LMDB_H_
+#pragma once
 
 #include <lmdb.h>
 
@@ -81,5 +80,3 @@ class LmdbTransaction {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_STORE_LMDB_H_

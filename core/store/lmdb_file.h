@@ -8,8 +8,7 @@
 //
 // It knows named tables without duplicates, of LMDB 0.9. Free functions without shared state; safe
 // to call from many threads.
-#ifndef CORE_STORE_LMDB_FILE_H_
-#define CORE_STORE_LMDB_FILE_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -42,5 +41,3 @@ absl::StatusOr<std::vector<LmdbDamage>> ScanLmdbFile(const std::string& path, Lm
                                                      LmdbGapVisitor gap);
 
 }  // namespace spikeserve
-
-#endif  // CORE_STORE_LMDB_FILE_H_

@@ -10,8 +10,7 @@
 //
 // Not thread-safe. All methods but Append() block for at most a few
 // RedisOptions::timeout.
-#ifndef CORE_STORE_REDIS_CLIENT_H_
-#define CORE_STORE_REDIS_CLIENT_H_
+#pragma once
 
 #include <cstdint>
 #include <deque>
@@ -114,5 +113,3 @@ class RedisClient {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_STORE_REDIS_CLIENT_H_

@@ -11,8 +11,7 @@
 //
 // Not thread-safe. Read() waits at most RedisOptions::timeout for each part of a reply, and at most
 // kTimeoutsOfReply times as long for all of it. Connect() waits as long for each of its steps.
-#ifndef CORE_STORE_REDIS_CONNECTION_H_
-#define CORE_STORE_REDIS_CONNECTION_H_
+#pragma once
 
 #include <hiredis/hiredis.h>
 
@@ -103,5 +102,3 @@ class RedisConnection {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_STORE_REDIS_CONNECTION_H_

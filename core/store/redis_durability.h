@@ -4,8 +4,7 @@
 //   for (const std::string& warning : redis.Warnings(/*replicas=*/0)) ...
 //
 // Plain data, safe to read from many threads.
-#ifndef CORE_STORE_REDIS_DURABILITY_H_
-#define CORE_STORE_REDIS_DURABILITY_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -39,5 +38,3 @@ struct RedisDurability {
 absl::StatusOr<RedisDurability> ReadRedisDurability(RedisClient& client);
 
 }  // namespace spikeserve
-
-#endif  // CORE_STORE_REDIS_DURABILITY_H_

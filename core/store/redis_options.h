@@ -8,8 +8,7 @@
 //   rediss+sentinel://guard1,guard2/mymaster  as above, over TLS to Sentinel and to Redis
 //
 // Plain data, safe to read from many threads.
-#ifndef CORE_STORE_REDIS_OPTIONS_H_
-#define CORE_STORE_REDIS_OPTIONS_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -81,5 +80,3 @@ struct RedisOptions {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_STORE_REDIS_OPTIONS_H_

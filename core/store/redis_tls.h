@@ -1,6 +1,5 @@
 // TLS on the connections to Redis, because Debian's hiredis has none.
-#ifndef CORE_STORE_REDIS_TLS_H_
-#define CORE_STORE_REDIS_TLS_H_
+#pragma once
 
 #include <openssl/ssl.h>
 
@@ -36,5 +35,3 @@ std::string TakeTlsErrorOfWrite(SSL* connection);
 absl::Status CheckRedisTlsFiles(const RedisTlsFiles& files);
 
 }  // namespace spikeserve
-
-#endif  // CORE_STORE_REDIS_TLS_H_

@@ -4,8 +4,7 @@
 //   records.push_back(OpenRecord(get()));
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef CORE_STORE_SEALED_RECORD_H_
-#define CORE_STORE_SEALED_RECORD_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -31,5 +30,3 @@ std::string DamagedRecord();
 absl::Status CutDamagedEnd(std::vector<std::string>* journal);
 
 }  // namespace spikeserve
-
-#endif  // CORE_STORE_SEALED_RECORD_H_

@@ -6,8 +6,7 @@
 //
 // Free functions without shared state; safe to call from many threads. They block, and return
 // UNAVAILABLE if the store cannot be read.
-#ifndef CORE_STORE_STORE_READER_H_
-#define CORE_STORE_STORE_READER_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -56,5 +55,3 @@ absl::Status VisitOwnerless(
     absl::FunctionRef<void(const std::string& id, const std::vector<std::string>& records)> visit);
 
 }  // namespace spikeserve
-
-#endif  // CORE_STORE_STORE_READER_H_

@@ -1,8 +1,7 @@
 // How a session lies in a store: the names of its keys in Redis, and its description in a file.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef CORE_STORE_STORED_SESSION_H_
-#define CORE_STORE_STORED_SESSION_H_
+#pragma once
 
 #include <concepts>
 #include <cstdint>
@@ -81,5 +80,3 @@ inline constexpr char kRedisReplicas[] = "r";
 inline constexpr int64_t kAliveMilliseconds = 5000;
 
 }  // namespace spikeserve
-
-#endif  // CORE_STORE_STORED_SESSION_H_

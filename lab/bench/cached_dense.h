@@ -3,8 +3,7 @@
 //
 // Measures the steady state: the window is always full, at first of zeros. Once the zeros have left
 // the attention band, its answers equal those of the engine in dense mode. Not thread-safe.
-#ifndef LAB_BENCH_CACHED_DENSE_H_
-#define LAB_BENCH_CACHED_DENSE_H_
+#pragma once
 
 #include <ATen/native/quantized/PackedParams.h>
 #include <torch/types.h>
@@ -49,5 +48,3 @@ class CachedDense {
 };
 
 }  // namespace spikeserve
-
-#endif  // LAB_BENCH_CACHED_DENSE_H_

@@ -1,8 +1,7 @@
 // Two ways in which a robot gets its actions from a server: a call per beat, and a pilot.
 //
 // Not thread-safe; each robot owns its player.
-#ifndef LAB_BENCH_ROBOT_PLAYERS_H_
-#define LAB_BENCH_ROBOT_PLAYERS_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -67,5 +66,3 @@ absl::StatusOr<std::unique_ptr<RobotPlayer>> MakePilot(const PlayerOptions& opti
                                                        std::shared_ptr<Client> client);
 
 }  // namespace spikeserve
-
-#endif  // LAB_BENCH_ROBOT_PLAYERS_H_

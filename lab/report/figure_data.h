@@ -1,8 +1,7 @@
 // The data of the report's figures, which lab/report/plot.py draws with matplotlib.
 //
 // Pure functions of plain values.
-#ifndef LAB_REPORT_FIGURE_DATA_H_
-#define LAB_REPORT_FIGURE_DATA_H_
+#pragma once
 
 #include "lab/report/report_runs.h"
 #include "nlohmann/json.hpp"
@@ -33,5 +32,3 @@ namespace spikeserve {
 nlohmann::ordered_json FigureData(const ReportOptions& options, const ReportGroups& groups);
 
 }  // namespace spikeserve
-
-#endif  // LAB_REPORT_FIGURE_DATA_H_

@@ -1,6 +1,5 @@
 // The spikes and gates of one episode of a trained policy, for the report's figures.
-#ifndef LAB_REPORT_INSIGHT_H_
-#define LAB_REPORT_INSIGHT_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -23,5 +22,3 @@ struct Insight {
 absl::StatusOr<Insight> LookInside(std::shared_ptr<const Policy> policy, uint64_t seed);
 
 }  // namespace spikeserve
-
-#endif  // LAB_REPORT_INSIGHT_H_

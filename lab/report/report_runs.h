@@ -6,8 +6,7 @@
 //
 // Thread-safety: ModeRuns, SweepRuns, GroupRuns and PageData are pure functions. RunAll may run at
 // the same time in several processes that share a directory, each with other environments.
-#ifndef LAB_REPORT_REPORT_RUNS_H_
-#define LAB_REPORT_REPORT_RUNS_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -95,5 +94,3 @@ absl::StatusOr<std::vector<ReportResult>> RunAll(
     const std::function<void(const std::string&)>& log);
 
 }  // namespace spikeserve
-
-#endif  // LAB_REPORT_REPORT_RUNS_H_

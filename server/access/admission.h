@@ -2,8 +2,7 @@
 // request. Independent of the transport: gRPC and HTTP use the same checks.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_ACCESS_ADMISSION_H_
-#define SERVER_ACCESS_ADMISSION_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -44,5 +43,3 @@ absl::Status CheckStillAdmitted(const Credential& caller, int64_t request_bytes,
 absl::Status CheckSize(const Credential& caller, int64_t request_bytes, int64_t max_message_bytes);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ACCESS_ADMISSION_H_

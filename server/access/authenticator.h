@@ -6,8 +6,7 @@
 //
 // Thread-safe. Authenticate allocates nothing, and many threads may call it at the same time. When
 // the file changes, credentials that were removed live on until no call holds them.
-#ifndef SERVER_ACCESS_AUTHENTICATOR_H_
-#define SERVER_ACCESS_AUTHENTICATOR_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -135,5 +134,3 @@ class Authenticator {
 absl::string_view ExtractToken(absl::string_view authorization, std::string* buffer);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ACCESS_AUTHENTICATOR_H_

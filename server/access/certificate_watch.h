@@ -2,8 +2,7 @@
 // them: in the log when it changes, and in metrics.
 //
 // Thread-safe, except Add() and Start().
-#ifndef SERVER_ACCESS_CERTIFICATE_WATCH_H_
-#define SERVER_ACCESS_CERTIFICATE_WATCH_H_
+#pragma once
 
 #include <atomic>
 #include <memory>
@@ -45,5 +44,3 @@ class CertificateWatch {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ACCESS_CERTIFICATE_WATCH_H_

@@ -6,8 +6,7 @@
 //   if (limit.Acquire(clock.Now()) > absl::ZeroDuration()) return TooManyRequests();
 //
 // Thread-safe, without locks.
-#ifndef SERVER_ACCESS_RATE_LIMIT_H_
-#define SERVER_ACCESS_RATE_LIMIT_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -39,5 +38,3 @@ class RateLimit {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ACCESS_RATE_LIMIT_H_

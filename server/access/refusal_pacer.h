@@ -2,8 +2,7 @@
 // time from the others.
 //
 // Thread-safe, without locks.
-#ifndef SERVER_ACCESS_REFUSAL_PACER_H_
-#define SERVER_ACCESS_REFUSAL_PACER_H_
+#pragma once
 
 #include <atomic>
 #include <cstddef>
@@ -37,5 +36,3 @@ class RefusalPacer {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ACCESS_REFUSAL_PACER_H_

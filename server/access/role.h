@@ -1,6 +1,5 @@
 // The roles that a token can have.
-#ifndef SERVER_ACCESS_ROLE_H_
-#define SERVER_ACCESS_ROLE_H_
+#pragma once
 
 #include <array>
 
@@ -19,5 +18,3 @@ constexpr std::array<EnumName<Role>, 3> EnumNames(Role) {
 }
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ACCESS_ROLE_H_

@@ -1,8 +1,7 @@
 // A tenant: one of the users that share a server. Owns sessions and has its own limits.
 //
 // Thread-safe. AcquireDecision and CheckMessage take no lock.
-#ifndef SERVER_ACCESS_TENANT_H_
-#define SERVER_ACCESS_TENANT_H_
+#pragma once
 
 #include <array>
 #include <atomic>
@@ -148,5 +147,3 @@ class Tenant final : public SessionQuota {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ACCESS_TENANT_H_

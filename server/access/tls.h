@@ -1,6 +1,5 @@
 // TLS for the gRPC port and the HTTP port.
-#ifndef SERVER_ACCESS_TLS_H_
-#define SERVER_ACCESS_TLS_H_
+#pragma once
 
 #include <string>
 
@@ -26,5 +25,3 @@ struct TlsFiles {
 absl::Status CheckTlsFiles(const TlsFiles& files);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ACCESS_TLS_H_

@@ -1,6 +1,5 @@
 // The certificate and the settings with which a port accepts TLS.
-#ifndef SERVER_ACCESS_TLS_CONTEXT_H_
-#define SERVER_ACCESS_TLS_CONTEXT_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -71,5 +70,3 @@ class TlsContext {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ACCESS_TLS_CONTEXT_H_

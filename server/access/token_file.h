@@ -19,8 +19,7 @@
 // false` cannot learn. A token without `expires` is valid until it is removed. `sees` tells whose
 // sessions the token may read: those of its "tenant" (the default) or "all". The file holds hashes
 // of tokens, so reading the file does not give access to the server.
-#ifndef SERVER_ACCESS_TOKEN_FILE_H_
-#define SERVER_ACCESS_TOKEN_FILE_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -72,5 +71,3 @@ struct TokenFile {
 absl::StatusOr<TokenFile> ParseTokenFile(absl::string_view text);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ACCESS_TOKEN_FILE_H_

@@ -2,8 +2,7 @@
 // learning. Independent of calls and connections, so that it can be tested without a network.
 //
 // Thread-safe.
-#ifndef SERVER_ADMIN_ADMIN_HANDLER_H_
-#define SERVER_ADMIN_ADMIN_HANDLER_H_
+#pragma once
 
 #include <functional>
 #include <string>
@@ -83,5 +82,3 @@ class AdminHandler {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ADMIN_ADMIN_HANDLER_H_

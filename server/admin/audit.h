@@ -2,8 +2,7 @@
 // state before and after them.
 //
 // Thread-safe.
-#ifndef SERVER_ADMIN_AUDIT_H_
-#define SERVER_ADMIN_AUDIT_H_
+#pragma once
 
 #include <google/protobuf/message.h>
 
@@ -50,5 +49,3 @@ class Audit {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ADMIN_AUDIT_H_

@@ -17,8 +17,7 @@
 // lines of agents; it removes none.
 //
 // Thread-safe.
-#ifndef SERVER_ADMIN_AUDIT_LOG_H_
-#define SERVER_ADMIN_AUDIT_LOG_H_
+#pragma once
 
 #include <cstddef>
 #include <deque>
@@ -97,5 +96,3 @@ class AuditLog {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ADMIN_AUDIT_LOG_H_

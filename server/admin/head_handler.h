@@ -3,8 +3,7 @@
 // up to date with its log (core/agent/head_log.h), so that all of them give the same answers.
 //
 // Thread-safe.
-#ifndef SERVER_ADMIN_HEAD_HANDLER_H_
-#define SERVER_ADMIN_HEAD_HANDLER_H_
+#pragma once
 
 #include <string>
 
@@ -50,5 +49,3 @@ class HeadHandler {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ADMIN_HEAD_HANDLER_H_

@@ -1,8 +1,7 @@
 // Answers the requests of PolicyAdmin that hold sessions. Independent of calls and connections.
 //
 // Thread-safe.
-#ifndef SERVER_ADMIN_HOLD_HANDLER_H_
-#define SERVER_ADMIN_HOLD_HANDLER_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "core/open_sessions/session_store.h"
@@ -35,5 +34,3 @@ class HoldHandler {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ADMIN_HOLD_HANDLER_H_

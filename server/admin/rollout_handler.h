@@ -1,8 +1,7 @@
 // Answers the requests of PolicyAdmin about roll-outs.
 //
 // Thread-safe.
-#ifndef SERVER_ADMIN_ROLLOUT_HANDLER_H_
-#define SERVER_ADMIN_ROLLOUT_HANDLER_H_
+#pragma once
 
 #include <string>
 
@@ -40,5 +39,3 @@ class RolloutHandler {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ADMIN_ROLLOUT_HANDLER_H_

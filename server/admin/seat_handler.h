@@ -2,8 +2,7 @@
 // of calls and connections.
 //
 // Thread-safe.
-#ifndef SERVER_ADMIN_SEAT_HANDLER_H_
-#define SERVER_ADMIN_SEAT_HANDLER_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -41,5 +40,3 @@ class SeatHandler {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ADMIN_SEAT_HANDLER_H_

@@ -1,6 +1,5 @@
 // Converts listed sessions to messages.
-#ifndef SERVER_ADMIN_SESSION_INFO_H_
-#define SERVER_ADMIN_SESSION_INFO_H_
+#pragma once
 
 #include "core/open_sessions/session_store.h"
 #include "spikeserve/v1/policy_admin.pb.h"
@@ -11,5 +10,3 @@ namespace spikeserve {
 void ToProto(const ListedSession& listed, v1::SessionInfo* info);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ADMIN_SESSION_INFO_H_

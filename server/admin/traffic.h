@@ -1,8 +1,7 @@
 // Describes how the traffic of a policy is divided.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_ADMIN_TRAFFIC_H_
-#define SERVER_ADMIN_TRAFFIC_H_
+#pragma once
 
 #include <string>
 
@@ -22,5 +21,3 @@ absl::Status ChangeTraffic(const PolicyRegistry& registry, const std::string& po
                            v1::TrafficChange* traffic, absl::FunctionRef<absl::Status()> change);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ADMIN_TRAFFIC_H_

@@ -1,8 +1,7 @@
 // Answers GetUsage, on the wire and for the status page.
 //
 // Thread-safe.
-#ifndef SERVER_ADMIN_USAGE_HANDLER_H_
-#define SERVER_ADMIN_USAGE_HANDLER_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "server/agent/call_context.h"
@@ -25,5 +24,3 @@ class UsageHandler {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ADMIN_USAGE_HANDLER_H_

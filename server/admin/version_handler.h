@@ -2,8 +2,7 @@
 // RemovePolicy.
 //
 // Thread-safe.
-#ifndef SERVER_ADMIN_VERSION_HANDLER_H_
-#define SERVER_ADMIN_VERSION_HANDLER_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -62,5 +61,3 @@ class VersionHandler {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ADMIN_VERSION_HANDLER_H_

@@ -4,8 +4,7 @@
 //   absl::Status Method(CallContext& context, const Request& request, Response* response) const;
 //
 // Not thread-safe: belongs to one request, whose handler has it for itself until it returns.
-#ifndef SERVER_AGENT_CALL_CONTEXT_H_
-#define SERVER_AGENT_CALL_CONTEXT_H_
+#pragma once
 
 #include <memory>
 
@@ -41,5 +40,3 @@ struct CallContext {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_CALL_CONTEXT_H_

@@ -8,8 +8,7 @@
 // entry does: by CloseSession, by expiry, or because another server has taken it over.
 //
 // Thread-safe.
-#ifndef SERVER_AGENT_DATAGRAM_CHANNELS_H_
-#define SERVER_AGENT_DATAGRAM_CHANNELS_H_
+#pragma once
 
 #include <array>
 #include <atomic>
@@ -171,5 +170,3 @@ class DatagramChannels {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_DATAGRAM_CHANNELS_H_

@@ -1,7 +1,6 @@
 // One request for a decision, or for the end of an episode behind its history, and how several are
 // answered at once.
-#ifndef SERVER_AGENT_DECISION_REQUEST_H_
-#define SERVER_AGENT_DECISION_REQUEST_H_
+#pragma once
 
 #include <cstddef>
 #include <memory>
@@ -58,5 +57,3 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const SessionHolds& hol
                 StepBudget* budget);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_DECISION_REQUEST_H_

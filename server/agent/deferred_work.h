@@ -1,6 +1,5 @@
 // Work of a call that runs after its answer was sent.
-#ifndef SERVER_AGENT_DEFERRED_WORK_H_
-#define SERVER_AGENT_DEFERRED_WORK_H_
+#pragma once
 
 #include <memory>
 #include <utility>
@@ -38,5 +37,3 @@ class DeferredWork {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_DEFERRED_WORK_H_

@@ -2,8 +2,7 @@
 // acknowledge, and a contribution that the head of a fleet must take. SessionGate waits for them.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_AGENT_DURABLE_ANSWER_H_
-#define SERVER_AGENT_DURABLE_ANSWER_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -39,5 +38,3 @@ void AddCommit(const SessionEntry& entry, Commits* commits);
 void AddConfirmation(const SessionEntry& entry, bool has_decided, Commits* commits);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_DURABLE_ANSWER_H_

@@ -7,8 +7,7 @@
 // while, in which the caller is sent elsewhere, and is taken back only then.
 //
 // Thread-safe.
-#ifndef SERVER_AGENT_FORMER_COPIES_H_
-#define SERVER_AGENT_FORMER_COPIES_H_
+#pragma once
 
 #include <cstddef>
 #include <map>
@@ -73,5 +72,3 @@ class FormerCopies {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_FORMER_COPIES_H_

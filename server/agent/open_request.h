@@ -1,8 +1,7 @@
 // What an OpenSession asks for: the settings of the session, and the version that it plays.
 //
 // Pure functions; thread-safe.
-#ifndef SERVER_AGENT_OPEN_REQUEST_H_
-#define SERVER_AGENT_OPEN_REQUEST_H_
+#pragma once
 
 #include <cstddef>
 #include <string>
@@ -33,5 +32,3 @@ absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const s
                                   const PolicyCatalog& catalog);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_OPEN_REQUEST_H_

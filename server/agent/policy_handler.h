@@ -2,8 +2,7 @@
 // streams and connections, so that it can be tested without a network.
 //
 // Thread-safe.
-#ifndef SERVER_AGENT_POLICY_HANDLER_H_
-#define SERVER_AGENT_POLICY_HANDLER_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -121,5 +120,3 @@ class PolicyHandler {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_POLICY_HANDLER_H_

@@ -2,8 +2,7 @@
 // a thousand versions takes milliseconds.
 //
 // Thread-safe.
-#ifndef SERVER_AGENT_POLICY_LIST_H_
-#define SERVER_AGENT_POLICY_LIST_H_
+#pragma once
 
 #include <memory>
 
@@ -27,5 +26,3 @@ class PolicyList {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_POLICY_LIST_H_

@@ -8,8 +8,7 @@
 //   gate.Leave(request, handler.EndEpisode(request.call_context(), ...));  // calls Answer()
 //
 // Thread-safe. Leave() and the functions of one GatedRequest run on the thread of its loop.
-#ifndef SERVER_AGENT_SESSION_GATE_H_
-#define SERVER_AGENT_SESSION_GATE_H_
+#pragma once
 
 #include <map>
 #include <memory>
@@ -134,5 +133,3 @@ class SessionGate {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_SESSION_GATE_H_

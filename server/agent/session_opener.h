@@ -1,8 +1,7 @@
 // Opens sessions: new ones, and again those that the same request has opened.
 //
 // Thread-safe.
-#ifndef SERVER_AGENT_SESSION_OPENER_H_
-#define SERVER_AGENT_SESSION_OPENER_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -81,5 +80,3 @@ class SessionOpener {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_SESSION_OPENER_H_

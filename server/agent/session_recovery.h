@@ -2,8 +2,7 @@
 // another server. Also reads them there, without taking them over.
 //
 // Thread-safe.
-#ifndef SERVER_AGENT_SESSION_RECOVERY_H_
-#define SERVER_AGENT_SESSION_RECOVERY_H_
+#pragma once
 
 #include <functional>
 #include <map>
@@ -104,5 +103,3 @@ class SessionRecovery {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_SESSION_RECOVERY_H_

@@ -1,8 +1,7 @@
 // Converts the requests for one session to steps of core, and the results to responses.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_AGENT_STEP_CONVERSION_H_
-#define SERVER_AGENT_STEP_CONVERSION_H_
+#pragma once
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
@@ -46,5 +45,3 @@ void ToProto(const Step& step, const SessionEntry& entry, v1::EndEpisodeResponse
 void ToProto(const BeatCounts& counts, v1::BeatReport* report);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_AGENT_STEP_CONVERSION_H_

@@ -1,8 +1,7 @@
 // Network endpoints written as HOST:PORT or unix:PATH, the forms that flags take.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_BASE_ADDRESS_H_
-#define SERVER_BASE_ADDRESS_H_
+#pragma once
 
 #include <string>
 
@@ -32,5 +31,3 @@ absl::StatusOr<Address> ParseAddress(absl::string_view field, absl::string_view 
 absl::StatusOr<Address> ParseAddressOrUnix(absl::string_view field, absl::string_view text);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_ADDRESS_H_

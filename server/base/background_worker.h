@@ -3,8 +3,7 @@
 // that of the others. The queue of each group is bounded: work beyond it is refused.
 //
 // Thread-safe.
-#ifndef SERVER_BASE_BACKGROUND_WORKER_H_
-#define SERVER_BASE_BACKGROUND_WORKER_H_
+#pragma once
 
 #include <cstddef>
 #include <deque>
@@ -54,5 +53,3 @@ class BackgroundWorker {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_BACKGROUND_WORKER_H_

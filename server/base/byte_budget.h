@@ -1,8 +1,7 @@
 // Counts the bytes of requests and answers in flight, and bounds them.
 //
 // Thread-safe, without locks.
-#ifndef SERVER_BASE_BYTE_BUDGET_H_
-#define SERVER_BASE_BYTE_BUDGET_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -24,5 +23,3 @@ class ByteBudget {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_BYTE_BUDGET_H_

@@ -2,8 +2,7 @@
 // google.rpc.ErrorInfo with the reason OUT_OF_ORDER.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_BASE_EXPECTED_DECISION_H_
-#define SERVER_BASE_EXPECTED_DECISION_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -27,5 +26,3 @@ absl::Status WithExpectedDecision(absl::Status status, const NextDecision& expec
 std::optional<NextDecision> ExpectedDecisionOf(const absl::Status& status);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_EXPECTED_DECISION_H_

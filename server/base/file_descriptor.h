@@ -1,6 +1,5 @@
 // Owns a file descriptor.
-#ifndef SERVER_BASE_FILE_DESCRIPTOR_H_
-#define SERVER_BASE_FILE_DESCRIPTOR_H_
+#pragma once
 
 #include <unistd.h>
 
@@ -32,5 +31,3 @@ class FileDescriptor {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_FILE_DESCRIPTOR_H_

@@ -1,8 +1,7 @@
 // Decompresses what clients compressed.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_BASE_GZIP_H_
-#define SERVER_BASE_GZIP_H_
+#pragma once
 
 #include <cstddef>
 #include <string>
@@ -18,5 +17,3 @@ namespace spikeserve {
 absl::StatusOr<std::string> Gunzip(absl::string_view compressed, size_t limit);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_GZIP_H_

@@ -1,8 +1,7 @@
 // Counts the bytes that one request holds, for the server and for its tenant, until they are freed.
 //
 // Not thread-safe, but any thread may destroy it.
-#ifndef SERVER_BASE_HELD_BYTES_H_
-#define SERVER_BASE_HELD_BYTES_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -42,5 +41,3 @@ class HeldBytes {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_HELD_BYTES_H_

@@ -1,6 +1,5 @@
 // The query parameters of an HTTP request.
-#ifndef SERVER_BASE_HTTP_QUERY_H_
-#define SERVER_BASE_HTTP_QUERY_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -34,5 +33,3 @@ class HttpQuery {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_HTTP_QUERY_H_

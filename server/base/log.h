@@ -13,8 +13,7 @@
 // Writes at most kMostLinesPerSecond lines of a kind a second, so that events that clients cause
 // cannot fill a disk. Lines of the same level and message are of one kind. The next line of the
 // kind says in the field `suppressed` how many were left out. Thread-safe.
-#ifndef SERVER_BASE_LOG_H_
-#define SERVER_BASE_LOG_H_
+#pragma once
 
 #include <array>
 #include <initializer_list>
@@ -46,5 +45,3 @@ void LogWarning(absl::string_view message, std::initializer_list<LogField> field
 void LogError(absl::string_view message, std::initializer_list<LogField> fields = {});
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_LOG_H_

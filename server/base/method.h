@@ -3,8 +3,7 @@
 // PolicyService and PolicyAdmin declare the rules of their methods as options, which
 // policy_service.proto explains. GRPCInferenceService is the protocol of others, so the rules of
 // its methods are in method.cc.
-#ifndef SERVER_BASE_METHOD_H_
-#define SERVER_BASE_METHOD_H_
+#pragma once
 
 #include <cstddef>
 #include <string>
@@ -64,5 +63,3 @@ const Method& MethodOf() {
 }
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_METHOD_H_

@@ -1,6 +1,5 @@
 // Identifies the other end of a connection.
-#ifndef SERVER_BASE_PEER_H_
-#define SERVER_BASE_PEER_H_
+#pragma once
 
 #include <string>
 
@@ -12,5 +11,3 @@ struct Peer {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_PEER_H_

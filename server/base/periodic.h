@@ -1,6 +1,5 @@
 // Runs a function at regular intervals on its own thread.
-#ifndef SERVER_BASE_PERIODIC_H_
-#define SERVER_BASE_PERIODIC_H_
+#pragma once
 
 #include <functional>
 #include <thread>
@@ -25,5 +24,3 @@ class Periodic {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_PERIODIC_H_

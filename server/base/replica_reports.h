@@ -4,8 +4,7 @@
 //   for (const ReplicaReport& report : reports.Get()) ...
 //
 // Thread-safe.
-#ifndef SERVER_BASE_REPLICA_REPORTS_H_
-#define SERVER_BASE_REPLICA_REPORTS_H_
+#pragma once
 
 #include <string>
 #include <utility>
@@ -41,5 +40,3 @@ class ReplicaReports {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_REPLICA_REPORTS_H_

@@ -5,8 +5,7 @@
 //   if (replicas.IsMine(rollout.replica)) Judge(rollout);
 //
 // Thread-safe.
-#ifndef SERVER_BASE_REPLICAS_H_
-#define SERVER_BASE_REPLICAS_H_
+#pragma once
 
 #include <algorithm>
 #include <set>
@@ -54,5 +53,3 @@ class Replicas {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_REPLICAS_H_

@@ -1,8 +1,7 @@
 // Attaches to an error the time after which the caller may retry, as google.rpc.RetryInfo.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_BASE_RETRY_DELAY_H_
-#define SERVER_BASE_RETRY_DELAY_H_
+#pragma once
 
 #include <optional>
 #include <string>
@@ -23,5 +22,3 @@ std::optional<absl::Duration> RetryDelay(const absl::Status& status);
 std::string SerializedDetails(const absl::Status& status);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_RETRY_DELAY_H_

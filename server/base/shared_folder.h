@@ -8,8 +8,7 @@
 //   folder.Keep(*place);
 //
 // Thread-safe.
-#ifndef SERVER_BASE_SHARED_FOLDER_H_
-#define SERVER_BASE_SHARED_FOLDER_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -67,5 +66,3 @@ class SharedFolder {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_SHARED_FOLDER_H_

@@ -7,8 +7,7 @@
 //   if (place == nullptr) return absl::UnavailableError("...");
 //
 // Thread-safe. Places may outlive this object.
-#ifndef SERVER_BASE_SHARED_PLACES_H_
-#define SERVER_BASE_SHARED_PLACES_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -102,5 +101,3 @@ inline void SharedPlaces::Reset(int64_t free, int64_t held) {
 }
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_SHARED_PLACES_H_

@@ -1,6 +1,5 @@
 // An address as the system's calls take it. Plain data.
-#ifndef SERVER_BASE_SOCKET_ADDRESS_H_
-#define SERVER_BASE_SOCKET_ADDRESS_H_
+#pragma once
 
 #include <sys/socket.h>
 
@@ -12,5 +11,3 @@ struct SocketAddress {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_SOCKET_ADDRESS_H_

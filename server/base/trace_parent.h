@@ -4,8 +4,7 @@
 //   if (parent.is_valid() && parent.sampled) ...
 //
 // Plain data and a free function; safe to use from many threads.
-#ifndef SERVER_BASE_TRACE_PARENT_H_
-#define SERVER_BASE_TRACE_PARENT_H_
+#pragma once
 
 #include <cstdint>
 
@@ -28,5 +27,3 @@ struct TraceParent {
 TraceParent ParseTraceParent(absl::string_view value);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_BASE_TRACE_PARENT_H_

@@ -4,8 +4,7 @@
 // the disk (SharedFolder). Episodes beyond it are dropped, counted and logged.
 //
 // Thread-safe.
-#ifndef SERVER_FOLLOWERS_RECORDINGS_H_
-#define SERVER_FOLLOWERS_RECORDINGS_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -61,5 +60,3 @@ class Recordings {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_FOLLOWERS_RECORDINGS_H_

@@ -2,8 +2,7 @@
 // no answer waits for a shadow. If the queue is full, steps are dropped and counted.
 //
 // Thread-safe.
-#ifndef SERVER_FOLLOWERS_SHADOW_RUNNER_H_
-#define SERVER_FOLLOWERS_SHADOW_RUNNER_H_
+#pragma once
 
 #include <cstdint>
 #include <deque>
@@ -62,5 +61,3 @@ class ShadowRunner {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_FOLLOWERS_SHADOW_RUNNER_H_

@@ -2,8 +2,7 @@
 // own, which serves the logs of the versions over one connection to Redis.
 //
 // Thread-safe, except Stop().
-#ifndef SERVER_HEADS_HEAD_LOG_STORE_H_
-#define SERVER_HEADS_HEAD_LOG_STORE_H_
+#pragma once
 
 #include <atomic>
 #include <map>
@@ -85,5 +84,3 @@ class HeadLogStore {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_HEADS_HEAD_LOG_STORE_H_

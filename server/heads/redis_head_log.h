@@ -9,8 +9,7 @@
 // - fc:{policy@version}:<session>:<episode>: the entry is in the log.
 // - fm:{policy@version}:<file>:<tenant>, a sorted set: contributors with a session, by the time at
 //   which a server has said so last.
-#ifndef SERVER_HEADS_REDIS_HEAD_LOG_H_
-#define SERVER_HEADS_REDIS_HEAD_LOG_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -96,5 +95,3 @@ class RedisHeadLog {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_HEADS_REDIS_HEAD_LOG_H_

@@ -6,8 +6,7 @@
 // there, too, the other servers are asked for a new snapshot, and the log is cut at the gap if none
 // answers. If the store is behind the heads, because Redis has lost something, they are written
 // again.
-#ifndef SERVER_HEADS_VERSION_LOG_H_
-#define SERVER_HEADS_VERSION_LOG_H_
+#pragma once
 
 #include <cstdint>
 #include <deque>
@@ -164,5 +163,3 @@ class VersionLog final : public HeadLog {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_HEADS_VERSION_LOG_H_

@@ -7,8 +7,7 @@
 //   nlohmann::json list = alerts.ToJson();
 //
 // Not thread-safe.
-#ifndef SERVER_HISTORY_ALERTS_H_
-#define SERVER_HISTORY_ALERTS_H_
+#pragma once
 
 #include <map>
 #include <utility>
@@ -65,5 +64,3 @@ class Alerts {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_HISTORY_ALERTS_H_

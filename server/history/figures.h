@@ -5,8 +5,7 @@
 //
 // Free functions and plain values, safe to call from many threads while the history does not
 // change. A figure without data is null. server/web/static/schema.json describes all figures.
-#ifndef SERVER_HISTORY_FIGURES_H_
-#define SERVER_HISTORY_FIGURES_H_
+#pragma once
 
 #include <map>
 #include <string>
@@ -64,5 +63,3 @@ class FigureSource {
 nlohmann::json CallFigures(const MetricHistory& history, TimeSpan span);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_HISTORY_FIGURES_H_

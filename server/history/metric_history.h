@@ -10,8 +10,7 @@
 // memory. Values of the last 35 minutes are exact, older ones are kept for each half hour.
 //
 // Not thread-safe.
-#ifndef SERVER_HISTORY_METRIC_HISTORY_H_
-#define SERVER_HISTORY_METRIC_HISTORY_H_
+#pragma once
 
 #include <map>
 #include <string>
@@ -119,5 +118,3 @@ Distribution Observed(const Selection& histograms, TimeSpan span);
 double Quantile(const Distribution& distribution, double q);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_HISTORY_METRIC_HISTORY_H_

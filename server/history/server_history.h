@@ -5,8 +5,7 @@
 //   nlohmann::json last_minute = history.Status(absl::Minutes(1));
 //
 // Thread-safe.
-#ifndef SERVER_HISTORY_SERVER_HISTORY_H_
-#define SERVER_HISTORY_SERVER_HISTORY_H_
+#pragma once
 
 #include <cstdint>
 #include <deque>
@@ -72,5 +71,3 @@ class ServerHistory {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_HISTORY_SERVER_HISTORY_H_

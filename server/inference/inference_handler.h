@@ -10,8 +10,7 @@
 // step, so a request that is sent twice counts as two timesteps.
 //
 // Thread-safe.
-#ifndef SERVER_INFERENCE_INFERENCE_HANDLER_H_
-#define SERVER_INFERENCE_INFERENCE_HANDLER_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -116,5 +115,3 @@ class InferenceHandler {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_INFERENCE_INFERENCE_HANDLER_H_

@@ -3,8 +3,7 @@
 // the tensors whose parameter binary_data_size shows how many.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_INFERENCE_INFERENCE_JSON_H_
-#define SERVER_INFERENCE_INFERENCE_JSON_H_
+#pragma once
 
 #include <cstddef>
 #include <optional>
@@ -53,5 +52,3 @@ std::string ToHttpBody(const inference::ModelMetadataResponse& message);
 std::string HttpErrorBody(absl::string_view message);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_INFERENCE_INFERENCE_JSON_H_

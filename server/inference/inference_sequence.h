@@ -4,8 +4,7 @@
 // starts a sequence may also have target_return, seed and record; see OpenSessionRequest.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_INFERENCE_INFERENCE_SEQUENCE_H_
-#define SERVER_INFERENCE_INFERENCE_SEQUENCE_H_
+#pragma once
 
 #include <string>
 
@@ -40,5 +39,3 @@ absl::StatusOr<v1::OpenSessionRequest> ReadOpening(const inference::ModelInferRe
 absl::StatusOr<int64_t> ReadVersion(const std::string& version);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_INFERENCE_INFERENCE_SEQUENCE_H_

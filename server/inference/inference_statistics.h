@@ -1,8 +1,7 @@
 // Counts the requests of ModelInfer and ModelStreamInfer by policy version, for ModelStatistics.
 //
 // Thread-safe.
-#ifndef SERVER_INFERENCE_INFERENCE_STATISTICS_H_
-#define SERVER_INFERENCE_INFERENCE_STATISTICS_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -49,5 +48,3 @@ class InferenceStatistics {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_INFERENCE_INFERENCE_STATISTICS_H_

@@ -11,8 +11,7 @@
 // If the observation has a leading batch dimension of 1, so have the outputs.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_INFERENCE_INFERENCE_TENSORS_H_
-#define SERVER_INFERENCE_INFERENCE_TENSORS_H_
+#pragma once
 
 #include <cstdint>
 #include <optional>
@@ -61,5 +60,3 @@ void WriteOutputs(const v1::ActResponse& answer, const inference::ModelInferRequ
                   const InferenceInput& input, inference::ModelInferResponse* response);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_INFERENCE_INFERENCE_TENSORS_H_

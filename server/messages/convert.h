@@ -1,8 +1,7 @@
 // Converts between protobuf messages and the values of core. Contains no session logic.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_MESSAGES_CONVERT_H_
-#define SERVER_MESSAGES_CONVERT_H_
+#pragma once
 
 #include <vector>
 
@@ -58,5 +57,3 @@ void ErrorToProto(const v1::ActRequest& request, const absl::Status& status,
                   v1::ActResponse* response);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_MESSAGES_CONVERT_H_

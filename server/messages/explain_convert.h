@@ -1,6 +1,5 @@
 // Explains decisions and converts the explanations to messages.
-#ifndef SERVER_MESSAGES_EXPLAIN_CONVERT_H_
-#define SERVER_MESSAGES_EXPLAIN_CONVERT_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "core/agent/explanation.h"
@@ -26,5 +25,3 @@ v1::ExplainResponse DecisionToProto(const ServedPolicy& served, const Session& s
 absl::Status ExplainSession(SessionEntry& entry, v1::ExplainResponse* response);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_MESSAGES_EXPLAIN_CONVERT_H_

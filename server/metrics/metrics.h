@@ -6,8 +6,7 @@
 //
 // Thread-safe. The time series of a policy version are created when its first session opens, so
 // that a version without traffic costs next to nothing, and a decision looks nothing up.
-#ifndef SERVER_METRICS_METRICS_H_
-#define SERVER_METRICS_METRICS_H_
+#pragma once
 
 #include <array>
 #include <atomic>
@@ -232,5 +231,3 @@ class Metrics {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_METRICS_METRICS_H_

@@ -2,8 +2,7 @@
 // and logs each rollback by a guard.
 //
 // Thread-safe.
-#ifndef SERVER_METRICS_POLICY_METRICS_H_
-#define SERVER_METRICS_POLICY_METRICS_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -199,5 +198,3 @@ class PolicyMetrics final : public SessionObserver {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_METRICS_POLICY_METRICS_H_

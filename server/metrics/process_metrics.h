@@ -1,6 +1,5 @@
 // Resource use of this process, under the metric names of the official Prometheus clients.
-#ifndef SERVER_METRICS_PROCESS_METRICS_H_
-#define SERVER_METRICS_PROCESS_METRICS_H_
+#pragma once
 
 #include <vector>
 
@@ -15,5 +14,3 @@ namespace spikeserve {
 std::vector<prometheus::MetricFamily> CollectProcessMetrics();
 
 }  // namespace spikeserve
-
-#endif  // SERVER_METRICS_PROCESS_METRICS_H_

@@ -6,8 +6,7 @@
 //   const VersionEvidence::Counts counts = evidence.Read();
 //
 // Thread-safe; each listener is used by one thread at a time.
-#ifndef SERVER_METRICS_VERSION_EVIDENCE_H_
-#define SERVER_METRICS_VERSION_EVIDENCE_H_
+#pragma once
 
 #include <array>
 #include <atomic>
@@ -115,5 +114,3 @@ class VersionEvidence {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_METRICS_VERSION_EVIDENCE_H_

@@ -2,8 +2,7 @@
 // other places in it, but not out of it.
 //
 // Thread-safe.
-#ifndef SERVER_POLICIES_CONFINED_PATH_H_
-#define SERVER_POLICIES_CONFINED_PATH_H_
+#pragma once
 
 #include <filesystem>
 
@@ -17,5 +16,3 @@ namespace spikeserve {
 absl::Status CheckWithin(const std::filesystem::path& directory, const std::filesystem::path& path);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_POLICIES_CONFINED_PATH_H_

@@ -4,8 +4,7 @@
 //
 // A plain value. The registry changes a copy and publishes it, so readers share a const snapshot
 // without a lock.
-#ifndef SERVER_POLICIES_POLICY_CATALOG_H_
-#define SERVER_POLICIES_POLICY_CATALOG_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -86,5 +85,3 @@ class PolicyCatalog {
 bool SameSpaces(const ServedPolicy& a, const ServedPolicy& b);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_POLICIES_POLICY_CATALOG_H_

@@ -1,7 +1,6 @@
 // Reloads a registry from its directory at regular intervals, on its own thread, and logs changes
 // and refused files.
-#ifndef SERVER_POLICIES_POLICY_POLLER_H_
-#define SERVER_POLICIES_POLICY_POLLER_H_
+#pragma once
 
 #include <set>
 #include <string>
@@ -30,5 +29,3 @@ class PolicyPoller {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_POLICIES_POLICY_POLLER_H_

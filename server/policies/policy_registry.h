@@ -6,8 +6,7 @@
 // there is a settings file, a setting is written to it before it takes effect, so that it survives
 // a restart. Several servers may share their settings (SharedSettings); a setting is then written
 // there first, and the changes of the others are taken over by Follow().
-#ifndef SERVER_POLICIES_POLICY_REGISTRY_H_
-#define SERVER_POLICIES_POLICY_REGISTRY_H_
+#pragma once
 
 #include <array>
 #include <atomic>
@@ -313,5 +312,3 @@ class PolicyRegistry {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_POLICIES_POLICY_REGISTRY_H_

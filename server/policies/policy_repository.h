@@ -1,8 +1,7 @@
 // Reads the policy directory: DIR/<policy>/<version>/policy.safetensors.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_POLICIES_POLICY_REPOSITORY_H_
-#define SERVER_POLICIES_POLICY_REPOSITORY_H_
+#pragma once
 
 #include <compare>
 #include <cstddef>
@@ -91,5 +90,3 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> LoadPolicyVersion(
     bool share_heads = false, const OpenHeadLog& open_log = nullptr);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_POLICIES_POLICY_REPOSITORY_H_

@@ -12,8 +12,7 @@
 //    "holds": [{"id": "fire-3", "reason": "smoke", "since": 1.7e9, "policy": "cartpole"}]}
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_POLICIES_POLICY_SETTINGS_H_
-#define SERVER_POLICIES_POLICY_SETTINGS_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -103,5 +102,3 @@ absl::StatusOr<Settings> ReadSettings(const std::string& path);
 absl::Status WriteSettings(const Settings& settings, const std::string& path);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_POLICIES_POLICY_SETTINGS_H_

@@ -9,8 +9,7 @@
 //     policy.safetensors.sig
 //
 // Immutable and thread-safe.
-#ifndef SERVER_POLICIES_POLICY_SIGNATURES_H_
-#define SERVER_POLICIES_POLICY_SIGNATURES_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -77,5 +76,3 @@ std::string SignaturePath(const std::string& policy_path);
 absl::StatusOr<VersionFiles> ReadVersionFiles(const std::string& policy_path, bool with_signature);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_POLICIES_POLICY_SIGNATURES_H_

@@ -2,8 +2,7 @@
 // new one, step by step. The settings file keeps it.
 //
 // Plain values and free functions without shared state; safe to call from many threads.
-#ifndef SERVER_POLICIES_ROLLOUT_H_
-#define SERVER_POLICIES_ROLLOUT_H_
+#pragma once
 
 #include <algorithm>
 #include <array>
@@ -112,5 +111,3 @@ nlohmann::json RolloutJson(const Rollout& rollout);
 absl::Status ReadJson(absl::string_view field, const nlohmann::json& json, Rollout* rollout);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_POLICIES_ROLLOUT_H_

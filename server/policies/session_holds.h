@@ -2,8 +2,7 @@
 // that decisions read.
 //
 //   const std::shared_ptr<const Hold> hold = registry.holds().Find(session);
-#ifndef SERVER_POLICIES_SESSION_HOLDS_H_
-#define SERVER_POLICIES_SESSION_HOLDS_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -72,5 +71,3 @@ class SessionHolds {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_POLICIES_SESSION_HOLDS_H_

@@ -9,8 +9,7 @@
 // The first server that has a version notes which file it is, as long as it lives.
 //
 // Thread-safe, except that one thread at a time calls Follow().
-#ifndef SERVER_POLICIES_SHARED_FILES_H_
-#define SERVER_POLICIES_SHARED_FILES_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -59,5 +58,3 @@ class SharedFiles {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_POLICIES_SHARED_FILES_H_

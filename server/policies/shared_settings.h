@@ -3,8 +3,7 @@
 //
 // Implementations are thread-safe. All methods block, and return UNAVAILABLE if the store cannot be
 // reached.
-#ifndef SERVER_POLICIES_SHARED_SETTINGS_H_
-#define SERVER_POLICIES_SHARED_SETTINGS_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -59,5 +58,3 @@ class SharedSettings {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_POLICIES_SHARED_SETTINGS_H_

@@ -6,8 +6,7 @@
 //
 // Free functions without shared state; safe to call from many threads, and while other servers use
 // the same directory.
-#ifndef SERVER_POLICIES_VERSION_WRITER_H_
-#define SERVER_POLICIES_VERSION_WRITER_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -40,5 +39,3 @@ std::vector<int64_t> VersionsOf(const std::string& directory, const std::string&
 void SweepUnfinishedVersions(const std::string& directory);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_POLICIES_VERSION_WRITER_H_

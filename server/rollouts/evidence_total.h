@@ -2,8 +2,7 @@
 // little.
 //
 // Pure functions; safe to call from many threads.
-#ifndef SERVER_ROLLOUTS_EVIDENCE_TOTAL_H_
-#define SERVER_ROLLOUTS_EVIDENCE_TOTAL_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -56,5 +55,3 @@ CenteredReturns CenterReturns(const VersionEvidence::Counts& new_version,
                               const std::string* without = nullptr);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ROLLOUTS_EVIDENCE_TOTAL_H_

@@ -5,8 +5,7 @@
 // sessions of any one tenant. docs/design/threat-model.md shows what remains possible.
 //
 // Pure functions; safe to call from many threads.
-#ifndef SERVER_ROLLOUTS_ROLLOUT_JUDGE_H_
-#define SERVER_ROLLOUTS_ROLLOUT_JUDGE_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -62,5 +61,3 @@ Shortfall ShortfallOf(const std::vector<RolloutCondition>& conditions,
                       const VersionEvidence::Counts& stable_version);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ROLLOUTS_ROLLOUT_JUDGE_H_

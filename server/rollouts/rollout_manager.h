@@ -7,8 +7,7 @@
 //
 // The settings of the policy hold the state, so a restarted server goes on where the last one was.
 // Time counts towards a step only while a server is running. Thread-safe.
-#ifndef SERVER_ROLLOUTS_ROLLOUT_MANAGER_H_
-#define SERVER_ROLLOUTS_ROLLOUT_MANAGER_H_
+#pragma once
 
 #include <functional>
 #include <map>
@@ -131,5 +130,3 @@ class RolloutManager {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ROLLOUTS_ROLLOUT_MANAGER_H_

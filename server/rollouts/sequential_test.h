@@ -9,8 +9,7 @@
 // are normal, which they are for many observations. For few, bets decide as well.
 //
 // Pure functions; safe to call from many threads.
-#ifndef SERVER_ROLLOUTS_SEQUENTIAL_TEST_H_
-#define SERVER_ROLLOUTS_SEQUENTIAL_TEST_H_
+#pragma once
 
 #include <cstdint>
 
@@ -54,5 +53,3 @@ double LogBettingRatio(absl::Span<const Observed> fresh, absl::Span<const Observ
                        double margin);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_ROLLOUTS_SEQUENTIAL_TEST_H_

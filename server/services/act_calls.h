@@ -1,8 +1,7 @@
 // Act, ActBatch and ActStream: calls whose decisions an ActQueue makes.
 //
 // Confined to the thread of the call's loop.
-#ifndef SERVER_SERVICES_ACT_CALLS_H_
-#define SERVER_SERVICES_ACT_CALLS_H_
+#pragma once
 
 #include <cstddef>
 #include <map>
@@ -114,5 +113,3 @@ class ActStreamCall final : public ServiceCall {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_ACT_CALLS_H_

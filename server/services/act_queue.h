@@ -6,8 +6,7 @@
 //
 // Confined to the thread of its loop; the queues of a server's loops exchange work by
 // EventLoop::Post().
-#ifndef SERVER_SERVICES_ACT_QUEUE_H_
-#define SERVER_SERVICES_ACT_QUEUE_H_
+#pragma once
 
 #include <deque>
 #include <memory>
@@ -110,5 +109,3 @@ class ActQueue {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_ACT_QUEUE_H_

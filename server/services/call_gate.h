@@ -1,8 +1,7 @@
 // Counts the calls in progress and refuses new ones while the server stops.
 //
 // Thread-safe, without locks.
-#ifndef SERVER_SERVICES_CALL_GATE_H_
-#define SERVER_SERVICES_CALL_GATE_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -37,5 +36,3 @@ class CallGate {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_CALL_GATE_H_

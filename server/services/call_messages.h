@@ -1,8 +1,7 @@
 // The request and the response of one call in one block of memory.
 //
 // Not thread-safe.
-#ifndef SERVER_SERVICES_CALL_MESSAGES_H_
-#define SERVER_SERVICES_CALL_MESSAGES_H_
+#pragma once
 
 #include <google/protobuf/arena.h>
 
@@ -45,5 +44,3 @@ class CallMessages {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_CALL_MESSAGES_H_

@@ -7,8 +7,7 @@
 // not authenticate.
 //
 // Confined to the thread of its loop.
-#ifndef SERVER_SERVICES_DATAGRAM_CALLS_H_
-#define SERVER_SERVICES_DATAGRAM_CALLS_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -53,5 +52,3 @@ class DatagramCalls {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_DATAGRAM_CALLS_H_

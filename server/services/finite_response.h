@@ -2,8 +2,7 @@
 // are not checked here, because AgentSession checks them before they change the session.
 //
 // Pure functions; safe to call from many threads.
-#ifndef SERVER_SERVICES_FINITE_RESPONSE_H_
-#define SERVER_SERVICES_FINITE_RESPONSE_H_
+#pragma once
 
 #include <google/protobuf/message.h>
 
@@ -28,5 +27,3 @@ absl::Status CheckFinite(const google::protobuf::Message& response, const std::s
 std::string PolicyOf(const google::protobuf::Message& message);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_FINITE_RESPONSE_H_

@@ -2,8 +2,7 @@
 //
 // Confined to the thread of the call's loop, except that BackgroundCall runs its method on a
 // worker.
-#ifndef SERVER_SERVICES_HANDLER_CALLS_H_
-#define SERVER_SERVICES_HANDLER_CALLS_H_
+#pragma once
 
 #include <atomic>
 #include <functional>
@@ -101,5 +100,3 @@ class BackgroundCall final : public UnaryCall<Request, Response> {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_HANDLER_CALLS_H_

@@ -1,8 +1,7 @@
 // grpc.health.v1.Health: tells load balancers and watchers which services are served.
 //
 // Source: gRPC's health checking protocol.
-#ifndef SERVER_SERVICES_HEALTH_SERVICE_H_
-#define SERVER_SERVICES_HEALTH_SERVICE_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -49,5 +48,3 @@ class HealthService {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_HEALTH_SERVICE_H_

@@ -1,8 +1,7 @@
 // ModelStreamInfer of the Open Inference Protocol: any number of requests, each answered in order.
 //
 // Confined to the thread of the call's loop.
-#ifndef SERVER_SERVICES_INFER_STREAM_CALL_H_
-#define SERVER_SERVICES_INFER_STREAM_CALL_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "inference/grpc_service.pb.h"
@@ -41,5 +40,3 @@ class InferStreamCall final : public ServiceCall {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_INFER_STREAM_CALL_H_

@@ -1,7 +1,6 @@
 // Routes the calls of one event loop to handlers, and runs the queued decisions at the end of each
 // turn.
-#ifndef SERVER_SERVICES_LOOP_SERVICES_H_
-#define SERVER_SERVICES_LOOP_SERVICES_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -66,5 +65,3 @@ class LoopServices final : public CallRouter {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_LOOP_SERVICES_H_

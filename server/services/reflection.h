@@ -1,8 +1,7 @@
 // Describes the services to clients that do not have their .proto files.
 //
 // Source: gRPC's server reflection protocol, version 1. Version 1alpha has the same messages.
-#ifndef SERVER_SERVICES_REFLECTION_H_
-#define SERVER_SERVICES_REFLECTION_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -39,5 +38,3 @@ class ReflectionCall final : public CallHandler {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_REFLECTION_H_

@@ -1,8 +1,7 @@
 // Parses requests, with a bound on the memory that the bytes of a request can occupy.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_SERVICES_REQUEST_PARSER_H_
-#define SERVER_SERVICES_REQUEST_PARSER_H_
+#pragma once
 
 #include <google/protobuf/message.h>
 
@@ -25,5 +24,3 @@ inline constexpr int64_t kMaxElements = 16'384;
 absl::Status ParseRequest(absl::string_view bytes, google::protobuf::Message* request);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_REQUEST_PARSER_H_

@@ -1,8 +1,7 @@
 // The span of one request that a server answers (OpenTelemetry's conventions for RPC).
 //
 // Free functions, safe to call from many threads.
-#ifndef SERVER_SERVICES_REQUEST_SPAN_H_
-#define SERVER_SERVICES_REQUEST_SPAN_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
@@ -21,5 +20,3 @@ Span StartRequestSpan(Tracer& tracer, absl::string_view path, const TraceParent&
 void FinishRequestSpan(const Credential& caller, const absl::Status& status, Span* span);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_REQUEST_SPAN_H_

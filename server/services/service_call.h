@@ -2,8 +2,7 @@
 // the server stops.
 //
 // Confined to the thread of the call's loop.
-#ifndef SERVER_SERVICES_SERVICE_CALL_H_
-#define SERVER_SERVICES_SERVICE_CALL_H_
+#pragma once
 
 #include <cstddef>
 #include <functional>
@@ -114,5 +113,3 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_SERVICE_CALL_H_

@@ -1,6 +1,5 @@
 // What all services share.
-#ifndef SERVER_SERVICES_SERVICE_CONTEXT_H_
-#define SERVER_SERVICES_SERVICE_CONTEXT_H_
+#pragma once
 
 #include <cstdint>
 
@@ -28,5 +27,3 @@ struct ServiceContext {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_SERVICE_CONTEXT_H_

@@ -1,6 +1,5 @@
 // Connects the methods of every service with the handlers that answer them.
-#ifndef SERVER_SERVICES_SERVICES_H_
-#define SERVER_SERVICES_SERVICES_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -96,5 +95,3 @@ class Services {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_SERVICES_H_

@@ -2,8 +2,7 @@
 // what its messages are when they are merged.
 //
 // Confined to the thread of the call's loop.
-#ifndef SERVER_SERVICES_UNARY_CALL_H_
-#define SERVER_SERVICES_UNARY_CALL_H_
+#pragma once
 
 #include <cstddef>
 #include <functional>
@@ -228,5 +227,3 @@ class UnaryCall : public ServiceCall, public GatedRequest {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_SERVICES_UNARY_CALL_H_

@@ -10,8 +10,7 @@
 // between two servers makes a session older.
 //
 // Not thread-safe.
-#ifndef SERVER_STORE_FILE_BACKEND_H_
-#define SERVER_STORE_FILE_BACKEND_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -47,5 +46,3 @@ absl::StatusOr<std::unique_ptr<JournalBackend>> OpenFileBackend(
     const JournalVisitor& visitor = {});
 
 }  // namespace spikeserve
-
-#endif  // SERVER_STORE_FILE_BACKEND_H_

@@ -1,6 +1,5 @@
 // Where journals are kept: what a JournalStore writes to and reads from.
-#ifndef SERVER_STORE_JOURNAL_BACKEND_H_
-#define SERVER_STORE_JOURNAL_BACKEND_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -88,5 +87,3 @@ class JournalBackend {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_STORE_JOURNAL_BACKEND_H_

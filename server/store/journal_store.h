@@ -13,8 +13,7 @@
 // again of which the store has less.
 //
 // Thread-safe, except Stop().
-#ifndef SERVER_STORE_JOURNAL_STORE_H_
-#define SERVER_STORE_JOURNAL_STORE_H_
+#pragma once
 
 #include <atomic>
 #include <cstddef>
@@ -186,5 +185,3 @@ class JournalStore final : public JournalWriter {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_STORE_JOURNAL_STORE_H_

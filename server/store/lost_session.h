@@ -1,8 +1,7 @@
 // Tells a session that the store has lost from one that never was, or has ended.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_STORE_LOST_SESSION_H_
-#define SERVER_STORE_LOST_SESSION_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "absl/strings/cord.h"
@@ -24,5 +23,3 @@ inline bool IsLost(const absl::Status& status) {
 }
 
 }  // namespace spikeserve
-
-#endif  // SERVER_STORE_LOST_SESSION_H_

@@ -1,8 +1,7 @@
 // Opens the store that --session_store names.
 //
 // A free function without shared state; safe to call from many threads.
-#ifndef SERVER_STORE_OPEN_STORE_H_
-#define SERVER_STORE_OPEN_STORE_H_
+#pragma once
 
 #include <memory>
 #include <optional>
@@ -38,5 +37,3 @@ absl::StatusOr<OpenedStore> OpenStore(const StoreOptions& options, prometheus::R
 absl::StatusOr<std::optional<RedisOptions>> RedisOptionsOf(const StoreOptions& options);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_STORE_OPEN_STORE_H_

@@ -8,8 +8,7 @@
 // A claim renames the list to a later epoch. Appends are RPUSHX, which does nothing for a list
 // that does not exist, so a former owner cannot append and finds out that it was replaced. The base
 // and the length of the list tell an owner whether Redis has all that it has acknowledged.
-#ifndef SERVER_STORE_REDIS_BACKEND_H_
-#define SERVER_STORE_REDIS_BACKEND_H_
+#pragma once
 
 #include <memory>
 
@@ -27,5 +26,3 @@ std::unique_ptr<JournalBackend> NewRedisBackend(RedisOptions options, absl::Dura
                                                 std::string owner, bool may_evict = false);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_STORE_REDIS_BACKEND_H_

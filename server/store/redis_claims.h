@@ -1,8 +1,7 @@
 // Claims the journals of sessions in Redis for a new owner.
 //
 // A free function without shared state.
-#ifndef SERVER_STORE_REDIS_CLAIMS_H_
-#define SERVER_STORE_REDIS_CLAIMS_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -28,5 +27,3 @@ std::vector<absl::StatusOr<ClaimedJournal>> ClaimRedisJournals(
     absl::BitGen& random);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_STORE_REDIS_CLAIMS_H_

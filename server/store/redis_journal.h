@@ -1,8 +1,7 @@
 // How the journal of a session lies in Redis, and what replies about it hold.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_STORE_REDIS_JOURNAL_H_
-#define SERVER_STORE_REDIS_JOURNAL_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -45,5 +44,3 @@ inline absl::Status UnexpectedReply(absl::string_view expected) {
 }
 
 }  // namespace spikeserve
-
-#endif  // SERVER_STORE_REDIS_JOURNAL_H_

@@ -11,8 +11,7 @@
 // (ParseJournal). All scripts name all of their keys, so that Redis refuses a script before its
 // first command if one of them has moved. A first write that takes memory makes Redis whose memory
 // is full refuse the whole script; one that takes none lets all of it run.
-#ifndef SERVER_STORE_REDIS_SCRIPTS_H_
-#define SERVER_STORE_REDIS_SCRIPTS_H_
+#pragma once
 
 namespace spikeserve::redis_scripts {
 
@@ -113,5 +112,3 @@ end
 return 1)";
 
 }  // namespace spikeserve::redis_scripts
-
-#endif  // SERVER_STORE_REDIS_SCRIPTS_H_

@@ -11,8 +11,7 @@
 // - r, a sorted set: the servers, by the time at which they were alive last.
 //
 // Thread-safe. All methods block for at most a few RedisOptions::timeout.
-#ifndef SERVER_STORE_REDIS_SHARED_H_
-#define SERVER_STORE_REDIS_SHARED_H_
+#pragma once
 
 #include <initializer_list>
 #include <memory>
@@ -71,5 +70,3 @@ class RedisShared final : public SharedSettings {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_STORE_REDIS_SHARED_H_

@@ -1,6 +1,5 @@
 // The options of the store that keeps sessions. Plain data, safe to read from many threads.
-#ifndef SERVER_STORE_STORE_OPTIONS_H_
-#define SERVER_STORE_STORE_OPTIONS_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -39,5 +38,3 @@ struct StoreOptions {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_STORE_STORE_OPTIONS_H_

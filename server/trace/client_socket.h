@@ -1,8 +1,7 @@
 // A connection to another program over TCP, with or without TLS, for a thread that may wait.
 //
 // Not thread-safe.
-#ifndef SERVER_TRACE_CLIENT_SOCKET_H_
-#define SERVER_TRACE_CLIENT_SOCKET_H_
+#pragma once
 
 #include <cstddef>
 #include <memory>
@@ -49,5 +48,3 @@ class ClientSocket {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRACE_CLIENT_SOCKET_H_

@@ -1,8 +1,7 @@
 // The messages of OTLP, the protocol of OpenTelemetry.
 //
 // Free functions without shared state; safe to call from many threads.
-#ifndef SERVER_TRACE_OTLP_H_
-#define SERVER_TRACE_OTLP_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -24,5 +23,3 @@ std::string FormatOtlp(const TraceOptions& options,
 absl::StatusOr<int64_t> ReadRejectedSpans(absl::string_view response);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRACE_OTLP_H_

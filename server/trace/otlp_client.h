@@ -2,8 +2,7 @@
 // call.
 //
 // Not thread-safe.
-#ifndef SERVER_TRACE_OTLP_CLIENT_H_
-#define SERVER_TRACE_OTLP_CLIENT_H_
+#pragma once
 
 #include <nghttp2/nghttp2.h>
 
@@ -56,5 +55,3 @@ class OtlpClient {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRACE_OTLP_CLIENT_H_

@@ -14,8 +14,7 @@
 //
 // Not thread-safe, except that Child() and Store() may be called by several threads at a time while
 // the span is neither ended nor moved.
-#ifndef SERVER_TRACE_SPAN_H_
-#define SERVER_TRACE_SPAN_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -116,5 +115,3 @@ class Span {
 uint64_t NewSpanId();
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRACE_SPAN_H_

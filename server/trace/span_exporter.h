@@ -2,8 +2,7 @@
 // that find the buffer full are dropped and counted.
 //
 // Thread-safe, except Stop().
-#ifndef SERVER_TRACE_SPAN_EXPORTER_H_
-#define SERVER_TRACE_SPAN_EXPORTER_H_
+#pragma once
 
 #include <memory>
 #include <thread>
@@ -72,5 +71,3 @@ class SpanExporter final : public SpanSink {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRACE_SPAN_EXPORTER_H_

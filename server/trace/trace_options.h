@@ -2,8 +2,7 @@
 // OpenTelemetry, OTEL_*. docs/tracing.md lists them.
 //
 // Plain data and a free function; safe to use from many threads.
-#ifndef SERVER_TRACE_TRACE_OPTIONS_H_
-#define SERVER_TRACE_TRACE_OPTIONS_H_
+#pragma once
 
 #include <cstddef>
 #include <string>
@@ -58,5 +57,3 @@ absl::StatusOr<TraceOptions> ReadTraceOptions(
     absl::FunctionRef<const char*(const std::string& name)> get);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRACE_TRACE_OPTIONS_H_

@@ -4,8 +4,7 @@
 //   Span span = (*tracer)->Start(path, parent);  // empty if the request is not sampled
 //
 // Thread-safe, except Stop().
-#ifndef SERVER_TRACE_TRACER_H_
-#define SERVER_TRACE_TRACER_H_
+#pragma once
 
 #include <memory>
 
@@ -61,5 +60,3 @@ class Tracer {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRACE_TRACER_H_

@@ -1,8 +1,7 @@
 // Accepts the connections of one listening socket and gives them to hosts.
 //
 // Confined to the thread of the first host.
-#ifndef SERVER_TRANSPORT_ACCEPTOR_H_
-#define SERVER_TRANSPORT_ACCEPTOR_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -56,5 +55,3 @@ class Acceptor final : public EventLoop::Source, public UnauthenticatedQueue::Wa
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_ACCEPTOR_H_

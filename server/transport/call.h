@@ -3,8 +3,7 @@
 //
 // Everything here is confined to the thread of one event loop, except where a comment says
 // otherwise.
-#ifndef SERVER_TRANSPORT_CALL_H_
-#define SERVER_TRANSPORT_CALL_H_
+#pragma once
 
 #include <google/protobuf/message_lite.h>
 
@@ -103,5 +102,3 @@ class CallRouter {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_CALL_H_

@@ -2,8 +2,7 @@
 //
 // Who has one IPv6 address usually has all 2^64 of its /64, and who has one IPv4 address of a /24
 // often has more of them. Limits therefore count hosts and networks, not addresses.
-#ifndef SERVER_TRANSPORT_CLIENT_ORIGIN_H_
-#define SERVER_TRANSPORT_CLIENT_ORIGIN_H_
+#pragma once
 
 #include <sys/socket.h>
 
@@ -22,5 +21,3 @@ struct ClientOrigin {
 ClientOrigin OriginOf(const sockaddr_storage& peer);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_CLIENT_ORIGIN_H_

@@ -1,8 +1,7 @@
 // One HTTP/2 connection of a client: its socket, nghttp2's session, and its streams.
 //
 // Confined to the thread of its loop.
-#ifndef SERVER_TRANSPORT_CONNECTION_H_
-#define SERVER_TRANSPORT_CONNECTION_H_
+#pragma once
 
 #include <nghttp2/nghttp2.h>
 
@@ -191,5 +190,3 @@ class Connection final : public EventLoop::Source,
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_CONNECTION_H_

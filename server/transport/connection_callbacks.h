@@ -1,8 +1,7 @@
 // Passes the callbacks of nghttp2 on to a Connection, which is their user data.
 //
 // Thread-safe.
-#ifndef SERVER_TRANSPORT_CONNECTION_CALLBACKS_H_
-#define SERVER_TRANSPORT_CONNECTION_CALLBACKS_H_
+#pragma once
 
 #include <nghttp2/nghttp2.h>
 
@@ -37,5 +36,3 @@ struct ConnectionCallbacks {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_CONNECTION_CALLBACKS_H_

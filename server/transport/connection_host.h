@@ -1,8 +1,7 @@
 // What serves the connections that an Acceptor has accepted.
 //
 // Confined to the thread of its loop, except ConnectionCloser.
-#ifndef SERVER_TRANSPORT_CONNECTION_HOST_H_
-#define SERVER_TRANSPORT_CONNECTION_HOST_H_
+#pragma once
 
 #include <memory>
 
@@ -27,5 +26,3 @@ class ConnectionHost : public ConnectionCloser {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_CONNECTION_HOST_H_

@@ -12,8 +12,7 @@
 //   slot->MarkKnown();   // and was admitted
 //
 // Thread-safe. Must outlive its slots.
-#ifndef SERVER_TRANSPORT_CONNECTION_TABLE_H_
-#define SERVER_TRANSPORT_CONNECTION_TABLE_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -179,5 +178,3 @@ class ConnectionSlot {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_CONNECTION_TABLE_H_

@@ -4,8 +4,7 @@
 // answered here.
 //
 // Confined to the thread of its loop.
-#ifndef SERVER_TRANSPORT_DATAGRAM_SOCKET_H_
-#define SERVER_TRANSPORT_DATAGRAM_SOCKET_H_
+#pragma once
 
 #include <array>
 #include <cstddef>
@@ -57,5 +56,3 @@ class DatagramSocket final : public EventLoop::Source {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_DATAGRAM_SOCKET_H_

@@ -12,8 +12,7 @@
 //
 // Thread-safety: Post() and Stop() may be called from any thread, everything else only from the
 // thread of Run(), or before Run() starts.
-#ifndef SERVER_TRANSPORT_EVENT_LOOP_H_
-#define SERVER_TRANSPORT_EVENT_LOOP_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -124,5 +123,3 @@ class EventLoop {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_EVENT_LOOP_H_

@@ -1,8 +1,7 @@
 // Bounds how many frames of one kind a peer may send.
 //
 // Not thread-safe.
-#ifndef SERVER_TRANSPORT_FRAME_BUDGET_H_
-#define SERVER_TRANSPORT_FRAME_BUDGET_H_
+#pragma once
 
 #include <algorithm>
 #include <cstdint>
@@ -47,5 +46,3 @@ class FrameBudget {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_FRAME_BUDGET_H_

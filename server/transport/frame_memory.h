@@ -4,8 +4,7 @@
 // of the time, so this buffer has pages of its own, which can be given back to the system.
 //
 // Not thread-safe.
-#ifndef SERVER_TRANSPORT_FRAME_MEMORY_H_
-#define SERVER_TRANSPORT_FRAME_MEMORY_H_
+#pragma once
 
 #include <nghttp2/nghttp2.h>
 
@@ -42,5 +41,3 @@ class FrameMemory {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_FRAME_MEMORY_H_

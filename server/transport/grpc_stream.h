@@ -2,8 +2,7 @@
 // and frames the answer.
 //
 // Confined to the thread of its connection's loop.
-#ifndef SERVER_TRANSPORT_GRPC_STREAM_H_
-#define SERVER_TRANSPORT_GRPC_STREAM_H_
+#pragma once
 
 #include <nghttp2/nghttp2.h>
 
@@ -190,5 +189,3 @@ class GrpcStream final : public Call {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_GRPC_STREAM_H_

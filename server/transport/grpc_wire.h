@@ -2,8 +2,7 @@
 //
 // Source: gRPC's public specification, "gRPC over HTTP2" (PROTOCOL-HTTP2.md). Pure functions; safe
 // to call from many threads.
-#ifndef SERVER_TRANSPORT_GRPC_WIRE_H_
-#define SERVER_TRANSPORT_GRPC_WIRE_H_
+#pragma once
 
 #include <google/protobuf/message_lite.h>
 
@@ -64,5 +63,3 @@ absl::StatusOr<absl::Duration> ParseTimeout(absl::string_view text);
 bool IsGrpcContentType(absl::string_view content_type);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_GRPC_WIRE_H_

@@ -1,6 +1,5 @@
 // What one client, or all clients together, may ask of the transport.
-#ifndef SERVER_TRANSPORT_LIMITS_H_
-#define SERVER_TRANSPORT_LIMITS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -48,5 +47,3 @@ struct TransportLimits {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_LIMITS_H_

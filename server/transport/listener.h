@@ -1,8 +1,7 @@
 // Opens the sockets that a server listens on.
 //
 // Free functions; not thread-safe with respect to one unix: path.
-#ifndef SERVER_TRANSPORT_LISTENER_H_
-#define SERVER_TRANSPORT_LISTENER_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -28,5 +27,3 @@ absl::StatusOr<Listeners> Listen(absl::string_view field, const Address& address
 absl::StatusOr<Listeners> ListenToDatagrams(absl::string_view field, const Address& address);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_LISTENER_H_

@@ -1,8 +1,7 @@
 // Splits the bytes of a gRPC request stream into messages.
 //
 // Not thread-safe.
-#ifndef SERVER_TRANSPORT_MESSAGE_READER_H_
-#define SERVER_TRANSPORT_MESSAGE_READER_H_
+#pragma once
 
 #include <cstddef>
 #include <optional>
@@ -44,5 +43,3 @@ class MessageReader {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_MESSAGE_READER_H_

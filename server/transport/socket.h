@@ -1,8 +1,7 @@
 // A connected, non-blocking socket, with or without TLS.
 //
 // Not thread-safe.
-#ifndef SERVER_TRANSPORT_SOCKET_H_
-#define SERVER_TRANSPORT_SOCKET_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -56,5 +55,3 @@ std::unique_ptr<Socket> MakePlainSocket(FileDescriptor fd);
 std::unique_ptr<Socket> MakeTlsSocket(FileDescriptor fd, TlsContext* tls);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_SOCKET_H_

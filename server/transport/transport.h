@@ -2,8 +2,7 @@
 //
 // gRPC's protocol is implemented here on nghttp2 (framing, HPACK, flow control) and OpenSSL (TLS).
 // New connections go to the loops in turn, and stay there.
-#ifndef SERVER_TRANSPORT_TRANSPORT_H_
-#define SERVER_TRANSPORT_TRANSPORT_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -89,5 +88,3 @@ class Transport {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_TRANSPORT_H_

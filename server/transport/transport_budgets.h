@@ -1,6 +1,5 @@
 // What all loops of a transport count together.
-#ifndef SERVER_TRANSPORT_TRANSPORT_BUDGETS_H_
-#define SERVER_TRANSPORT_TRANSPORT_BUDGETS_H_
+#pragma once
 
 #include "server/base/byte_budget.h"
 
@@ -14,5 +13,3 @@ struct TransportBudgets {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_TRANSPORT_BUDGETS_H_

@@ -1,6 +1,5 @@
 // One event loop of the transport, its connections, its router and its thread.
-#ifndef SERVER_TRANSPORT_TRANSPORT_LOOP_H_
-#define SERVER_TRANSPORT_TRANSPORT_LOOP_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -81,5 +80,3 @@ class TransportLoop final : public ConnectionHost {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_TRANSPORT_LOOP_H_

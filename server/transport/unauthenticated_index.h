@@ -1,8 +1,7 @@
 // Finds the connection that has to go first: of a crowd from one network, the oldest.
 //
 // Not thread-safe.
-#ifndef SERVER_TRANSPORT_UNAUTHENTICATED_INDEX_H_
-#define SERVER_TRANSPORT_UNAUTHENTICATED_INDEX_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -49,5 +48,3 @@ class UnauthenticatedIndex {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_UNAUTHENTICATED_INDEX_H_

@@ -6,8 +6,7 @@
 // wait in turn.
 //
 // Confined to the thread of its loop.
-#ifndef SERVER_TRANSPORT_UNAUTHENTICATED_QUEUE_H_
-#define SERVER_TRANSPORT_UNAUTHENTICATED_QUEUE_H_
+#pragma once
 
 #include <deque>
 
@@ -62,5 +61,3 @@ class UnauthenticatedQueue {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_TRANSPORT_UNAUTHENTICATED_QUEUE_H_

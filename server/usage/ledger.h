@@ -8,8 +8,7 @@
 // interval.
 //
 // Thread-safe, except BookAll() and Tick(), which one thread calls at a time.
-#ifndef SERVER_USAGE_LEDGER_H_
-#define SERVER_USAGE_LEDGER_H_
+#pragma once
 
 #include <atomic>
 #include <cstdint>
@@ -135,5 +134,3 @@ class Ledger {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_USAGE_LEDGER_H_

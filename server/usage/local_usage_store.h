@@ -2,8 +2,7 @@
 //
 // Books into memory first: if the disk takes nothing, what is not written yet is tried again with
 // the next batch, and a crash loses it.
-#ifndef SERVER_USAGE_LOCAL_USAGE_STORE_H_
-#define SERVER_USAGE_LOCAL_USAGE_STORE_H_
+#pragma once
 
 #include <map>
 #include <memory>
@@ -65,5 +64,3 @@ class LocalUsageStore final : public UsageStore {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_USAGE_LOCAL_USAGE_STORE_H_

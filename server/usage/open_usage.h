@@ -5,8 +5,7 @@
 //   RETURN_IF_ERROR(usage.Open());
 //
 // Not thread-safe.
-#ifndef SERVER_USAGE_OPEN_USAGE_H_
-#define SERVER_USAGE_OPEN_USAGE_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -59,5 +58,3 @@ absl::StatusOr<SessionTotals> TotalsOfJournal(const std::string& id,
                                               const std::string& label);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_USAGE_OPEN_USAGE_H_

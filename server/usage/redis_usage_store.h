@@ -7,8 +7,7 @@
 // - us:{u}:t<month>, a hash: of each tenant, what it has used in a month.
 // - us:{u}:b, a hash: the other parts, packed; `<part>:r` has the revision of a part.
 // - us:{u}:h, a set: the parts that are open.
-#ifndef SERVER_USAGE_REDIS_USAGE_STORE_H_
-#define SERVER_USAGE_REDIS_USAGE_STORE_H_
+#pragma once
 
 #include <functional>
 #include <initializer_list>
@@ -52,5 +51,3 @@ class RedisUsageStore final : public UsageStore {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_USAGE_REDIS_USAGE_STORE_H_

@@ -5,8 +5,7 @@
 //   ASSIGN_OR_RETURN(const std::vector<UsageRow> again, UnpackRows(bytes));
 //
 // Plain values, and free functions without shared state; safe to call from many threads.
-#ifndef SERVER_USAGE_USAGE_ROWS_H_
-#define SERVER_USAGE_USAGE_ROWS_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -79,5 +78,3 @@ std::optional<std::pair<absl::Time, absl::Time>> SpanOf(absl::string_view part);
 void Merge(absl::string_view target, const std::vector<UsageRow>& more, UsageRows* rows);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_USAGE_USAGE_ROWS_H_

@@ -6,8 +6,7 @@
 // adds the difference. Therefore it does not matter which server books a session, how often, or
 // after which crash: each decision is in the sums once. What a process alone knows is numbered, so
 // that a booking that is sent again adds nothing.
-#ifndef SERVER_USAGE_USAGE_STORE_H_
-#define SERVER_USAGE_USAGE_STORE_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -74,5 +73,3 @@ absl::StatusOr<std::vector<UsageRow>> ReadUsage(UsageStore& store, absl::Time fr
 absl::Status CompactUsage(UsageStore& store, absl::Time now);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_USAGE_USAGE_STORE_H_

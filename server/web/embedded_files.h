@@ -1,8 +1,7 @@
 // The files of the status page, which are compiled into the program; see cmake/EmbedFiles.cmake.
 //
 // Thread-safe.
-#ifndef SERVER_WEB_EMBEDDED_FILES_H_
-#define SERVER_WEB_EMBEDDED_FILES_H_
+#pragma once
 
 #include <map>
 
@@ -15,5 +14,3 @@ namespace spikeserve {
 const std::map<absl::string_view, absl::string_view>& EmbeddedFiles();
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_EMBEDDED_FILES_H_

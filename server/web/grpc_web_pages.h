@@ -2,8 +2,7 @@
 // PolicyAdmin and GRPCInferenceService, in the binary form and in base64.
 //
 // Source: gRPC's public specification, "gRPC-Web" (PROTOCOL-WEB.md).
-#ifndef SERVER_WEB_GRPC_WEB_PAGES_H_
-#define SERVER_WEB_GRPC_WEB_PAGES_H_
+#pragma once
 
 #include <variant>
 
@@ -33,5 +32,3 @@ class GrpcWebPages {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_GRPC_WEB_PAGES_H_

@@ -1,8 +1,7 @@
 // A call that came by HTTP/1.1: the answerers of gRPC calls answer it on a loop of the transport,
 // so it is counted, delayed and measured like theirs. Rights, size and rate are checked before any
 // of its body is read, and workers read the body.
-#ifndef SERVER_WEB_HTTP_CALL_H_
-#define SERVER_WEB_HTTP_CALL_H_
+#pragma once
 
 #include <atomic>
 #include <cstddef>
@@ -98,5 +97,3 @@ class HttpCalls {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_HTTP_CALL_H_

@@ -1,8 +1,7 @@
 // One connection of HTTP/1.1, which carries one request.
 //
 // Confined to the thread of its loop.
-#ifndef SERVER_WEB_HTTP_CONNECTION_H_
-#define SERVER_WEB_HTTP_CONNECTION_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -126,5 +125,3 @@ class HttpConnection final : public EventLoop::Source {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_HTTP_CONNECTION_H_

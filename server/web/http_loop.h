@@ -1,6 +1,5 @@
 // The loop of an HttpServer, its thread and its connections.
-#ifndef SERVER_WEB_HTTP_LOOP_H_
-#define SERVER_WEB_HTTP_LOOP_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -65,5 +64,3 @@ class HttpLoop final : public ConnectionHost, public HttpConnection::Owner {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_HTTP_LOOP_H_

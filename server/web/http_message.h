@@ -1,6 +1,5 @@
 // Requests and answers of HTTP/1.1.
-#ifndef SERVER_WEB_HTTP_MESSAGE_H_
-#define SERVER_WEB_HTTP_MESSAGE_H_
+#pragma once
 
 #include <algorithm>
 #include <cstddef>
@@ -100,5 +99,3 @@ absl::StatusOr<std::string> DecodeTarget(absl::string_view target, HttpRequest* 
 std::string HeadersOf(const HttpResponse& response, absl::string_view more_headers);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_HTTP_MESSAGE_H_

@@ -10,8 +10,7 @@
 // that has most of them.
 //
 // Thread-safe.
-#ifndef SERVER_WEB_HTTP_SERVER_H_
-#define SERVER_WEB_HTTP_SERVER_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -70,5 +69,3 @@ class HttpServer {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_HTTP_SERVER_H_

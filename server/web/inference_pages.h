@@ -1,8 +1,7 @@
 // Answers the Open Inference Protocol over HTTP: GET /v2, /v2/health/live, /v2/health/ready,
 // /v2/models/NAME[/versions/V][/ready], and POST /v2/models/NAME[/versions/V]/infer. Each request
 // becomes a call of GRPCInferenceService.
-#ifndef SERVER_WEB_INFERENCE_PAGES_H_
-#define SERVER_WEB_INFERENCE_PAGES_H_
+#pragma once
 
 #include <variant>
 
@@ -32,5 +31,3 @@ class InferencePages {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_INFERENCE_PAGES_H_

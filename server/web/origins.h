@@ -1,6 +1,5 @@
 // The web pages of other sites that may call the server: Cross-Origin Resource Sharing.
-#ifndef SERVER_WEB_ORIGINS_H_
-#define SERVER_WEB_ORIGINS_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -34,5 +33,3 @@ class Origins {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_ORIGINS_H_

@@ -14,8 +14,7 @@
 //
 // A feed looks at the session when the loop asks it to. Therefore a session that nobody watches
 // costs nothing, a decision does no work for a watched one, and watching does not keep a session.
-#ifndef SERVER_WEB_SESSION_FEED_H_
-#define SERVER_WEB_SESSION_FEED_H_
+#pragma once
 
 #include <cstdint>
 #include <map>
@@ -70,5 +69,3 @@ class SessionFeeds {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_SESSION_FEED_H_

@@ -1,8 +1,7 @@
 // Writes sessions as JSON for the status page. server/web/static/schema.json describes the format.
 //
 // Free functions, safe to call from many threads.
-#ifndef SERVER_WEB_SESSION_LIST_H_
-#define SERVER_WEB_SESSION_LIST_H_
+#pragma once
 
 #include <string>
 
@@ -29,5 +28,3 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
                                         const std::string& id, double unusual_deviations);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_SESSION_LIST_H_

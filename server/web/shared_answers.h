@@ -9,8 +9,7 @@
 // request.
 //
 // Thread-safe. A round keeps its page until the last of its requests is answered.
-#ifndef SERVER_WEB_SHARED_ANSWERS_H_
-#define SERVER_WEB_SHARED_ANSWERS_H_
+#pragma once
 
 #include <map>
 #include <memory>
@@ -53,5 +52,3 @@ class SharedAnswers {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_SHARED_ANSWERS_H_

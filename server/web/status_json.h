@@ -1,8 +1,7 @@
 // Writes the state of the server as JSON. server/web/static/schema.json describes the format.
 //
 // Free functions, safe to call from many threads.
-#ifndef SERVER_WEB_STATUS_JSON_H_
-#define SERVER_WEB_STATUS_JSON_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -45,5 +44,3 @@ std::string ServerReport(nlohmann::json summary, const std::string& address, boo
 std::string ErrorJson(const absl::Status& status);
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_STATUS_JSON_H_

@@ -1,6 +1,5 @@
 // Answers HTTP requests: /metrics, /healthz, and the status page with the JSON that it reads.
-#ifndef SERVER_WEB_STATUS_PAGES_H_
-#define SERVER_WEB_STATUS_PAGES_H_
+#pragma once
 
 #include <functional>
 #include <memory>
@@ -84,5 +83,3 @@ class StatusPages {
 };
 
 }  // namespace spikeserve
-
-#endif  // SERVER_WEB_STATUS_PAGES_H_

@@ -3,8 +3,7 @@
 // A target calls FUZZ_CHECK for what has to hold for every input. It is linked in two ways: with
 // libFuzzer, which searches for inputs (`make fuzz`), and with replay_main.cc, which replays the
 // seeds and the inputs that once failed (every `make test`).
-#ifndef TESTS_FUZZ_FUZZ_TARGET_H_
-#define TESTS_FUZZ_FUZZ_TARGET_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -58,5 +57,3 @@ class InputReader {
 
 #define FUZZ_CHECK(condition) \
   ((condition) ? void() : spikeserve::FuzzCheckFailed(__FILE__, __LINE__, #condition))
-
-#endif  // TESTS_FUZZ_FUZZ_TARGET_H_

@@ -1,7 +1,6 @@
 // The parts of a server that fuzz targets send requests to: a policy "small" and its sessions,
 // without a network.
-#ifndef TESTS_FUZZ_FUZZED_SERVER_H_
-#define TESTS_FUZZ_FUZZED_SERVER_H_
+#pragma once
 
 #include <memory>
 
@@ -61,5 +60,3 @@ class FuzzedServer {
 };
 
 }  // namespace spikeserve
-
-#endif  // TESTS_FUZZ_FUZZED_SERVER_H_

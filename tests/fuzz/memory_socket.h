@@ -1,6 +1,5 @@
 // A socket whose client is an input: it hands out the bytes in pieces and takes every answer.
-#ifndef TESTS_FUZZ_MEMORY_SOCKET_H_
-#define TESTS_FUZZ_MEMORY_SOCKET_H_
+#pragma once
 
 #include <sys/eventfd.h>
 
@@ -48,5 +47,3 @@ class MemorySocket final : public Socket {
 };
 
 }  // namespace spikeserve
-
-#endif  // TESTS_FUZZ_MEMORY_SOCKET_H_

@@ -1,6 +1,5 @@
 // The client of a fuzz target that has one connection.
-#ifndef TESTS_FUZZ_ONE_CLIENT_H_
-#define TESTS_FUZZ_ONE_CLIENT_H_
+#pragma once
 
 #include <cstdint>
 
@@ -19,5 +18,3 @@ class NoCloser final : public ConnectionCloser {
 };
 
 }  // namespace spikeserve
-
-#endif  // TESTS_FUZZ_ONE_CLIENT_H_

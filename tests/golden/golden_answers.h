@@ -1,7 +1,6 @@
 // Hashes the answers of policies to the sequences of golden_play.h, and keeps the hashes in a file.
 // Free functions, thread-safe.
-#ifndef TESTS_GOLDEN_GOLDEN_ANSWERS_H_
-#define TESTS_GOLDEN_GOLDEN_ANSWERS_H_
+#pragma once
 
 #include <map>
 #include <string>
@@ -29,5 +28,3 @@ Answers ReadAnswers(const std::string& path);
 void WriteAnswers(const std::string& path, const Answers& answers);
 
 }  // namespace spikeserve::golden
-
-#endif  // TESTS_GOLDEN_GOLDEN_ANSWERS_H_

@@ -3,8 +3,7 @@
 // The sequences cover ordinary numbers, the extreme ones that a session accepts, and some that it
 // refuses. All numbers come from integer arithmetic, so they are equal on every machine.
 // Free functions, thread-safe.
-#ifndef TESTS_GOLDEN_GOLDEN_PLAY_H_
-#define TESTS_GOLDEN_GOLDEN_PLAY_H_
+#pragma once
 
 #include <string>
 #include <utility>
@@ -38,5 +37,3 @@ Policy ReadPolicy(const std::string& path);
 std::string PlayGolden(const Policy& policy, Kind kind);
 
 }  // namespace spikeserve::golden
-
-#endif  // TESTS_GOLDEN_GOLDEN_PLAY_H_

@@ -1,6 +1,5 @@
 // Notes the newest answer of ActStream that has arrived, for tests.
-#ifndef TESTS_INTEGRATION_ANSWER_WATCH_H_
-#define TESTS_INTEGRATION_ANSWER_WATCH_H_
+#pragma once
 
 #include <cstdint>
 
@@ -13,5 +12,3 @@ void WatchAnswers();
 int64_t NewestAnswer();
 
 }  // namespace spikeserve
-
-#endif  // TESTS_INTEGRATION_ANSWER_WATCH_H_

@@ -4,12 +4,9 @@
 // without them, so that it would look for the other members at the wrong place.
 //
 // Included before every source of the `tsan` preset that uses protobuf, by the compiler.
-#ifndef TESTS_SANITIZERS_TSAN_PROTOBUF_H_
-#define TESTS_SANITIZERS_TSAN_PROTOBUF_H_
+#pragma once
 
 #pragma push_macro("__SANITIZE_THREAD__")
 #undef __SANITIZE_THREAD__
 #include <google/protobuf/map_field.h>
 #pragma pop_macro("__SANITIZE_THREAD__")
-
-#endif  // TESTS_SANITIZERS_TSAN_PROTOBUF_H_

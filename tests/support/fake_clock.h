@@ -1,6 +1,5 @@
 // A clock whose time changes only when a test calls Advance(). Thread-safe.
-#ifndef TESTS_SUPPORT_FAKE_CLOCK_H_
-#define TESTS_SUPPORT_FAKE_CLOCK_H_
+#pragma once
 
 #include <atomic>
 
@@ -18,5 +17,3 @@ class FakeClock final : public Clock {
 };
 
 }  // namespace spikeserve
-
-#endif  // TESTS_SUPPORT_FAKE_CLOCK_H_

@@ -7,8 +7,7 @@
 //   FakePolicyService fake;
 //   const auto client = *Client::Create(fake.channel(), options);
 //   fake.LoseNextReplies(1);
-#ifndef TESTS_SUPPORT_FAKE_POLICY_SERVICE_H_
-#define TESTS_SUPPORT_FAKE_POLICY_SERVICE_H_
+#pragma once
 
 #include <grpcpp/channel.h>
 #include <grpcpp/server.h>
@@ -98,5 +97,3 @@ class FakePolicyService : public v1::PolicyService::Service {
 };
 
 }  // namespace spikeserve
-
-#endif  // TESTS_SUPPORT_FAKE_POLICY_SERVICE_H_

@@ -1,6 +1,5 @@
 // Helpers for tests that read and write files.
-#ifndef TESTS_SUPPORT_FILES_H_
-#define TESTS_SUPPORT_FILES_H_
+#pragma once
 
 #include <gtest/gtest.h>
 
@@ -51,5 +50,3 @@ inline std::string Container(const std::string& header, const std::string& data)
 }
 
 }  // namespace spikeserve
-
-#endif  // TESTS_SUPPORT_FILES_H_

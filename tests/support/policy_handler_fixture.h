@@ -1,6 +1,5 @@
 // A fixture for tests of what agents ask for, without a network.
-#ifndef TESTS_SUPPORT_POLICY_HANDLER_FIXTURE_H_
-#define TESTS_SUPPORT_POLICY_HANDLER_FIXTURE_H_
+#pragma once
 
 #include <gtest/gtest.h>
 
@@ -54,5 +53,3 @@ class PolicyHandlerFixture : public ::testing::Test {
 };
 
 }  // namespace spikeserve
-
-#endif  // TESTS_SUPPORT_POLICY_HANDLER_FIXTURE_H_

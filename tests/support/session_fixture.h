@@ -1,6 +1,5 @@
 // Small random policies and synthetic inputs, for tests of sessions.
-#ifndef TESTS_SUPPORT_SESSION_FIXTURE_H_
-#define TESTS_SUPPORT_SESSION_FIXTURE_H_
+#pragma once
 
 #include <cmath>
 #include <cstdint>
@@ -78,5 +77,3 @@ inline std::vector<float> ObservationAt(int64_t t) {
 inline double RewardAt(int64_t t) { return 0.1 * static_cast<double>(t % 3); }
 
 }  // namespace spikeserve
-
-#endif  // TESTS_SUPPORT_SESSION_FIXTURE_H_

@@ -1,6 +1,5 @@
 // Runs tests on every SIMD target of the engine's kernels. A test that ran on none fails.
-#ifndef TESTS_SUPPORT_SIMD_TARGETS_H_
-#define TESTS_SUPPORT_SIMD_TARGETS_H_
+#pragma once
 
 #include <gtest/gtest.h>
 
@@ -39,5 +38,3 @@ void OnEverySimdTarget(Check check) {
 }
 
 }  // namespace spikeserve
-
-#endif  // TESTS_SUPPORT_SIMD_TARGETS_H_

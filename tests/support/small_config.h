@@ -1,6 +1,5 @@
 // The configuration of the small policies that tests play with.
-#ifndef TESTS_SUPPORT_SMALL_CONFIG_H_
-#define TESTS_SUPPORT_SMALL_CONFIG_H_
+#pragma once
 
 #include "core/model/config.h"
 
@@ -22,5 +21,3 @@ inline ModelConfig SmallConfig(Mode mode = Mode::kFull) {
 }
 
 }  // namespace spikeserve
-
-#endif  // TESTS_SUPPORT_SMALL_CONFIG_H_

@@ -1,6 +1,5 @@
 // A small random policy with the observations and actions of CartPole-v1.
-#ifndef TESTS_SUPPORT_SMALL_POLICY_H_
-#define TESTS_SUPPORT_SMALL_POLICY_H_
+#pragma once
 
 #include <cstdint>
 
@@ -18,5 +17,3 @@ inline Policy SmallPolicy(const ModelConfig& config = SmallConfig(),
 }
 
 }  // namespace spikeserve
-
-#endif  // TESTS_SUPPORT_SMALL_POLICY_H_

@@ -1,7 +1,6 @@
 // A policy registry that serves small random policies from a temporary directory, for tests of code
 // that uses a registry.
-#ifndef TESTS_SUPPORT_SMALL_REGISTRY_H_
-#define TESTS_SUPPORT_SMALL_REGISTRY_H_
+#pragma once
 
 #include <gtest/gtest.h>
 
@@ -53,5 +52,3 @@ class SmallRegistry {
 };
 
 }  // namespace spikeserve
-
-#endif  // TESTS_SUPPORT_SMALL_REGISTRY_H_

@@ -1,6 +1,5 @@
 // A temporary directory that is removed, with its contents, when this object is destroyed.
-#ifndef TESTS_SUPPORT_TEMPORARY_DIRECTORY_H_
-#define TESTS_SUPPORT_TEMPORARY_DIRECTORY_H_
+#pragma once
 
 #include <cstdlib>
 #include <filesystem>
@@ -28,5 +27,3 @@ class TemporaryDirectory {
 };
 
 }  // namespace spikeserve
-
-#endif  // TESTS_SUPPORT_TEMPORARY_DIRECTORY_H_

@@ -5,8 +5,7 @@
 //
 // Plain values; functions are safe to call from many threads. Symbols: obs length of an
 // observation, act outputs of the action head.
-#ifndef TRAIN_BASELINES_BASELINE_H_
-#define TRAIN_BASELINES_BASELINE_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -76,5 +75,3 @@ Baseline FitMlp(const ActionSpace& space, const StepTable& training, const StepT
                 int frames, const MlpFit& fit = {});
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_BASELINES_BASELINE_H_

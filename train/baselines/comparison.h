@@ -6,8 +6,7 @@
 //   const BaselineComparison comparison = CompareWithBaselines(policy, *data, seed);
 //
 // Free functions without shared state.
-#ifndef TRAIN_BASELINES_COMPARISON_H_
-#define TRAIN_BASELINES_COMPARISON_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -79,5 +78,3 @@ std::string ToText(const BaselineComparison& comparison);
 nlohmann::ordered_json ToJson(const BaselineComparison& comparison, bool with_weights);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_BASELINES_COMPARISON_H_

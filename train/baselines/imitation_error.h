@@ -1,8 +1,7 @@
 // How far the actions of a model are from those to imitate, on recorded steps.
 //
 // Functions are pure and safe to call from many threads.
-#ifndef TRAIN_BASELINES_IMITATION_ERROR_H_
-#define TRAIN_BASELINES_IMITATION_ERROR_H_
+#pragma once
 
 #include <memory>
 #include <vector>
@@ -44,5 +43,3 @@ struct ErrorDifference {
 ErrorDifference Compare(const ImitationError& a, const ImitationError& b);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_BASELINES_IMITATION_ERROR_H_

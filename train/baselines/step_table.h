@@ -3,8 +3,7 @@
 //
 // Symbols: obs length of an observation, act outputs of the action head. Plain values; const
 // members and functions are safe to call from many threads.
-#ifndef TRAIN_BASELINES_STEP_TABLE_H_
-#define TRAIN_BASELINES_STEP_TABLE_H_
+#pragma once
 
 #include <vector>
 
@@ -58,5 +57,3 @@ absl::StatusOr<StepTable> ReadSteps(const EpisodeSource& source, absl::Span<cons
 StepTable EverySecondEpisode(const StepTable& table, size_t first);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_BASELINES_STEP_TABLE_H_

@@ -4,8 +4,7 @@
 //   const Verdict verdict = Judge(comparison, ActionNames(dataset), loss_fall);
 //   std::fputs(ToText(verdict).c_str(), stdout);
 //   return CheckGrade(verdict, least);
-#ifndef TRAIN_BASELINES_VERDICT_H_
-#define TRAIN_BASELINES_VERDICT_H_
+#pragma once
 
 #include <array>
 #include <optional>
@@ -60,5 +59,3 @@ nlohmann::ordered_json ToJson(const Verdict& verdict);
 absl::Status CheckGrade(const Verdict& verdict, Grade least);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_BASELINES_VERDICT_H_

@@ -1,7 +1,6 @@
 // Reads a dataset in a child process of its own, for libraries that cannot be trusted with the
 // bytes of untrusted files.
-#ifndef TRAIN_DATA_CHILD_READER_H_
-#define TRAIN_DATA_CHILD_READER_H_
+#pragma once
 
 #include "absl/functional/function_ref.h"
 #include "absl/status/statusor.h"
@@ -17,5 +16,3 @@ namespace spikeserve {
 absl::StatusOr<Dataset> ReadInChild(absl::FunctionRef<absl::StatusOr<Dataset>()> read);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_DATA_CHILD_READER_H_

@@ -7,8 +7,7 @@
 // Not thread-safe. Example:
 //   ChunkPlan plan(entries, indices, options);
 //   ChunkPlan::Chunk chunk = plan.At(0);   // used up to iteration chunk.end
-#ifndef TRAIN_DATA_CHUNK_PLAN_H_
-#define TRAIN_DATA_CHUNK_PLAN_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -53,5 +52,3 @@ class ChunkPlan {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_DATA_CHUNK_PLAN_H_

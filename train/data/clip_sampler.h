@@ -2,8 +2,7 @@
 //
 // Symbols: B clips, n timesteps per clip, obs length of an observation, act outputs of the action
 // head.
-#ifndef TRAIN_DATA_CLIP_SAMPLER_H_
-#define TRAIN_DATA_CLIP_SAMPLER_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -112,5 +111,3 @@ struct Split {
 Split SplitEpisodes(const std::vector<EpisodeEntry>& entries, double fraction);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_DATA_CLIP_SAMPLER_H_

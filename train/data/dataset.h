@@ -1,8 +1,7 @@
 // Quantities that training computes from recorded episodes.
 //
 // Functions are pure and safe to call from many threads; DataStatistics is a plain value.
-#ifndef TRAIN_DATA_DATASET_H_
-#define TRAIN_DATA_DATASET_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -64,5 +63,3 @@ class DataStatistics {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_DATA_DATASET_H_

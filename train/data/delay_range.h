@@ -1,6 +1,5 @@
 // The delay with which decisions are executed. A plain value.
-#ifndef TRAIN_DATA_DELAY_RANGE_H_
-#define TRAIN_DATA_DELAY_RANGE_H_
+#pragma once
 
 namespace spikeserve {
 
@@ -14,5 +13,3 @@ struct DelayRange {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_DATA_DELAY_RANGE_H_

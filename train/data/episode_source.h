@@ -3,8 +3,7 @@
 // Not thread-safe if the episodes are not resident, because the HDF5 library is not. Example:
 //   auto source = EpisodeSource::Open({"a-v0", "b-v0"}, /*memory=*/int64_t{1} << 30);
 //   auto episodes = source->Read({0, 7});
-#ifndef TRAIN_DATA_EPISODE_SOURCE_H_
-#define TRAIN_DATA_EPISODE_SOURCE_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -65,5 +64,3 @@ class EpisodeSource {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_DATA_EPISODE_SOURCE_H_

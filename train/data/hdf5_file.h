@@ -3,8 +3,7 @@
 //
 // Not thread-safe, like the HDF5 library: only one thread of a process may use it at a time. Errors
 // name the file's path and the object in the file.
-#ifndef TRAIN_DATA_HDF5_FILE_H_
-#define TRAIN_DATA_HDF5_FILE_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -89,5 +88,3 @@ class Hdf5File {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_DATA_HDF5_FILE_H_

@@ -7,8 +7,7 @@
 // fastest. Data that Minari has no field for use its extension points: the actor is an attribute of
 // the episode; labels, weights and returns-to-go are infos; environment and recipe are in the
 // metadata. The labels and weights of every writer are read.
-#ifndef TRAIN_DATA_MINARI_LAYOUT_H_
-#define TRAIN_DATA_MINARI_LAYOUT_H_
+#pragma once
 
 namespace spikeserve {
 
@@ -17,5 +16,3 @@ inline constexpr char kMinariData[] = "/data/main_data.hdf5";     // relative to
 inline constexpr char kMinariExtension[] = "spikeserve";  // this project's key in the metadata
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_DATA_MINARI_LAYOUT_H_

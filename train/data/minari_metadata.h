@@ -1,7 +1,6 @@
 // Parses the metadata of datasets in Minari's layout; see minari_layout.h. Pure functions; safe to
 // call from many threads.
-#ifndef TRAIN_DATA_MINARI_METADATA_H_
-#define TRAIN_DATA_MINARI_METADATA_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -29,5 +28,3 @@ struct MinariMetadata {
 absl::StatusOr<MinariMetadata> ParseMinariMetadata(absl::string_view text);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_DATA_MINARI_METADATA_H_

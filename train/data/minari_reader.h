@@ -3,8 +3,7 @@
 // Reads in a child process, so that a damaged or hostile file that makes the HDF5 library crash,
 // run without end or take all memory is an error, too. Errors start with the path; INVALID_ARGUMENT
 // names what minari_layout.h does not support.
-#ifndef TRAIN_DATA_MINARI_READER_H_
-#define TRAIN_DATA_MINARI_READER_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -57,5 +56,3 @@ class MinariEpisodes {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_DATA_MINARI_READER_H_

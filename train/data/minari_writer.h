@@ -1,6 +1,5 @@
 // Writes datasets in Minari's layout; see minari_layout.h. Not thread-safe.
-#ifndef TRAIN_DATA_MINARI_WRITER_H_
-#define TRAIN_DATA_MINARI_WRITER_H_
+#pragma once
 
 #include <string>
 
@@ -16,5 +15,3 @@ namespace spikeserve {
 absl::Status WriteMinariDataset(const Dataset& dataset, const std::string& directory);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_DATA_MINARI_WRITER_H_

@@ -1,7 +1,6 @@
 // Switches off parts of a trained policy, to measure how much each part contributes. Pure functions
 // of plain values.
-#ifndef TRAIN_EVALUATION_ABLATION_H_
-#define TRAIN_EVALUATION_ABLATION_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
@@ -20,5 +19,3 @@ namespace spikeserve {
 absl::Status Ablate(absl::string_view part, Policy* policy);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EVALUATION_ABLATION_H_

@@ -3,8 +3,7 @@
 // fire.
 //
 // All functions are thread-safe.
-#ifndef TRAIN_EVALUATION_CALIBRATION_H_
-#define TRAIN_EVALUATION_CALIBRATION_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -39,5 +38,3 @@ std::vector<std::vector<bool>> FiringHiddenNeurons(const Policy& policy,
                                                    absl::Span<const Episode> episodes);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EVALUATION_CALIBRATION_H_

@@ -2,8 +2,7 @@
 // of the same sizes (core/engine/account.h).
 //
 // All functions are pure and thread-safe.
-#ifndef TRAIN_EVALUATION_ENERGY_ACCOUNT_H_
-#define TRAIN_EVALUATION_ENERGY_ACCOUNT_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -52,5 +51,3 @@ nlohmann::ordered_json ToJson(const EnergyAccount& account);
 std::string ToText(const EnergyAccount& account);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EVALUATION_ENERGY_ACCOUNT_H_

@@ -1,6 +1,5 @@
 // Plays a policy in closed loop in its environment, with the same engine that the server uses.
-#ifndef TRAIN_EVALUATION_EVALUATION_H_
-#define TRAIN_EVALUATION_EVALUATION_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -51,5 +50,3 @@ nlohmann::ordered_json ToJson(const Evaluation& evaluation, const ModelConfig& c
 std::string ToText(const Evaluation& evaluation, const ModelConfig& config);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EVALUATION_EVALUATION_H_

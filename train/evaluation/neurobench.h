@@ -2,8 +2,7 @@
 // sample is a decision.
 //
 // All functions are pure and thread-safe.
-#ifndef TRAIN_EVALUATION_NEUROBENCH_H_
-#define TRAIN_EVALUATION_NEUROBENCH_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -52,5 +51,3 @@ nlohmann::ordered_json ToJson(const NeuroBench& metrics);
 std::string ToText(const NeuroBench& metrics);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EVALUATION_NEUROBENCH_H_

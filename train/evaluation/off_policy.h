@@ -7,8 +7,7 @@
 // observations, and is fitted to other episodes than those that it is applied to.
 //
 // Pure functions; safe to call from many threads.
-#ifndef TRAIN_EVALUATION_OFF_POLICY_H_
-#define TRAIN_EVALUATION_OFF_POLICY_H_
+#pragma once
 
 #include <cstddef>
 #include <string>
@@ -71,5 +70,3 @@ struct OffPolicyEvaluation {
 OffPolicyEvaluation EvaluateOffPolicy(const std::vector<OffPolicyEpisode>& episodes);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EVALUATION_OFF_POLICY_H_

@@ -2,8 +2,7 @@
 // the recorded actions.
 //
 // Pure functions; safe to call from many threads.
-#ifndef TRAIN_EVALUATION_OFF_POLICY_EPISODES_H_
-#define TRAIN_EVALUATION_OFF_POLICY_EPISODES_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -42,5 +41,3 @@ absl::StatusOr<RecordedDecisions> DecideRecorded(const std::vector<Dataset>& rec
                                                  const OffPolicyConditions& conditions);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EVALUATION_OFF_POLICY_EPISODES_H_

@@ -1,6 +1,5 @@
 // Compares two policies on the same starts of their environment.
-#ifndef TRAIN_EVALUATION_PAIRED_EVALUATION_H_
-#define TRAIN_EVALUATION_PAIRED_EVALUATION_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -47,5 +46,3 @@ nlohmann::ordered_json ToJson(const PairedEvaluation& pair);
 std::string ToText(const PairedEvaluation& pair, absl::string_view first, absl::string_view second);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EVALUATION_PAIRED_EVALUATION_H_

@@ -1,6 +1,5 @@
 // Measures how the achieved return follows the target return that a policy is conditioned on.
-#ifndef TRAIN_EVALUATION_RETURN_RESPONSE_H_
-#define TRAIN_EVALUATION_RETURN_RESPONSE_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -38,5 +37,3 @@ nlohmann::ordered_json ToJson(const ReturnResponse& response);
 std::string ToText(const ReturnResponse& response);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EVALUATION_RETURN_RESPONSE_H_

@@ -1,8 +1,7 @@
 // Measures what a policy lost when it was rounded, and decides whether that is too much.
 //
 // All functions are thread-safe.
-#ifndef TRAIN_EVALUATION_ROUNDING_LOSS_H_
-#define TRAIN_EVALUATION_ROUNDING_LOSS_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -41,5 +40,3 @@ absl::Status CheckLoss(const RoundingLoss& loss, double largest);
 nlohmann::ordered_json ToJson(const RoundingLoss& loss);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EVALUATION_ROUNDING_LOSS_H_

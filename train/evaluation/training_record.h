@@ -4,8 +4,7 @@
 // (`data_sha256`, by path) and, in the recipe of a dataset, the student that played for it.
 //
 // All functions are pure or read one file, and are thread-safe.
-#ifndef TRAIN_EVALUATION_TRAINING_RECORD_H_
-#define TRAIN_EVALUATION_TRAINING_RECORD_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -34,5 +33,3 @@ absl::StatusOr<nlohmann::ordered_json> IdentifySources(const std::string& parent
                                                        const std::vector<std::string>& data);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EVALUATION_TRAINING_RECORD_H_

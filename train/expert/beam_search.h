@@ -1,7 +1,6 @@
 // Beam search for a short path to Acrobot's goal: expands every choice, keeps the most valuable
 // states and stops at the first terminal state.
-#ifndef TRAIN_EXPERT_BEAM_SEARCH_H_
-#define TRAIN_EXPERT_BEAM_SEARCH_H_
+#pragma once
 
 #include <vector>
 
@@ -22,5 +21,3 @@ std::vector<int> BeamSearch(const Problem& problem, const ValueTable<4>& table,
                             const Grid<4>::State& start, int width, int max_steps);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EXPERT_BEAM_SEARCH_H_

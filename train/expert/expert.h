@@ -1,6 +1,5 @@
 // Controllers that play the expert when offline data are recorded.
-#ifndef TRAIN_EXPERT_EXPERT_H_
-#define TRAIN_EXPERT_EXPERT_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -58,5 +57,3 @@ struct ExpertOptions {
 absl::StatusOr<std::unique_ptr<Expert>> MakeExpert(const ExpertOptions& options);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EXPERT_EXPERT_H_

@@ -1,6 +1,5 @@
 // Plays an expert in its environment and summarises the returns.
-#ifndef TRAIN_EXPERT_EXPERT_EVALUATION_H_
-#define TRAIN_EXPERT_EXPERT_EVALUATION_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -27,5 +26,3 @@ struct ReturnSummary {
 ReturnSummary StatisticsOf(absl::Span<const double> returns);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EXPERT_EXPERT_EVALUATION_H_

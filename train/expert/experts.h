@@ -1,8 +1,7 @@
 // The experts of each environment. These functions ignore `options.environment`; an empty
 // `options.name` selects the environment's first expert. They return NOT_FOUND, with the known
 // names, for an unknown expert.
-#ifndef TRAIN_EXPERT_EXPERTS_H_
-#define TRAIN_EXPERT_EXPERTS_H_
+#pragma once
 
 #include <memory>
 
@@ -20,5 +19,3 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeAcrobotExpert(const ExpertOptions& o
 absl::Status UnknownExpert(const ExpertOptions& options, absl::string_view expected);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EXPERT_EXPERTS_H_

@@ -3,8 +3,7 @@
 //
 // Points are numbered in row-major order: the last axis varies fastest. A plain value; const
 // members are safe to call from many threads.
-#ifndef TRAIN_EXPERT_GRID_H_
-#define TRAIN_EXPERT_GRID_H_
+#pragma once
 
 #include <algorithm>
 #include <array>
@@ -110,5 +109,3 @@ class Grid {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EXPERT_GRID_H_

@@ -1,7 +1,6 @@
 // An expert that searches `depth` steps ahead with the exact model and takes the value of the
 // states at the end of the search from a value table.
-#ifndef TRAIN_EXPERT_LOOKAHEAD_EXPERT_H_
-#define TRAIN_EXPERT_LOOKAHEAD_EXPERT_H_
+#pragma once
 
 #include <algorithm>
 #include <memory>
@@ -44,5 +43,3 @@ class LookaheadExpert final : public Expert {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EXPERT_LOOKAHEAD_EXPERT_H_

@@ -1,8 +1,7 @@
 // Stores solved value tables on disk, so that each is solved only once.
 //
 // The format is a safetensors file with one tensor, `values`, and the table's name in the metadata.
-#ifndef TRAIN_EXPERT_TABLE_FILE_H_
-#define TRAIN_EXPERT_TABLE_FILE_H_
+#pragma once
 
 #include <algorithm>
 #include <string>
@@ -50,5 +49,3 @@ absl::StatusOr<ValueTable<D>> LoadOrSolve(const ExpertOptions& options, const st
 }
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EXPERT_TABLE_FILE_H_

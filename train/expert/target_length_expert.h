@@ -4,8 +4,7 @@
 //
 // CartPole-v1: balances the pole for most of the episode, then lets it fall. MountainCar-v0: coasts
 // in the valley for most of the episode, then takes the shortest way out.
-#ifndef TRAIN_EXPERT_TARGET_LENGTH_EXPERT_H_
-#define TRAIN_EXPERT_TARGET_LENGTH_EXPERT_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -85,5 +84,3 @@ class ConstantExpert final : public Expert {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EXPERT_TARGET_LENGTH_EXPERT_H_

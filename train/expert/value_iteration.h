@@ -6,8 +6,7 @@
 // best choice of each state (modified policy iteration: M. L. Puterman, M. C. Shin, Management
 // Science 24(11), 1978). And the values of a grid are initialised from the solution on a coarser
 // one (one-way multigrid: C.-S. Chow, J. N. Tsitsiklis, IEEE Trans. Automatic Control 36(8), 1991).
-#ifndef TRAIN_EXPERT_VALUE_ITERATION_H_
-#define TRAIN_EXPERT_VALUE_ITERATION_H_
+#pragma once
 
 #include <algorithm>
 #include <array>
@@ -171,5 +170,3 @@ ValueTable<D> SolveValueTable(const Problem& problem, const Axes<D>& axes,
 }
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EXPERT_VALUE_ITERATION_H_

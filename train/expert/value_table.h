@@ -1,8 +1,7 @@
 // A value function on a grid, and lookahead search with the exact model that uses it.
 //
 // Immutable once solved; const members are safe to call from many threads.
-#ifndef TRAIN_EXPERT_VALUE_TABLE_H_
-#define TRAIN_EXPERT_VALUE_TABLE_H_
+#pragma once
 
 #include <algorithm>
 #include <limits>
@@ -83,5 +82,3 @@ struct ValueTable {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_EXPERT_VALUE_TABLE_H_

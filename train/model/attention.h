@@ -2,8 +2,7 @@
 // functions.
 //
 // Symbols: B clips, S tokens per clip, Q query tokens, H heads, d hidden size, d_h = d/H, T ticks.
-#ifndef TRAIN_MODEL_ATTENTION_H_
-#define TRAIN_MODEL_ATTENTION_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -35,5 +34,3 @@ torch::Tensor RouteHeads(const Parameters& parameters, const std::string& layer,
                          const ModelConfig& config, const torch::Tensor& y);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_MODEL_ATTENTION_H_

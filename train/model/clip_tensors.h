@@ -2,8 +2,7 @@
 //
 // Symbols: B clips, n timesteps per clip, d hidden size, T ticks, H heads, obs length of an
 // observation, act outputs of the action head. All functions are pure.
-#ifndef TRAIN_MODEL_CLIP_TENSORS_H_
-#define TRAIN_MODEL_CLIP_TENSORS_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -64,5 +63,3 @@ torch::Tensor StateInput(const Policy& policy, const Parameters& parameters,
 torch::Tensor PhaseTimes(const ModelConfig& config, const torch::Tensor& timesteps);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_MODEL_CLIP_TENSORS_H_

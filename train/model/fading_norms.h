@@ -2,8 +2,7 @@
 // a weight, plus a bias, with p falling from 1 to 0. FoldNorms (fold_norms.h) removes what is left.
 //
 // Not thread-safe while the moments change.
-#ifndef TRAIN_MODEL_FADING_NORMS_H_
-#define TRAIN_MODEL_FADING_NORMS_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -57,5 +56,3 @@ class FadingNorms {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_MODEL_FADING_NORMS_H_

@@ -4,8 +4,7 @@
 // Integers are float64 and have no gradient. No sum leaves the integers that float64 holds exactly.
 // Symbols: B clips, S tokens of a clip, Q tokens with a query, d hidden size, H heads, d_h = d / H,
 // T ticks. All functions are pure and thread-safe.
-#ifndef TRAIN_MODEL_FIXED_POINT_TENSORS_H_
-#define TRAIN_MODEL_FIXED_POINT_TENSORS_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -59,5 +58,3 @@ torch::Tensor MergeInIntegers(const FixedPointLayer& layer, const ModelConfig& c
                               const torch::Tensor& y);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_MODEL_FIXED_POINT_TENSORS_H_

@@ -1,8 +1,7 @@
 // Moves norms that are affine maps into the maps and coders around them.
 //
 // Pure and thread-safe.
-#ifndef TRAIN_MODEL_FOLD_NORMS_H_
-#define TRAIN_MODEL_FOLD_NORMS_H_
+#pragma once
 
 #include "core/model/policy.h"
 
@@ -15,5 +14,3 @@ namespace spikeserve {
 void FoldNorms(Policy* policy);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_MODEL_FOLD_NORMS_H_

@@ -4,8 +4,7 @@
 //
 // Each number is computed twice: as integers, and in float32 from the float parameters, from which
 // the gradient comes.
-#ifndef TRAIN_MODEL_INTEGER_FORWARD_H_
-#define TRAIN_MODEL_INTEGER_FORWARD_H_
+#pragma once
 
 #include "core/model/policy.h"
 #include "train/model/clip_tensors.h"
@@ -24,5 +23,3 @@ ModelOutput ForwardInIntegers(const Policy& rounded, const RoundedMaps& maps,
                               const ClipTensors& clips);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_MODEL_INTEGER_FORWARD_H_

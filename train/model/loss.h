@@ -1,6 +1,5 @@
 // The loss of training: imitation of the recorded actions, and a penalty on firing rates.
-#ifndef TRAIN_MODEL_LOSS_H_
-#define TRAIN_MODEL_LOSS_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -45,5 +44,3 @@ torch::Tensor OperationShare(const std::vector<Population>& populations, const M
                              const torch::Tensor& mask);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_MODEL_LOSS_H_

@@ -1,6 +1,5 @@
 // The weights of a policy as torch tensors, by their names in the policy file.
-#ifndef TRAIN_MODEL_PARAMETERS_H_
-#define TRAIN_MODEL_PARAMETERS_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -54,5 +53,3 @@ class Parameters {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_MODEL_PARAMETERS_H_

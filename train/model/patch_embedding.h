@@ -11,8 +11,7 @@
 //
 // Symbols: d hidden size, obs = height width channels, n = obs / (size^2 channels) patches,
 // k features. Pure functions; safe to call from many threads.
-#ifndef TRAIN_MODEL_PATCH_EMBEDDING_H_
-#define TRAIN_MODEL_PATCH_EMBEDDING_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -52,5 +51,3 @@ PatchMaps RandomPatchMaps(const PatchShape& shape, int hidden_size, uint64_t see
 torch::Tensor FoldPatches(const PatchShape& shape, const PatchMaps& maps);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_MODEL_PATCH_EMBEDDING_H_

@@ -7,8 +7,7 @@
 // w_int with the scale s has the gradient (dL/dw_int) / s.
 //
 // Symbols as in torch_model.h. Not thread-safe.
-#ifndef TRAIN_MODEL_ROUNDED_MAPS_H_
-#define TRAIN_MODEL_ROUNDED_MAPS_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -46,5 +45,3 @@ class RoundedMaps {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_MODEL_ROUNDED_MAPS_H_

@@ -2,8 +2,7 @@
 // (core/engine/reference) with surrogate gradients.
 //
 // Not thread-safe. Symbols as in clip_tensors.h.
-#ifndef TRAIN_MODEL_TORCH_MODEL_H_
-#define TRAIN_MODEL_TORCH_MODEL_H_
+#pragma once
 
 #include <optional>
 
@@ -78,5 +77,3 @@ class TorchModel {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_MODEL_TORCH_MODEL_H_

@@ -2,8 +2,7 @@
 // node per tick.
 //
 // The results do not depend on the number of threads.
-#ifndef TRAIN_NEURON_LIF_FUNCTION_H_
-#define TRAIN_NEURON_LIF_FUNCTION_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -42,5 +41,3 @@ struct IntegerLifOptions {
 torch::Tensor IntegerLifPerTick(const torch::Tensor& current, const IntegerLifOptions& options);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_NEURON_LIF_FUNCTION_H_

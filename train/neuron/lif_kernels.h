@@ -3,8 +3,7 @@
 // Compiled once per vector extension of x86-64, where the variant is selected when the program
 // starts, so that one binary runs on every processor; on arm64 once. All variants compute the same
 // bits. Safe to call from many threads on disjoint ranges of neurons.
-#ifndef TRAIN_NEURON_LIF_KERNELS_H_
-#define TRAIN_NEURON_LIF_KERNELS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -69,5 +68,3 @@ void IntegerLifBackward(const IntegerLifRange& range, const Surrogate& surrogate
                         TickRows spike_gradient, float* current_gradient);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_NEURON_LIF_KERNELS_H_

@@ -2,8 +2,7 @@
 // memory, where plain loops cannot read them.
 //
 // Pure functions.
-#ifndef TRAIN_NEURON_LIF_OPERATORS_H_
-#define TRAIN_NEURON_LIF_OPERATORS_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -27,5 +26,3 @@ torch::Tensor LifBackwardOperators(const Lif& neuron, int ticks, bool constant,
                                    const torch::Tensor& spike_gradient);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_NEURON_LIF_OPERATORS_H_

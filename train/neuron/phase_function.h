@@ -1,6 +1,5 @@
 // Phase-shifted positional spikes (eq. 4.4) with a surrogate gradient for omega and phi.
-#ifndef TRAIN_NEURON_PHASE_FUNCTION_H_
-#define TRAIN_NEURON_PHASE_FUNCTION_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -16,5 +15,3 @@ torch::Tensor PhaseSpikes(const torch::Tensor& omega, const torch::Tensor& phi,
                           const torch::Tensor& tau, const Surrogate& surrogate);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_NEURON_PHASE_FUNCTION_H_

@@ -2,8 +2,7 @@
 // backward pass.
 //
 // Pure functions; safe to call from many threads.
-#ifndef TRAIN_NEURON_SURROGATE_H_
-#define TRAIN_NEURON_SURROGATE_H_
+#pragma once
 
 #include <array>
 #include <cmath>
@@ -64,5 +63,3 @@ inline __attribute__((always_inline)) void WithDerivative(const Surrogate& surro
 }
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_NEURON_SURROGATE_H_

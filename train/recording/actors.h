@@ -3,8 +3,7 @@
 //
 // An actor plays one episode. It keeps references to the objects it was made from, which must
 // outlive it.
-#ifndef TRAIN_RECORDING_ACTORS_H_
-#define TRAIN_RECORDING_ACTORS_H_
+#pragma once
 
 #include <cstdint>
 #include <functional>
@@ -57,5 +56,3 @@ Actor StudentActor(Expert& expert, const Engine& engine, double target_return);
 Actor RandomActor(const ActionSpace& space, Draws draws);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_RECORDING_ACTORS_H_

@@ -1,8 +1,7 @@
 // Plays one episode with a policy, greedily.
 //
 // Not thread-safe. Several players on different threads may share an engine.
-#ifndef TRAIN_RECORDING_POLICY_PLAYER_H_
-#define TRAIN_RECORDING_POLICY_PLAYER_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -44,5 +43,3 @@ class PolicyPlayer {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_RECORDING_POLICY_PLAYER_H_

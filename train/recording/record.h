@@ -8,8 +8,7 @@
 //
 // Student episodes implement DAgger (S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). In disturbed
 // and student episodes the expert's action is the label of every step.
-#ifndef TRAIN_RECORDING_RECORD_H_
-#define TRAIN_RECORDING_RECORD_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -64,5 +63,3 @@ struct RecordOptions {
 absl::StatusOr<Dataset> RecordDataset(const RecordOptions& options);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_RECORDING_RECORD_H_

@@ -1,8 +1,7 @@
 // The routing of section 4 and of the appendix: one layer, which sees how active each head is.
 //
 // Pure functions; safe to call from many threads.
-#ifndef TRAIN_TRAINER_ACTIVITY_ROUTER_H_
-#define TRAIN_TRAINER_ACTIVITY_ROUTER_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "core/model/policy.h"
@@ -22,5 +21,3 @@ absl::Status RouteByActivity(Policy* policy);
 inline constexpr char kActivityRouterTensors[] = "routing.hidden";
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_TRAINER_ACTIVITY_ROUTER_H_

@@ -1,6 +1,5 @@
 // Where a training computes. Free functions, safe to call from many threads.
-#ifndef TRAIN_TRAINER_DEVICE_H_
-#define TRAIN_TRAINER_DEVICE_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -19,5 +18,3 @@ absl::StatusOr<torch::Device> DeviceNamed(absl::string_view name);
 absl::Status CheckDevice(torch::Device device, Arithmetic arithmetic);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_TRAINER_DEVICE_H_

@@ -1,8 +1,7 @@
 // Three-factor plasticity of the action head in offline training (algorithm 1 and section 4.1.4).
 //
 // Pure functions. Symbols: B clips, n timesteps per clip, d hidden size, act outputs of the head.
-#ifndef TRAIN_TRAINER_HEAD_PLASTICITY_H_
-#define TRAIN_TRAINER_HEAD_PLASTICITY_H_
+#pragma once
 
 #include <torch/types.h>
 
@@ -39,5 +38,3 @@ torch::Tensor HeadChange(const HeadPlasticity& plasticity, const ActionSpace& sp
                          const ModelOutput& output, const PlasticityInputs& inputs);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_TRAINER_HEAD_PLASTICITY_H_

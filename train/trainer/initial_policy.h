@@ -1,6 +1,5 @@
 // Creates the policy that training starts from.
-#ifndef TRAIN_TRAINER_INITIAL_POLICY_H_
-#define TRAIN_TRAINER_INITIAL_POLICY_H_
+#pragma once
 
 #include <cstdint>
 
@@ -29,5 +28,3 @@ Policy InitialPolicy(const ModelConfig& config, const EpisodeSource& source, uin
 void AddRelativeBias(Policy* policy);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_TRAINER_INITIAL_POLICY_H_

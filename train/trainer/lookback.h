@@ -7,8 +7,7 @@
 // all others.
 //
 // Pure functions; safe to call from many threads.
-#ifndef TRAIN_TRAINER_LOOKBACK_H_
-#define TRAIN_TRAINER_LOOKBACK_H_
+#pragma once
 
 #include "absl/status/status.h"
 #include "core/model/policy.h"
@@ -49,5 +48,3 @@ absl::Status LookBack(int delay, Policy* policy);
 absl::Status Mirror(int middle, Policy* policy);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_TRAINER_LOOKBACK_H_

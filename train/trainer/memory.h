@@ -1,6 +1,5 @@
 // How the process of a training uses memory.
-#ifndef TRAIN_TRAINER_MEMORY_H_
-#define TRAIN_TRAINER_MEMORY_H_
+#pragma once
 
 namespace spikeserve {
 
@@ -9,5 +8,3 @@ namespace spikeserve {
 void KeepFreedMemory();
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_TRAINER_MEMORY_H_

@@ -1,6 +1,5 @@
 // The scaling of returns and the default target return of each environment.
-#ifndef TRAIN_TRAINER_RETURN_SCALING_H_
-#define TRAIN_TRAINER_RETURN_SCALING_H_
+#pragma once
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
@@ -19,5 +18,3 @@ struct ReturnScaling {
 absl::StatusOr<ReturnScaling> ReturnScalingOf(absl::string_view id);
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_TRAINER_RETURN_SCALING_H_

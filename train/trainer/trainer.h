@@ -8,8 +8,7 @@
 //   Trainer trainer(InitialPolicy(config, source, seed), source, options);
 //   while (!trainer.done()) trainer.Step();
 //   WritePolicyFile(trainer.CurrentPolicy(), path);
-#ifndef TRAIN_TRAINER_TRAINER_H_
-#define TRAIN_TRAINER_TRAINER_H_
+#pragma once
 
 #include <array>
 #include <cstdint>
@@ -177,5 +176,3 @@ class Trainer {
 };
 
 }  // namespace spikeserve
-
-#endif  // TRAIN_TRAINER_TRAINER_H_

@@ -2,8 +2,7 @@
 //
 // Holds the numbers of all rows in one array for each kind, because a copy of every Answer would
 // allocate several vectors a row. A plain value.
-#ifndef CLIENT_PYTHON_ENGINE_BATCH_ANSWERS_H_
-#define CLIENT_PYTHON_ENGINE_BATCH_ANSWERS_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -49,5 +48,3 @@ class BatchAnswers {
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_PYTHON_ENGINE_BATCH_ANSWERS_H_

@@ -1,6 +1,5 @@
 // The parts of the Python module. Each function adds its classes.
-#ifndef CLIENT_PYTHON_ENGINE_BINDINGS_H_
-#define CLIENT_PYTHON_ENGINE_BINDINGS_H_
+#pragma once
 
 #include <nanobind/nanobind.h>
 
@@ -42,5 +41,3 @@ nanobind::object ToPython(const ActionSpace& space);
 nanobind::object StateOf(LocalSession& session);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_PYTHON_ENGINE_BINDINGS_H_

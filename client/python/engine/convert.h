@@ -1,8 +1,7 @@
 // Converts between Python's objects and the values of core: arrays, errors and settings.
 //
 // The caller holds Python's global interpreter lock.
-#ifndef CLIENT_PYTHON_ENGINE_CONVERT_H_
-#define CLIENT_PYTHON_ENGINE_CONVERT_H_
+#pragma once
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -62,5 +61,3 @@ nanobind::object ToNumpy(std::vector<Number> values) {
 LearningRequest ToLearningRequest(nanobind::handle learning);
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_PYTHON_ENGINE_CONVERT_H_

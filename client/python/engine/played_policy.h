@@ -6,8 +6,7 @@
 //
 // Thread-safe: a session admits one call at a time, different sessions are independent. Answers are
 // equal, bit for bit, to those of the server for the same requests.
-#ifndef CLIENT_PYTHON_ENGINE_PLAYED_POLICY_H_
-#define CLIENT_PYTHON_ENGINE_PLAYED_POLICY_H_
+#pragma once
 
 #include <memory>
 #include <optional>
@@ -117,5 +116,3 @@ class LocalSession {
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_PYTHON_ENGINE_PLAYED_POLICY_H_

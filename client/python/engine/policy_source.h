@@ -4,8 +4,7 @@
 //   absl::StatusOr<Policy> policy = (*source)->Read();
 //
 // Thread-safe. Holds a file descriptor.
-#ifndef CLIENT_PYTHON_ENGINE_POLICY_SOURCE_H_
-#define CLIENT_PYTHON_ENGINE_POLICY_SOURCE_H_
+#pragma once
 
 #include <cstddef>
 #include <memory>
@@ -39,5 +38,3 @@ class PolicySource {
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_PYTHON_ENGINE_POLICY_SOURCE_H_

@@ -2,8 +2,7 @@
 // makes the messages: the extension links no protobuf.
 //
 // The caller holds Python's global interpreter lock and the lock of the session.
-#ifndef CLIENT_PYTHON_ROBOT_REQUEST_FIELDS_H_
-#define CLIENT_PYTHON_ROBOT_REQUEST_FIELDS_H_
+#pragma once
 
 #include <nanobind/nanobind.h>
 
@@ -21,5 +20,3 @@ nanobind::dict FieldsOf(const StepLog& log, const Request& request);
 nanobind::dict EndFieldsOf(const StepLog& log);
 
 }  // namespace spikeserve::robot
-
-#endif  // CLIENT_PYTHON_ROBOT_REQUEST_FIELDS_H_

@@ -1,8 +1,7 @@
 // One call of ActStream, whose replies are passed on as they arrive.
 //
 // Thread-safe.
-#ifndef CLIENT_SRC_PILOT_ACTION_STREAM_H_
-#define CLIENT_SRC_PILOT_ACTION_STREAM_H_
+#pragma once
 
 #include <grpcpp/client_context.h>
 #include <grpcpp/support/client_callback.h>
@@ -56,5 +55,3 @@ class ActionStream : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActRespo
 };
 
 }  // namespace spikeserve::piloting
-
-#endif  // CLIENT_SRC_PILOT_ACTION_STREAM_H_

@@ -5,8 +5,7 @@
 //   background.AwaitEnd(&link); // until Work() has returned nothing
 //
 // Thread-safe.
-#ifndef CLIENT_SRC_PILOT_BACKGROUND_THREAD_H_
-#define CLIENT_SRC_PILOT_BACKGROUND_THREAD_H_
+#pragma once
 
 #include <condition_variable>
 #include <optional>
@@ -65,5 +64,3 @@ class BackgroundThread {
 };
 
 }  // namespace spikeserve::piloting
-
-#endif  // CLIENT_SRC_PILOT_BACKGROUND_THREAD_H_

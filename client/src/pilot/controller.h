@@ -6,8 +6,7 @@
 // of its own. Replies arrive on threads of gRPC.
 //
 // For one thread, but Stats and session_id.
-#ifndef CLIENT_SRC_PILOT_CONTROLLER_H_
-#define CLIENT_SRC_PILOT_CONTROLLER_H_
+#pragma once
 
 #include <condition_variable>
 #include <cstdint>
@@ -136,5 +135,3 @@ class Pilot::Controller : private piloting::ActionStream::Listener,
 };
 
 }  // namespace spikeserve
-
-#endif  // CLIENT_SRC_PILOT_CONTROLLER_H_

@@ -4,8 +4,7 @@
 // new one. A thread finds the server's address and receives.
 //
 // Thread-safe.
-#ifndef CLIENT_SRC_PILOT_DATAGRAM_LINK_H_
-#define CLIENT_SRC_PILOT_DATAGRAM_LINK_H_
+#pragma once
 
 #include <sys/socket.h>
 
@@ -80,5 +79,3 @@ class DatagramLink {
 };
 
 }  // namespace spikeserve::piloting
-
-#endif  // CLIENT_SRC_PILOT_DATAGRAM_LINK_H_

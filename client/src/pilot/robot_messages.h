@@ -1,8 +1,7 @@
 // Converts between core/robot, which has plain values, and the messages and times of the client.
 //
 // Free functions, safe to call from many threads.
-#ifndef CLIENT_SRC_PILOT_ROBOT_MESSAGES_H_
-#define CLIENT_SRC_PILOT_ROBOT_MESSAGES_H_
+#pragma once
 
 #include <optional>
 #include <span>
@@ -65,5 +64,3 @@ void ToProto(const robot::StepLog& log, const robot::Request& request, v1::ActRe
 void EndToProto(const robot::StepLog& log, v1::EndEpisodeRequest* message);
 
 }  // namespace spikeserve::piloting
-
-#endif  // CLIENT_SRC_PILOT_ROBOT_MESSAGES_H_

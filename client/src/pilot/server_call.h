@@ -1,8 +1,7 @@
 // One attempt of a unary call, which does not block.
 //
 // Not thread-safe.
-#ifndef CLIENT_SRC_PILOT_SERVER_CALL_H_
-#define CLIENT_SRC_PILOT_SERVER_CALL_H_
+#pragma once
 
 #include <grpcpp/client_context.h>
 
@@ -70,5 +69,3 @@ class ServerCall {
 };
 
 }  // namespace spikeserve::piloting
-
-#endif  // CLIENT_SRC_PILOT_SERVER_CALL_H_

@@ -8,8 +8,7 @@
 // Policies are in float32 or in integer arithmetic (integer_dense_pass.h).
 //
 // All engines and functions are thread-safe.
-#ifndef CORE_ENGINE_DENSE_DENSE_ENGINE_H_
-#define CORE_ENGINE_DENSE_DENSE_ENGINE_H_
+#pragma once
 
 #include <memory>
 
@@ -33,5 +32,3 @@ void ComputeDenseReference(const Policy& policy, const PrefixContext& prefix,
                            Engine::Output* output, Trace* trace);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_DENSE_DENSE_ENGINE_H_

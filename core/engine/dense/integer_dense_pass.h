@@ -3,8 +3,7 @@
 // Weights and activations have 8 bits: every vector that meets a matrix, and every head's query,
 // key and value, is rounded to 8 bits with a power of two as its own scale. Norms, residuals and
 // the powers of two of the softmax are those of spiking policies in integer arithmetic.
-#ifndef CORE_ENGINE_DENSE_INTEGER_DENSE_PASS_H_
-#define CORE_ENGINE_DENSE_INTEGER_DENSE_PASS_H_
+#pragma once
 
 #include <cstdint>
 #include <deque>
@@ -73,5 +72,3 @@ class IntegerDensePass {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_DENSE_INTEGER_DENSE_PASS_H_

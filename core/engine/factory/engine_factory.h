@@ -1,8 +1,7 @@
 // Creates the engine that fits a policy's mode.
 //
 // All functions are thread-safe.
-#ifndef CORE_ENGINE_FACTORY_ENGINE_FACTORY_H_
-#define CORE_ENGINE_FACTORY_ENGINE_FACTORY_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -32,5 +31,3 @@ std::unique_ptr<Engine> MakeEngine(Policy policy);
 absl::StatusOr<std::unique_ptr<Engine>> MakeEngine(Policy policy, const std::string& folder);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_FACTORY_ENGINE_FACTORY_H_

@@ -1,6 +1,5 @@
 // Recomputes one decision and records its spikes, attention and gates.
-#ifndef CORE_ENGINE_FACTORY_TRACE_DECISION_H_
-#define CORE_ENGINE_FACTORY_TRACE_DECISION_H_
+#pragma once
 
 #include "core/engine/engine.h"
 #include "core/engine/prefix_engine.h"
@@ -15,5 +14,3 @@ void TraceDecision(const Policy& policy, const PrefixContext& prefix, Engine::Ou
                    Trace* trace);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_FACTORY_TRACE_DECISION_H_

@@ -1,7 +1,6 @@
 // Computes the SNN-DT in integer arithmetic in naive loops: the executable form of
 // docs/design/integer.md.
-#ifndef CORE_ENGINE_REFERENCE_INTEGER_REFERENCE_H_
-#define CORE_ENGINE_REFERENCE_INTEGER_REFERENCE_H_
+#pragma once
 
 #include "core/engine/engine.h"
 #include "core/engine/prefix_engine.h"
@@ -16,5 +15,3 @@ void ComputeIntegerReference(const Policy& policy, const PrefixContext& prefix,
                              Engine::Output* output, Trace* trace);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_REFERENCE_INTEGER_REFERENCE_H_

@@ -2,8 +2,7 @@
 //
 // All functions are pure and thread-safe. Symbols: T ticks, H heads, d hidden size, R coder spikes,
 // P phase spikes.
-#ifndef CORE_ENGINE_REFERENCE_POPULATIONS_H_
-#define CORE_ENGINE_REFERENCE_POPULATIONS_H_
+#pragma once
 
 #include <vector>
 
@@ -33,5 +32,3 @@ SpikeTrain Fire(const ModelConfig& config, const Linear& linear, const CodedToke
                 const SpikeTrain& phase);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_REFERENCE_POPULATIONS_H_

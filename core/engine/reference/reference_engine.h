@@ -1,7 +1,6 @@
 // Computes the SNN-DT in naive loops that follow the equations. This engine defines the order of
 // every sum.
-#ifndef CORE_ENGINE_REFERENCE_REFERENCE_ENGINE_H_
-#define CORE_ENGINE_REFERENCE_REFERENCE_ENGINE_H_
+#pragma once
 
 #include <memory>
 
@@ -22,5 +21,3 @@ void ComputeSpikingReference(const Policy& policy, const PrefixContext& prefix,
                              Engine::Output* output, Trace* trace);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_REFERENCE_REFERENCE_ENGINE_H_

@@ -3,8 +3,7 @@
 // The tokens occupy the slots of a ring, in their order. There is one plane of key bits and one of
 // value bits for each tick and head; kernels::AttentionWindow describes them. A plane without a set
 // bit takes no memory. Not thread-safe.
-#ifndef CORE_ENGINE_SPIKING_ATTENTION_CACHE_H_
-#define CORE_ENGINE_SPIKING_ATTENTION_CACHE_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -113,5 +112,3 @@ class AttentionCache {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_ATTENTION_CACHE_H_

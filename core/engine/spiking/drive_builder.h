@@ -7,8 +7,7 @@
 // one period are therefore added up once per token. The current at tick t is the bias, plus this
 // sum for each period that divides t, ascending, plus the rows of the phase spikes at t by head.
 // Not thread-safe.
-#ifndef CORE_ENGINE_SPIKING_DRIVE_BUILDER_H_
-#define CORE_ENGINE_SPIKING_DRIVE_BUILDER_H_
+#pragma once
 
 #include <vector>
 
@@ -45,5 +44,3 @@ class DriveBuilder {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_DRIVE_BUILDER_H_

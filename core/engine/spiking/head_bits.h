@@ -1,8 +1,7 @@
 // Groups the spikes of a population by head.
 //
 // All functions are thread-safe on distinct arrays.
-#ifndef CORE_ENGINE_SPIKING_HEAD_BITS_H_
-#define CORE_ENGINE_SPIKING_HEAD_BITS_H_
+#pragma once
 
 #include <algorithm>
 #include <cstddef>
@@ -37,5 +36,3 @@ inline void GroupByHead(const ModelConfig& config, const uint32_t* bits, uint32_
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_HEAD_BITS_H_

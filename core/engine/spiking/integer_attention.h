@@ -1,8 +1,7 @@
 // Computes attention in integer arithmetic for one token (docs/design/integer.md).
 //
 // Not thread-safe.
-#ifndef CORE_ENGINE_SPIKING_INTEGER_ATTENTION_H_
-#define CORE_ENGINE_SPIKING_INTEGER_ATTENTION_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -55,5 +54,3 @@ class IntegerAttention {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_INTEGER_ATTENTION_H_

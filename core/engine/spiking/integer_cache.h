@@ -3,8 +3,7 @@
 // (ModelConfig::attention_planes()), and for each plane the sum of all values.
 //
 // Not thread-safe.
-#ifndef CORE_ENGINE_SPIKING_INTEGER_CACHE_H_
-#define CORE_ENGINE_SPIKING_INTEGER_CACHE_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -81,5 +80,3 @@ class IntegerCache {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_INTEGER_CACHE_H_

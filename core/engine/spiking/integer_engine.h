@@ -1,6 +1,5 @@
 // The streaming engine of policies in integer arithmetic (docs/design/integer.md).
-#ifndef CORE_ENGINE_SPIKING_INTEGER_ENGINE_H_
-#define CORE_ENGINE_SPIKING_INTEGER_ENGINE_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -28,5 +27,3 @@ using HiddenSpikes = std::vector<std::vector<uint64_t>>;
 void RecordHiddenSpikes(Engine::Context& context, HiddenSpikes* spikes);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_INTEGER_ENGINE_H_

@@ -1,8 +1,7 @@
 // Stores the weights of a policy in integer arithmetic in the layout of the streaming engine.
 //
 // Immutable once built, and thread-safe.
-#ifndef CORE_ENGINE_SPIKING_PACKED_INTEGER_POLICY_H_
-#define CORE_ENGINE_SPIKING_PACKED_INTEGER_POLICY_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -66,5 +65,3 @@ struct PackedIntegerPolicy {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_PACKED_INTEGER_POLICY_H_

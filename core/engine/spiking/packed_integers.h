@@ -2,8 +2,7 @@
 // neuron, and rows start on cache lines.
 //
 // Immutable once built, and thread-safe.
-#ifndef CORE_ENGINE_SPIKING_PACKED_INTEGERS_H_
-#define CORE_ENGINE_SPIKING_PACKED_INTEGERS_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -42,5 +41,3 @@ PackedIntegerPopulation Pack(std::initializer_list<const IntegerPopulation*> pop
                              int hidden_size);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_PACKED_INTEGERS_H_

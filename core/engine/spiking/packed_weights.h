@@ -1,8 +1,7 @@
 // Stores the weights of a policy in the layout of the streaming engine.
 //
 // Immutable once built, and thread-safe.
-#ifndef CORE_ENGINE_SPIKING_PACKED_WEIGHTS_H_
-#define CORE_ENGINE_SPIKING_PACKED_WEIGHTS_H_
+#pragma once
 
 #include <cstdint>
 #include <string>
@@ -65,5 +64,3 @@ struct PackedWeights {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_PACKED_WEIGHTS_H_

@@ -5,8 +5,7 @@
 //   const kernels::Drive<float>& drive = builder.Build(input, linear, linear.width, &phase);
 //
 // Not thread-safe.
-#ifndef CORE_ENGINE_SPIKING_SPIKE_INPUT_H_
-#define CORE_ENGINE_SPIKING_SPIKE_INPUT_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -81,5 +80,3 @@ class SpikeInput {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_SPIKE_INPUT_H_

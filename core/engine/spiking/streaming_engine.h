@@ -1,6 +1,5 @@
 // Computes only the new tokens of a decision. This is the engine that the server uses.
-#ifndef CORE_ENGINE_SPIKING_STREAMING_ENGINE_H_
-#define CORE_ENGINE_SPIKING_STREAMING_ENGINE_H_
+#pragma once
 
 #include <memory>
 #include <string>
@@ -32,5 +31,3 @@ absl::StatusOr<std::unique_ptr<Engine>> MakeSharedSpikingEngine(Policy policy,
 void RecordLargestResidual(Engine::Context& context, float* largest);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_STREAMING_ENGINE_H_

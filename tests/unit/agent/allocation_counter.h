@@ -1,7 +1,6 @@
 // Counts the allocations of a thread. Linking it replaces operator new in the whole program.
 // malloc, which Eigen calls directly, is counted in the objects that are linked with --wrap=malloc.
-#ifndef TESTS_UNIT_AGENT_ALLOCATION_COUNTER_H_
-#define TESTS_UNIT_AGENT_ALLOCATION_COUNTER_H_
+#pragma once
 
 #include <cstdint>
 
@@ -11,5 +10,3 @@ namespace spikeserve {
 int64_t Allocations();
 
 }  // namespace spikeserve
-
-#endif  // TESTS_UNIT_AGENT_ALLOCATION_COUNTER_H_

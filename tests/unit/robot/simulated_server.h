@@ -1,7 +1,6 @@
 // A server as a robot sees it: one session, whose answers tell nothing but which observation they
 // are for, and a store that is behind it. docs/reference/beats.md has the rules.
-#ifndef TESTS_UNIT_ROBOT_SIMULATED_SERVER_H_
-#define TESTS_UNIT_ROBOT_SIMULATED_SERVER_H_
+#pragma once
 
 #include <cstdint>
 #include <deque>
@@ -98,5 +97,3 @@ class SimulatedServer {
 };
 
 }  // namespace spikeserve::robot
-
-#endif  // TESTS_UNIT_ROBOT_SIMULATED_SERVER_H_

@@ -3,8 +3,7 @@
 // the server's session equals the one of a robot that never lost it.
 //
 // Free functions, for one thread at a time.
-#ifndef TESTS_UNIT_ROBOT_SIMULATOR_H_
-#define TESTS_UNIT_ROBOT_SIMULATOR_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -62,5 +61,3 @@ struct Flight {
 Flight Fly(const Kind& kind, const Plan& plan);
 
 }  // namespace spikeserve::robot
-
-#endif  // TESTS_UNIT_ROBOT_SIMULATOR_H_

@@ -4,8 +4,7 @@
 //   PilotOptions options = {.period = absl::Milliseconds(20), .local = LocalEngine::FromServer()};
 //
 // Thread-safe.
-#ifndef SPIKESERVE_LOCAL_ENGINE_H_
-#define SPIKESERVE_LOCAL_ENGINE_H_
+#pragma once
 
 #include <cstdint>
 #include <memory>
@@ -51,5 +50,3 @@ class LocalEngine : public LocalPolicy {
 };
 
 }  // namespace spikeserve
-
-#endif  // SPIKESERVE_LOCAL_ENGINE_H_

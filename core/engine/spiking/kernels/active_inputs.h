@@ -2,8 +2,7 @@
 //
 // The caller keeps it between calls: a thread-local variable of the kernels would cost a function
 // call at every access in a shared library.
-#ifndef CORE_ENGINE_SPIKING_KERNELS_ACTIVE_INPUTS_H_
-#define CORE_ENGINE_SPIKING_KERNELS_ACTIVE_INPUTS_H_
+#pragma once
 
 #include <cstdint>
 #include <vector>
@@ -14,5 +13,3 @@ namespace spikeserve::kernels {
 using ActiveInputs = std::vector<int32_t>;
 
 }  // namespace spikeserve::kernels
-
-#endif  // CORE_ENGINE_SPIKING_KERNELS_ACTIVE_INPUTS_H_

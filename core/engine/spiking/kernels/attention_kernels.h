@@ -5,8 +5,7 @@
 // head's bits at a tick, S slots.
 //
 // All functions are thread-safe on distinct arrays.
-#ifndef CORE_ENGINE_SPIKING_KERNELS_ATTENTION_KERNELS_H_
-#define CORE_ENGINE_SPIKING_KERNELS_ATTENTION_KERNELS_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -82,5 +81,3 @@ void StoreValues(const uint32_t* bits, int slot, const AttentionWindow& window,
                  uint32_t* occupied);
 
 }  // namespace spikeserve::kernels
-
-#endif  // CORE_ENGINE_SPIKING_KERNELS_ATTENTION_KERNELS_H_

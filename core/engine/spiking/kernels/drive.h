@@ -1,6 +1,5 @@
 // Defines the input currents of a population.
-#ifndef CORE_ENGINE_SPIKING_KERNELS_DRIVE_H_
-#define CORE_ENGINE_SPIKING_KERNELS_DRIVE_H_
+#pragma once
 
 #include <vector>
 
@@ -16,5 +15,3 @@ struct Drive {
 };
 
 }  // namespace spikeserve::kernels
-
-#endif  // CORE_ENGINE_SPIKING_KERNELS_DRIVE_H_

@@ -3,8 +3,7 @@
 //
 // Integer sums are exact, so every SIMD target gives equal results. All functions are thread-safe
 // on distinct arrays.
-#ifndef CORE_ENGINE_SPIKING_KERNELS_EVENT_KERNELS_H_
-#define CORE_ENGINE_SPIKING_KERNELS_EVENT_KERNELS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -44,5 +43,3 @@ uint64_t Apply(const PackedFixedPointMap& map, const int16_t* input, ActiveInput
                int32_t* output);
 
 }  // namespace spikeserve::kernels
-
-#endif  // CORE_ENGINE_SPIKING_KERNELS_EVENT_KERNELS_H_

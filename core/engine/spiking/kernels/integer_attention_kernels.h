@@ -2,8 +2,7 @@
 //
 // Integer sums are exact, so every SIMD target gives equal results. All functions are thread-safe
 // on distinct arrays. "pad" rounds up to a multiple of kLanes.
-#ifndef CORE_ENGINE_SPIKING_KERNELS_INTEGER_ATTENTION_KERNELS_H_
-#define CORE_ENGINE_SPIKING_KERNELS_INTEGER_ATTENTION_KERNELS_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -78,5 +77,3 @@ uint64_t WeighValues(const int16_t* weights, const HeadSlots& head, int slots, i
 int ScaleSums(const int32_t* sums, int size, int32_t divisor, int16_t* y);
 
 }  // namespace spikeserve::kernels
-
-#endif  // CORE_ENGINE_SPIKING_KERNELS_INTEGER_ATTENTION_KERNELS_H_

@@ -2,8 +2,7 @@
 //
 // Every sum is computed per lane, in the order of the reference engine, so that every SIMD target
 // gives equal bits. All functions are thread-safe on distinct arrays.
-#ifndef CORE_ENGINE_SPIKING_KERNELS_LIF_KERNELS_H_
-#define CORE_ENGINE_SPIKING_KERNELS_LIF_KERNELS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -40,5 +39,3 @@ uint64_t LifActivity(const Lif& lif, const PackedLinear& linear, const Drive<flo
 uint64_t CountBits(const uint32_t* words, int count);
 
 }  // namespace spikeserve::kernels
-
-#endif  // CORE_ENGINE_SPIKING_KERNELS_LIF_KERNELS_H_

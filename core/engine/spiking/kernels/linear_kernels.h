@@ -2,8 +2,7 @@
 //
 // Every sum is computed per lane, or in the order of the reference engine, so that every SIMD
 // target gives equal bits. All functions are thread-safe on distinct arrays.
-#ifndef CORE_ENGINE_SPIKING_KERNELS_LINEAR_KERNELS_H_
-#define CORE_ENGINE_SPIKING_KERNELS_LINEAR_KERNELS_H_
+#pragma once
 
 #include <cstdint>
 
@@ -27,5 +26,3 @@ uint64_t AffineTicks(const PackedLinear& linear, const float* input, int stride,
 void LayerNorm(const float* weight, const float* bias, float* x, int size);
 
 }  // namespace spikeserve::kernels
-
-#endif  // CORE_ENGINE_SPIKING_KERNELS_LINEAR_KERNELS_H_

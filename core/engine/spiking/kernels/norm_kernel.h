@@ -1,8 +1,7 @@
 // Adds to the integer residual stream of a token, with a norm or without (docs/design/integer.md).
 //
 // Integer sums are exact, so every SIMD target gives equal results. Thread-safe on distinct arrays.
-#ifndef CORE_ENGINE_SPIKING_KERNELS_NORM_KERNEL_H_
-#define CORE_ENGINE_SPIKING_KERNELS_NORM_KERNEL_H_
+#pragma once
 
 #include <cstdint>
 
@@ -18,5 +17,3 @@ void Normalize(const PackedNorm& norm, int32_t* sums, int16_t* x);
 void AddLimited(int width, const int32_t* sums, int16_t* x);
 
 }  // namespace spikeserve::kernels
-
-#endif  // CORE_ENGINE_SPIKING_KERNELS_NORM_KERNEL_H_

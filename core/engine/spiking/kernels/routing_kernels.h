@@ -2,8 +2,7 @@
 //
 // Every sum is computed per lane, or in the order of the reference engine, so that every SIMD
 // target gives equal bits. All functions are thread-safe on distinct arrays.
-#ifndef CORE_ENGINE_SPIKING_KERNELS_ROUTING_KERNELS_H_
-#define CORE_ENGINE_SPIKING_KERNELS_ROUTING_KERNELS_H_
+#pragma once
 
 #include <cstddef>
 
@@ -37,5 +36,3 @@ void GateHeads(const HeadOutputs& heads, const float* gates, int stride, bool co
                float* merged);
 
 }  // namespace spikeserve::kernels
-
-#endif  // CORE_ENGINE_SPIKING_KERNELS_ROUTING_KERNELS_H_

@@ -1,7 +1,6 @@
 // Lists and selects the SIMD targets of the kernels, for tests and for reporting what a server runs
 // on.
-#ifndef CORE_ENGINE_SPIKING_KERNELS_TARGETS_H_
-#define CORE_ENGINE_SPIKING_KERNELS_TARGETS_H_
+#pragma once
 
 #include <string>
 #include <vector>
@@ -22,5 +21,3 @@ void ChooseTarget();
 [[nodiscard]] bool ForceTargetForTest(const std::string& name);
 
 }  // namespace spikeserve::kernels
-
-#endif  // CORE_ENGINE_SPIKING_KERNELS_TARGETS_H_

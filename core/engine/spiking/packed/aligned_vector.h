@@ -1,7 +1,6 @@
 // Defines a vector that starts on a cache line. If the length of a row is a multiple of a cache
 // line, no SIMD load of the row crosses a line boundary.
-#ifndef CORE_ENGINE_SPIKING_PACKED_ALIGNED_VECTOR_H_
-#define CORE_ENGINE_SPIKING_PACKED_ALIGNED_VECTOR_H_
+#pragma once
 
 #include <cstddef>
 #include <new>
@@ -32,5 +31,3 @@ template <class T>
 using AlignedVector = std::vector<T, CacheLineAllocator<T>>;
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_PACKED_ALIGNED_VECTOR_H_

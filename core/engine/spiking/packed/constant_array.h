@@ -1,7 +1,6 @@
 // Defines an array of weights that never changes once it is built, in memory of its own or in
 // memory that processes share.
-#ifndef CORE_ENGINE_SPIKING_PACKED_CONSTANT_ARRAY_H_
-#define CORE_ENGINE_SPIKING_PACKED_CONSTANT_ARRAY_H_
+#pragma once
 
 #include <cstddef>
 #include <memory>
@@ -34,5 +33,3 @@ class ConstantArray {
 };
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_PACKED_CONSTANT_ARRAY_H_

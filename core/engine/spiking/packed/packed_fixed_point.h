@@ -2,8 +2,7 @@
 // the streaming engine: each lane is an output neuron, and rows start on cache lines.
 //
 // Immutable once built, and thread-safe.
-#ifndef CORE_ENGINE_SPIKING_PACKED_PACKED_FIXED_POINT_H_
-#define CORE_ENGINE_SPIKING_PACKED_PACKED_FIXED_POINT_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -54,5 +53,3 @@ PackedNorm Pack(const FixedPointNorm& norm);
 PackedPeriodCoder Pack(const PeriodCoder& coder);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_PACKED_PACKED_FIXED_POINT_H_

@@ -2,8 +2,7 @@
 // each lane is an output neuron.
 //
 // Immutable once built, and thread-safe.
-#ifndef CORE_ENGINE_SPIKING_PACKED_PACKED_LINEAR_H_
-#define CORE_ENGINE_SPIKING_PACKED_PACKED_LINEAR_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -57,5 +56,3 @@ std::vector<uint32_t> NonzeroByInput(const auto& map) {
 PackedLinear Pack(std::initializer_list<const Linear*> linears, int lanes = kLanes);
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_PACKED_PACKED_LINEAR_H_

@@ -1,8 +1,7 @@
 // Shares the rows of packed maps between processes, and restores maps from packed ones.
 //
 // All functions are thread-safe on distinct objects.
-#ifndef CORE_ENGINE_SPIKING_PACKED_PACKED_ROWS_H_
-#define CORE_ENGINE_SPIKING_PACKED_PACKED_ROWS_H_
+#pragma once
 
 #include <cstddef>
 #include <cstdint>
@@ -64,5 +63,3 @@ void UnpackWeights(const Packed& packed, int lane, Weight* weight) {
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_PACKED_PACKED_ROWS_H_

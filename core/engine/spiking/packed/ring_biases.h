@@ -1,8 +1,7 @@
 // Arranges biases by distance for attention over a ring of tokens.
 //
 // Pure function; thread-safe.
-#ifndef CORE_ENGINE_SPIKING_PACKED_RING_BIASES_H_
-#define CORE_ENGINE_SPIKING_PACKED_RING_BIASES_H_
+#pragma once
 
 #include <cstddef>
 #include <vector>
@@ -29,5 +28,3 @@ std::vector<Number> RingBiases(const BasicTensor<Number>& relative, int slots) {
 }
 
 }  // namespace spikeserve
-
-#endif  // CORE_ENGINE_SPIKING_PACKED_RING_BIASES_H_

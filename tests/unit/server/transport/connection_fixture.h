@@ -4,8 +4,7 @@
 //   const int32_t id = client_.Open({{":path", "/service/method"}});
 //   Exchange();
 //   EXPECT_EQ(connection_->state(), Connection::State::kOpen);
-#ifndef TESTS_UNIT_SERVER_TRANSPORT_CONNECTION_FIXTURE_H_
-#define TESTS_UNIT_SERVER_TRANSPORT_CONNECTION_FIXTURE_H_
+#pragma once
 
 #include <gtest/gtest.h>
 #include <nghttp2/nghttp2.h>
@@ -297,5 +296,3 @@ class ConnectionFixture : public testing::Test, protected CallRouter, private Co
 };
 
 }  // namespace spikeserve
-
-#endif  // TESTS_UNIT_SERVER_TRANSPORT_CONNECTION_FIXTURE_H_
