@@ -87,7 +87,9 @@ RobotSession MakeSession(const nb::kwargs& given, const GivenAction& neutral) {
                        .kept_steps = count("kept_steps"),
                        .servers = count("servers"),
                        .has_engine = nb::cast<bool>(given["has_engine"]),
-                       .shares_head = nb::cast<bool>(given["shares_head"])};
+                       .shares_head = nb::cast<bool>(given["shares_head"]),
+                       .sends_datagrams = nb::cast<bool>(given["sends_datagrams"]),
+                       .redundancy = nb::cast<int>(given["redundancy"])};
   if (!shape.Fit(ViewOf(neutral), &settings.neutral)) {
     const std::string received = nb::cast<std::string>(given["neutral_text"]);
     throw nb::value_error(
@@ -143,12 +145,13 @@ nb::object ToPython(const std::optional<Settled>& settled) {
   return nb::make_tuple(settled->serial, own);
 }
 
-// Returns the episode that has ended or None, and whether there is work.
-nb::tuple OnReply(RobotSession& session, const Error* error, int64_t next_step,
-                  const std::optional<GivenAction>& action, const GivenSource& source,
-                  Nanoseconds observed_at, bool stays_safe, uint64_t durable_decision,
-                  int64_t durable_episode, bool has_ended, std::optional<double> episode_return,
-                  Nanoseconds steady, Nanoseconds robot) {
+// `datagram` is the number of the request, None on the stream. Returns the episode that has ended
+// or None, and whether there is work.
+nb::tuple OnReply(RobotSession& session, std::optional<uint64_t> datagram, const Error* error,
+                  int64_t next_step, const std::optional<GivenAction>& action,
+                  const GivenSource& source, Nanoseconds observed_at, bool stays_safe,
+                  uint64_t durable_decision, int64_t durable_episode, bool has_ended,
+                  std::optional<double> episode_return, Nanoseconds steady, Nanoseconds robot) {
   Reply reply = {.error = error,
                  .next_step = next_step,
                  .chooser = ViewOf(source),
@@ -159,7 +162,9 @@ nb::tuple OnReply(RobotSession& session, const Error* error, int64_t next_step,
                  .has_ended = has_ended,
                  .episode_return = episode_return};
   if (action.has_value()) reply.action = ViewOf(*action);
-  const Received received = session.OnReply(reply, NowOf(steady, robot));
+  const Now now = NowOf(steady, robot);
+  const Received received = datagram.has_value() ? session.OnDatagram(*datagram, reply, now)
+                                                 : session.OnReply(reply, now);
   return nb::make_tuple(ToPython(received.settled), received.has_work);
 }
 
@@ -169,8 +174,8 @@ struct BoundTask {
   nb::object request;
 };
 
-BoundTask Next(RobotSession& session, Nanoseconds now) {
-  BoundTask bound = {session.Next(Time(now)), nb::none()};
+BoundTask Bind(const RobotSession& session, Task task) {
+  BoundTask bound = {std::move(task), nb::none()};
   if (bound.task.kind == Task::Kind::kSend) {
     bound.request = FieldsOf(session.step_log(), bound.task.request);
   }
@@ -178,10 +183,14 @@ BoundTask Next(RobotSession& session, Nanoseconds now) {
   return bound;
 }
 
-nb::object NextSend(RobotSession& session, Nanoseconds now) {
-  const std::optional<Task> task = session.NextSend(Time(now));
-  if (!task.has_value()) return nb::none();
-  return FieldsOf(session.step_log(), task->request);
+BoundTask Next(RobotSession& session, Nanoseconds now) {
+  return Bind(session, session.Next(Time(now)));
+}
+
+std::optional<BoundTask> NextSend(RobotSession& session, Nanoseconds now) {
+  std::optional<Task> task = session.NextSend(Time(now));
+  if (!task.has_value()) return std::nullopt;
+  return Bind(session, *std::move(task));
 }
 
 // Returns what the robot's engine plays: the end of an episode, or a step.
@@ -207,7 +216,7 @@ nb::dict WorkOf(const RobotSession& session) {
 }
 
 // Returns the fields of PilotStats.
-nb::dict StatsOf(const RobotSession& session) {
+nb::dict StatsOf(const RobotSession& session, Nanoseconds now) {
   const Counts& counts = session.counters().counts();
   const Ages& ages = session.counters().ages();
   const InvalidObservation& invalid = session.invalid_observation();
@@ -222,6 +231,8 @@ nb::dict StatsOf(const RobotSession& session) {
   stats["stale"] = counts.stale;
   stats["late_answers"] = counts.late_answers;
   stats["cancelled_calls"] = counts.cancelled_requests;
+  stats["datagram_answers"] = counts.datagram_answers;
+  stats["sends_datagrams"] = session.SendsDatagrams(Time(now));
   stats["reconnects"] = counts.reconnects;
   stats["reopened"] = counts.reopened;
   stats["dropped"] = session.step_log().dropped();
@@ -285,6 +296,11 @@ void BindEvents(nb::module_& module) {
       .def_prop_ro("kind", [](const BoundTask& bound) { return bound.task.kind; })
       .def_prop_ro("time", [](const BoundTask& bound) { return bound.task.time.count(); })
       .def_ro("request", &BoundTask::request)
+      .def_prop_ro("by_stream", [](const BoundTask& bound) { return bound.task.ways.stream; })
+      .def_prop_ro(
+          "copies",
+          [](const BoundTask& bound) { return bound.task.ways.datagram ? bound.task.copies : 0; })
+      .def_prop_ro("datagram", [](const BoundTask& bound) { return bound.task.datagram; })
       .def_prop_ro("serial", [](const BoundTask& bound) { return bound.task.serial; })
       .def_prop_ro("reason", [](const BoundTask& bound) { return bound.task.reason; });
 }
@@ -332,9 +348,10 @@ void BindLink(nb::class_<RobotSession>& session) {
       .def("is_calling", [](const RobotSession& self) { return self.call() != CallState::kNone; })
       .def("has_denied", &RobotSession::HasDenied)
       .def("on_stream_opened", &RobotSession::OnStreamOpened)
-      .def("on_reply", &OnReply, "error"_a.none(), "next_step"_a, "action"_a.none(), "source"_a,
-           "observed_at"_a, "stays_safe"_a, "durable_decision"_a, "durable_episode"_a,
-           "has_ended"_a, "episode_return"_a.none(), "steady"_a, "robot"_a)
+      .def("on_channel", [](RobotSession& self, Nanoseconds until) { self.OnChannel(Time(until)); })
+      .def("on_reply", &OnReply, "datagram"_a.none(), "error"_a.none(), "next_step"_a,
+           "action"_a.none(), "source"_a, "observed_at"_a, "stays_safe"_a, "durable_decision"_a,
+           "durable_episode"_a, "has_ended"_a, "episode_return"_a.none(), "steady"_a, "robot"_a)
       .def("on_stream_ended", &RobotSession::OnStreamEnded)
       .def("on_stream_closed",
            [](RobotSession& self, bool is_renewed, Nanoseconds now) {

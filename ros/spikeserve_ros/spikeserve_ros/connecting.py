@@ -70,7 +70,7 @@ class Connecting:
             try:
                 self._open()
                 return
-            except (spikeserve.SpikeserveError, ValueRefusedError, ValueError) as error:
+            except (spikeserve.SpikeserveError, ValueRefusedError, ValueError, ImportError) as error:
                 with self._lock:
                     changed, self._error = self._error != str(error), str(error)
                 if changed:
@@ -88,7 +88,10 @@ class Connecting:
                 version=settings.version, target_return=settings.target_return, observation=mapping.names
             )
             neutral = list(settings.safe_action) if task.actions is None else None
-            pilot = spikeserve.Pilot(client, settings.policy, period=settings.period, neutral=neutral, session=session)
+            way = {"transport": settings.transport, "redundancy": settings.redundancy}
+            pilot = spikeserve.Pilot(
+                client, settings.policy, period=settings.period, neutral=neutral, session=session, **way
+            )
         except BaseException:
             client.close()
             raise

@@ -11,6 +11,7 @@ from typing import Any
 from spikeserve_ros.errors import ValueRefusedError
 
 INPUTS = ("array", "joints")
+TRANSPORTS = ("auto", "stream", "datagram")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,6 +56,8 @@ PARAMETERS = (
     Parameter("mapping", "", "YAML file that maps joints to observations and actions to numbers"),
     Parameter("safe_action", [], "What is published when there is neither an answer nor a fallback"),
     Parameter("observation_timeout", 0.5, "Age in seconds at which an observation is lost", 0.001, 60.0),
+    Parameter("transport", "auto", "How steps go to the server; auto: as datagrams where it takes them", choices=TRANSPORTS),
+    Parameter("redundancy", 1, "How often each datagram is sent", 1, 2),
     Parameter(
         "target_return",
         -1e9,
@@ -79,6 +82,8 @@ class Settings:
     mapping: str
     safe_action: tuple[float, ...]
     observation_timeout: float
+    transport: str
+    redundancy: int
     target_return: float | None  # None: that of the policy file
 
     @property

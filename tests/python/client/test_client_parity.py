@@ -39,7 +39,7 @@ BY_THE_LIBRARY = {
     "PolicyInfo": {"neutral_action"},  # of robots on real links, as below
     "OpenSessionResponse": {"session_id", "history_limit", "neutral_action", "datagrams"},
     "ActResponse": {
-        *("session_id", "error", "datagrams"),  # the session, an exception, and the C++ client's pilot
+        *("session_id", "error", "datagrams"),  # the session, an exception, and the pilots
         # Set for requests with history or an end only.
         *("observed_at", "next_step", "appended", "dropped", "expired", "queue_seconds", "append_seconds", "ended"),
     },

@@ -1,4 +1,4 @@
-"""Steps as datagrams: the pilot of the C++ client uses them where they come through, and nothing is lost or doubled."""
+"""Steps as datagrams: the pilots use them where they come through, and nothing is lost or doubled."""
 
 import contextlib
 import time
@@ -14,9 +14,7 @@ from test_pilot import WAIT, Flight, undisturbed
 SESSION = spikeserve.SessionOptions(labels={"datagrams": "true"})
 
 
-class CppFlight(Flight):
-    make_pilot = CppPilot
-
+class DatagramFlight(Flight):
     def until_datagrams(self, are_sent=True):
         """Plays beats until steps go as datagrams alone, or no longer do."""
         end = time.monotonic() + WAIT
@@ -29,6 +27,10 @@ class CppFlight(Flight):
         self.end()
         with undisturbed(has_store=self.is_stored) as other:
             self.check_equal(client, other)
+
+
+class CppDatagramFlight(DatagramFlight):
+    make_pilot = CppPilot
 
 
 @pytest.fixture
@@ -58,15 +60,16 @@ def client(server):
         yield client
 
 
-@pytest.fixture
-def fly(client):
+@pytest.fixture(params=[DatagramFlight, CppDatagramFlight], ids=["python", "cpp"])
+def fly(client, request):
     """Returns what makes a flight, whose program ends with the test."""
     with contextlib.ExitStack() as stack:
 
         def begin(**options):
-            flight = CppFlight(client, session=SESSION, local=False, **options)
+            flight = request.param(client, session=SESSION, local=False, **options)
             flight.is_stored = True
-            stack.callback(flight.pilot.end)
+            if isinstance(flight, CppDatagramFlight):
+                stack.callback(flight.pilot.end)
             return stack.enter_context(flight)
 
         yield begin
@@ -137,7 +140,9 @@ def test_a_pilot_may_want_no_datagrams(client, relay, fly):
     assert relay.forwarded == flight.pilot.stats().datagram_answers == 0
 
 
-def test_a_pilot_may_insist_on_datagrams(tmp_path, fly):
-    fly(transport="datagram").until_datagrams()
-    with undisturbed() as other, pytest.raises(spikeserve.SpikeserveError, match="transport: expected kAuto or kStream"):
-        CppPilot(other, "pendulum", 0.01, local=False, transport="datagram")
+def test_a_pilot_may_insist_on_datagrams(fly):
+    flight = fly(transport="datagram")
+    flight.until_datagrams()
+    expected = "transport: expected k?[Aa]uto or k?[Ss]tream, because the server takes no datagrams"
+    with undisturbed() as other, pytest.raises(spikeserve.SpikeserveError, match=expected):
+        flight.make_pilot(other, "pendulum", 0.01, local=False, transport="datagram")

@@ -521,6 +521,8 @@ def test_a_neutral_action_belongs_to_the_action_space(client, neutral):
         ({"ramp_beats": -1}, "ramp_beats: expected at least 0, received -1"),
         ({"in_flight": 65}, "in_flight: expected 1 to 64, received 65"),
         ({"kept_beats": 1}, "kept_beats: expected at least 2, received 1"),
+        ({"transport": "tcp"}, "transport: expected one of"),
+        ({"redundancy": 3}, "redundancy: expected 1 or 2, received 3"),
         ({"close_timeout": -1}, "close_timeout: expected at least 0, received -1"),
         ({"local": False, "local_policy": "x"}, "local_policy: expected none with local=False"),
     ],

@@ -82,6 +82,8 @@ def acting_of(clock, pilot, mapping=None, task=Task(2, 2, 1), **values):
         ({"input": "camera"}, "input: expected array or joints, received 'camera'"),
         ({"safe_action": []}, "safe_action: expected the numbers of an action, received []"),
         ({"safe_action": [math.inf]}, "safe_action: expected finite numbers, received [inf]"),
+        ({"transport": "tcp"}, "transport: expected auto or stream or datagram, received 'tcp'"),
+        ({"redundancy": 3}, "redundancy: expected 1 to 2, received 3"),
         ({"observation_timeout": 0}, "observation_timeout: expected 0.001 to 60.0, received 0.0"),
         ({"speed": 1.0}, "speed: expected a parameter, received 'speed'"),
     ],

@@ -1,8 +1,8 @@
 """`Link`: the thread and the calls around the robot's state machine, which decides everything.
 
 The background thread does what the machine wants, again and again, without waiting for a server:
-calls have threads of their own, and replies arrive on that of the stream. Control steps send their
-requests by themselves, while there is a stream.
+calls have threads of their own, and replies arrive on those of the stream and of the datagrams.
+Control steps send their requests by themselves, while there is a way.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from spikeserve.calls import Call
 from spikeserve.connection import Connection
 from spikeserve.errors import SpikeserveError
 from spikeserve.piloting import robot_clock
+from spikeserve.piloting.datagram_link import DatagramLink
 from spikeserve.piloting.pilot_options import PilotOptions
 from spikeserve.piloting.robot_messages import (
     error_to_robot,
@@ -62,6 +63,8 @@ class Link:
         self._session = session
         self._servers: list[Replica] = list(client.replicas)
         self._stream: StreamCall | None = None
+        self._datagrams = DatagramLink(self._on_datagram) if session.sends_datagrams else None
+        self._take_channel(session.response)
         self._call: Call[Any] | None = None  # one at a time
         self._ended: list[tuple[Call[Any], Replica, Any]] = []  # calls, and what became of them
         self._summaries: dict[int, Future[EpisodeSummary]] = {}  # by serial number
@@ -84,8 +87,8 @@ class Link:
 
     def send(self) -> None:
         """Sends what may be sent now, and lets the engine on the robot play."""
-        while (fields := self.machine.next_send(time.monotonic_ns())) is not None:
-            self._send(fields)
+        while (task := self.machine.next_send(time.monotonic_ns())) is not None:
+            self._send(task)
         if self.engine is not None:
             self._woken.set()
 
@@ -95,12 +98,24 @@ class Link:
         self.send()
         self._woken.set()
 
-    def _send(self, fields: Mapping[str, Any]) -> None:
-        assert self._stream is not None
-        request = METHODS["Act"].request(session_id=self._session.session_id, **fields)
+    def _send(self, task: Any) -> None:
+        request = METHODS["Act"].request(session_id=self._session.session_id, **task.request)
         if request.HasField("observed_at"):
             request.valid_until = request.observed_at + self._oldest
-        self._stream.send(request)
+        if task.copies > 0:
+            assert self._datagrams is not None
+            self._datagrams.send(task.datagram, request, task.copies)
+        if task.by_stream:
+            assert self._stream is not None
+            self._stream.send(request)
+
+    def _take_channel(self, message: Message) -> None:
+        """Sends on the channel of an answer from now on, if it brings one."""
+        if self._datagrams is None or not message.HasField("datagrams"):
+            return
+        if self._datagrams.set_channel(message.datagrams):
+            life = nanoseconds(message.datagrams.valid_seconds)
+            self.machine.on_channel(time.monotonic_ns() + life)
 
     # The background thread.
 
@@ -116,7 +131,7 @@ class Link:
             ended, self._ended = self._ended, []
             task = self.machine.next(time.monotonic_ns()) if not ended else None
             if task is not None and task.kind is robot.Kind.SEND:
-                self._send(task.request)
+                self._send(task)
             lines = self.machine.take_lines()
         _write_log(lines)
         try:
@@ -241,6 +256,7 @@ class Link:
             if call.method == "OpenSession":
                 self._session.take(*result)
                 self.machine.on_opened(self._session.history_limit, self._session.is_stored)
+                self._take_channel(self._session.response)
                 return
             if call.method == "ExportSession":
                 self.machine.on_exported(result.decision, result.episode, result.step, now)
@@ -253,6 +269,8 @@ class Link:
             is_open = self.machine.stop()
             self._call = None
         self._cancel_stream()
+        if self._datagrams is not None:
+            self._datagrams.stop()
         self._fail_summaries(None, _CLOSED)
         with self.changed:
             lines = self.machine.take_lines()
@@ -269,6 +287,7 @@ class Link:
                 return
             self._opener.answered()
             settled, has_work = take_reply(self.machine, reply, now, robot_now)
+            self._take_channel(reply)
             self.changed.notify_all()
         if has_work:
             self._woken.set()
@@ -281,6 +300,19 @@ class Link:
                 self.machine.on_stream_ended(error_to_robot(error))
                 self.changed.notify_all()
         self._woken.set()
+
+    # On the thread of the datagrams.
+
+    def _on_datagram(self, number: int, reply: Message) -> None:
+        now, robot_now = time.monotonic_ns(), robot_clock.now_ns()
+        with self.changed:
+            _, has_work = take_reply(self.machine, reply, now, robot_now, number)
+            self._take_channel(reply)
+            self.changed.notify_all()
+        if has_work:
+            self._woken.set()
+
+    # On both, and the background thread.
 
     def _complete(self, settled: tuple[int, Mapping[str, Any]], ended: Message) -> None:
         """Gives the summary of an episode to those who wait for it, if somebody does."""

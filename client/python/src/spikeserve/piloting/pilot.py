@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from spikeserve.connection import Connection
 from spikeserve.executed import source_of
 from spikeserve.piloting import robot_clock
+from spikeserve.piloting.datagram_link import require_ciphers
 from spikeserve.piloting.link import Link
 from spikeserve.piloting.pilot_options import PilotAction, PilotOptions
 from spikeserve.piloting.pilot_stats import PilotStats
@@ -45,9 +46,10 @@ class Pilot:
 
     The further arguments are the fields of PilotOptions. The constructor opens the session and
     waits for the server, and raises SpikeserveError, or ImportError if the package was installed
-    without its compiled part; `beat` never waits longer than the budget, and raises only before its
-    first valid observation. A background thread brings the server all beats,
-    in order and once, whoever chose their actions: the server's session is that of the robot.
+    without its compiled part, or the transport "datagram" without `cryptography`; `beat` never
+    waits longer than the budget, and raises only before its first valid observation. A background
+    thread brings the server all beats, in order and once, whoever chose their actions: the server's
+    session is that of the robot.
     Answers that come too late are not executed, and neither are those from before a reconnection.
 
     For one thread; `stats` may be called from any.
@@ -56,6 +58,8 @@ class Pilot:
     def __init__(self, client: Connection, policy: str, period: float, **options: Any) -> None:
         require_robot()
         self._options = PilotOptions(period=period, **options)
+        if self._options.transport == "datagram":
+            require_ciphers()
         opener = StreamOpener(client)
         self._session = ServerSession(client, policy, self._options, opener.route)
         try:
@@ -191,7 +195,7 @@ class Pilot:
     def stats(self) -> PilotStats:
         """Returns what the pilot has done so far."""
         with self._link.changed:
-            stats = self._machine.stats()
+            stats = self._machine.stats(time.monotonic_ns())
         if self._wrong:
             stats["last_invalid_observation"] = self._wrong
         return PilotStats(**stats)

@@ -14,6 +14,7 @@ from spikeserve.check import check
 from spikeserve.values import Action, ActionLike, SessionOptions
 
 MOST_IN_FLIGHT = 64  # requests; a connection may have 100 calls, and one stream more than enough
+TRANSPORTS = ("auto", "stream", "datagram")
 LEAST_AGE = 0.25  # seconds: half of a slow round trip's worth of answers is no use to a robot
 
 
@@ -48,6 +49,11 @@ class PilotOptions:
     # (observation) -> action. Every element of an observation that is not valid is NaN.
     fallback: Callable[[NDArray[np.float32]], ActionLike] | None = None
     in_flight: int | None = None  # most requests without an answer; None: those of `max_age`
+    # How steps go to the server. "auto": as datagrams where the server takes them and they come
+    # through, if `cryptography` is installed (pip install spikeserve[datagrams]). "stream": over
+    # the stream. "datagram": as "auto"; a server that takes no datagrams is refused.
+    transport: str = "auto"
+    redundancy: int = 1  # how often each datagram is sent, 1 or 2
     kept_beats: int = 8192  # that the server has not acknowledged; older ones become rewards only
     session: SessionOptions = field(default_factory=SessionOptions)
     close_timeout: float = 5.0  # seconds for the ends of episodes that the server does not have yet
@@ -62,6 +68,8 @@ class PilotOptions:
         check(ramp is None or ramp >= 0, "ramp_beats", "at least 0", ramp)
         expected = f"1 to {MOST_IN_FLIGHT}"
         check(1 <= self.most_in_flight <= MOST_IN_FLIGHT, "in_flight", expected, self.in_flight)
+        check(self.transport in TRANSPORTS, "transport", f"one of {TRANSPORTS}", self.transport)
+        check(self.redundancy in (1, 2), "redundancy", "1 or 2", self.redundancy)
         check(self.kept_beats >= 2, "kept_beats", "at least 2", self.kept_beats)
         least = self.close_timeout
         check(least >= 0, "close_timeout", "at least 0", least)

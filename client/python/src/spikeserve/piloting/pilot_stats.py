@@ -18,6 +18,8 @@ class PilotStats:
     stale: int = 0  # answers that came too late, and were not executed
     late_answers: int = 0  # answers that took longer than a period; they may be fresh still
     cancelled_calls: int = 0  # requests that failed, or were given up with their stream
+    datagram_answers: int = 0  # answers that came as datagrams
+    sends_datagrams: bool = False  # steps go as datagrams now, and no longer over the stream
     reconnects: int = 0  # streams that were opened in the place of another one
     reopened: int = 0  # sessions that were opened in the place of a lost one
     dropped: int = 0  # beats that the server got as rewards only

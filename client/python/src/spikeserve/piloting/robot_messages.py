@@ -116,8 +116,13 @@ def error_to_robot(error: Exception) -> Any:
     return robot.Error(kind, error.message, str(error), *place, error.retry_after)
 
 
-def take_reply(machine: Any, reply: Message, now: int, robot_now: int) -> tuple[Any, bool]:
-    """Passes a reply on. Returns the episode that has ended or None, and whether there is work."""
+def take_reply(
+    machine: Any, reply: Message, now: int, robot_now: int, datagram: int | None = None
+) -> tuple[Any, bool]:
+    """Passes on a reply of the stream, or to the request of a datagram's number.
+
+    Returns the episode that has ended or None, and whether there is work.
+    """
     error = action = None
     if reply.HasField("error"):
         error = error_to_robot(error_of_item("ActStream", reply.error))
@@ -126,6 +131,7 @@ def take_reply(machine: Any, reply: Message, now: int, robot_now: int) -> tuple[
         values = reply.action.continuous.values
         action = reply.action.discrete if is_index else np.array(values, np.float32)
     result: tuple[Any, bool] = machine.on_reply(
+        datagram,
         error,
         reply.next_step,
         action,

@@ -11,6 +11,7 @@ import grpc
 from spikeserve.calls import Call, Opened, open_session
 from spikeserve.connection import Connection
 from spikeserve.errors import SpikeserveError, is_retryable, make_error
+from spikeserve.piloting.datagram_link import ciphers
 from spikeserve.piloting.local_engine import LocalEngine, is_wanted
 from spikeserve.piloting.pilot_options import PilotOptions
 from spikeserve.piloting.robot_messages import robot, to_robot
@@ -35,6 +36,7 @@ class ServerSession:
         self._options = options
         self._route = route
         self.engine = LocalEngine(options.local_policy) if is_wanted(options) else None
+        self.sends_datagrams = options.transport != "stream" and ciphers is not None
         self._call: Call[tuple[Opened, Message]] | None = None
         opened, response = client.run(self.opening_call())
         self.opening: Opening = opened.opening
@@ -48,6 +50,7 @@ class ServerSession:
         if self._call is None:
             call = open_session(self._policy, self._options.session, self._route)
             call.request.period_seconds = self._options.period
+            call.request.datagrams = self.sends_datagrams
 
             def decode(response: Message) -> tuple[Opened, Message]:
                 check_release(response)
@@ -60,6 +63,7 @@ class ServerSession:
         """Takes the answer to OpenSession: the next session is another one."""
         self._call = None
         self.session_id = opened.session_id
+        self.response = response
         self.history_limit = int(response.history_limit)
         self.is_stored = opened.opening.durability in ("ASYNC", "SYNC")
         self._route.is_pinned = not self.is_stored
@@ -79,6 +83,13 @@ class ServerSession:
 
         Brings the session to the engine. Without the server, the machine tries again later.
         """
+        if self._options.transport == "datagram" and not self.response.HasField("datagrams"):
+            raise make_error(
+                "OpenSession",
+                grpc.StatusCode.FAILED_PRECONDITION,
+                "transport: expected auto or stream, because the server takes no datagrams, "
+                "received datagram",
+            )
         export = self._resume()
         options, space = self._options, self.opening.action_space
         learning = options.session.learning
@@ -99,6 +110,8 @@ class ServerSession:
             servers=len(self._client.replicas),
             has_engine=self.engine is not None,
             shares_head=learning is not None and learning.scope == "FLEET",
+            sends_datagrams=self.sends_datagrams,
+            redundancy=options.redundancy,
             history_limit=self.history_limit,
             is_stored=self.is_stored,
             steady=now,
