@@ -274,10 +274,10 @@ class FailsToEnd(spikeserve.AsyncClient):
 
     session_id = None
 
-    async def run(self, call):
+    async def perform(self, call):
         if call.method == "EndEpisode" and call.request.session_id == self.session_id:
             raise spikeserve.UnavailableError(call.method, grpc.StatusCode.UNAVAILABLE, "broken")
-        return await super().run(call)
+        return await super().perform(call)
 
 
 def test_async_rows_end_although_another_row_fails(address):

@@ -13,8 +13,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from spikeserve.async_connection import AsyncConnection
+from spikeserve.caller import Caller
 from spikeserve.calls import Call
 from spikeserve.connection import Connection
+from spikeserve.coroutines import blocking
 from spikeserve.wire import ADMIN_METHODS, ADMIN_SERVICE, Message, comment_of
 
 # Loading a version reads files and tries the policy, which takes longer than a decision.
@@ -58,18 +60,9 @@ def _describe(rpc: str, fields: dict[str, Any], timeout: float | None) -> Call[M
     return Call(rpc, request, lambda response: response, timeout, repeatable=method.repeatable)
 
 
-def _blocking(rpc: str) -> Callable[..., Message]:
-    def call(self: AdminClient, *, timeout: float | None = None, **fields: Any) -> Message:
-        return self.run(_describe(rpc, fields, timeout))
-
-    return call
-
-
 def _asynchronous(rpc: str) -> Callable[..., Any]:
-    async def call(
-        self: AsyncAdminClient, *, timeout: float | None = None, **fields: Any
-    ) -> Message:
-        return await self.run(_describe(rpc, fields, timeout))
+    async def call(self: Caller, *, timeout: float | None = None, **fields: Any) -> Message:
+        return await self.perform(_describe(rpc, fields, timeout))
 
     return call
 
@@ -93,5 +86,5 @@ def _add_methods(client: type, make: Callable[[str], Callable[..., Any]]) -> Non
         setattr(client, method.__name__, method)
 
 
-_add_methods(AdminClient, _blocking)
+_add_methods(AdminClient, lambda rpc: blocking(_asynchronous(rpc)))
 _add_methods(AsyncAdminClient, _asynchronous)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -14,6 +15,7 @@ from spikeserve.batches import ExecutedActions, act_each, by_server
 from spikeserve.calls import list_policies, named, open_session
 from spikeserve.errors import SpikeserveError
 from spikeserve.replicas import Route
+from spikeserve.session_handle import SessionHandle
 from spikeserve.values import Decision, Policy, SessionOptions
 
 
@@ -21,8 +23,8 @@ class AsyncClient(AsyncConnection):
     """Asyncio form of Client. Belongs to one event loop. Many sessions may call at once."""
 
     async def list_policies(self) -> list[Policy]:
-        """Asyncio form of Client.list_policies."""
-        return await self.run(list_policies())
+        """Returns every policy version that is served, sorted by name, then by version."""
+        return await self.perform(list_policies())
 
     async def open_session(
         self,
@@ -42,14 +44,20 @@ class AsyncClient(AsyncConnection):
 
     async def act_batch(
         self,
-        sessions: Sequence[AsyncSession],
+        sessions: Sequence[SessionHandle[Any]],
         observations: Sequence[ArrayLike],
         rewards: Sequence[float],
         timeout: float | None = None,
         *,
         executed_actions: ExecutedActions = None,
     ) -> list[Decision | SpikeserveError]:
-        """Asyncio form of Client.act_batch."""
+        """Returns one decision or error for each session, with a single call.
+
+        `executed_actions` has the executed action of each session's previous step, or None for a
+        session that executed the answer. A session whose result is an error stays at its step. The
+        others move to their next step. With several servers, there is one call for each of them
+        that has some of the sessions, which stay together from then on.
+        """
         cursors = [session.cursor for session in sessions]
         executed = [None] * len(cursors) if executed_actions is None else executed_actions
         results: dict[int, Decision | SpikeserveError] = {}
@@ -61,7 +69,7 @@ class AsyncClient(AsyncConnection):
                 timeout,
                 [executed[row] for row in rows],
             )
-            answers = await self.run(batch)
+            answers = await self.perform(batch)
             results.update(zip(rows, answers, strict=True))
         return [results[row] for row in range(len(cursors))]
 

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Coroutine, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Callable, Coroutine
+from typing import TYPE_CHECKING, Any
 
 import grpc
 import grpc.aio
 
+from spikeserve.caller import Caller
 from spikeserve.calls import Call
-from spikeserve.channels import Channels, ClientOptions
-from spikeserve.errors import (
-    FailedPreconditionError,
-    SpikeserveError,
-    is_retryable_code,
-    is_said_again,
-)
+from spikeserve.channels import ClientOptions
+from spikeserve.errors import SpikeserveError, is_retryable_code
 from spikeserve.lines import (
     RACE_SECONDS,
     SERVING,
@@ -27,13 +23,10 @@ from spikeserve.lines import (
     is_answer,
 )
 from spikeserve.replicas import PROBE_SECONDS, Replica
-from spikeserve.retry import Attempts
 from spikeserve.wire import Message
 
 if TYPE_CHECKING:
     from typing_extensions import Self  # typing has it from Python 3.11 on
-
-T = TypeVar("T")
 
 
 class Watch:
@@ -59,7 +52,7 @@ def is_cancelled() -> bool:
     return task is not None and getattr(task, "cancelling", int)() > 0
 
 
-class AsyncConnection(Channels):
+class AsyncConnection(Caller):
     """Runs calls with asyncio, any number of them at once. Belongs to one event loop."""
 
     _transport = grpc.aio
@@ -137,61 +130,16 @@ class AsyncConnection(Channels):
         for replica in self.replicas:
             await replica.line.channel.close()
 
-    async def run(self, call: Call[T]) -> T:
-        """Asyncio form of Connection.run."""
-        attempts = self._attempts(call)
-        while True:
-            try:
-                return await self._run_with(call, attempts)
-            except FailedPreconditionError as error:
-                missing = call.missing(error) if call.missing is not None else []
-                pause = attempts.pause_before_missing() if missing else None
-                if pause is None:
-                    raise
-            await asyncio.sleep(pause)
-            await self._send_missing(missing, attempts)
+    run = Caller.perform
 
-    async def _run_with(self, call: Call[T], attempts: Attempts) -> T:
-        response = await self._response(call, call.request, attempts)
-        while call.failed_items is not None and (failed := call.failed_items(response)):
-            pause = attempts.pause_before_part(failed)
-            if pause is None:
-                break
-            await asyncio.sleep(pause)
-            await self._send_missing(failed.missing, attempts)
-            failed.merge(await self._response(call, failed.request, attempts))
-        return call.decode(response)
+    async def _wait(self, seconds: float) -> None:
+        await asyncio.sleep(seconds)
 
-    async def _send_missing(self, missing: Sequence[Call[None]], attempts: Attempts) -> None:
-        for part in missing:
-            try:
-                await self._run_with(part, attempts)
-            except SpikeserveError as error:
-                if not is_said_again(error):
-                    raise
-
-    async def _response(self, call: Call[Any], request: Message, attempts: Attempts) -> Message:
-        while True:
-            replica, timeout = attempts.replica, attempts.timeout()
-            try:
-                response = await self._attempt(replica, call, request, timeout)
-            except grpc.RpcError as error:
-                try:
-                    pause = attempts.pause_after(error, timeout)
-                except SpikeserveError as last:
-                    if self._reached:
-                        raise
-                    raise await asyncio.to_thread(self._explain, last, replica) from error
-            else:
-                self._reached = True
-                attempts.answered()
-                return response
-            if pause is None:
-                return self._table[call.method].response()
-            await asyncio.sleep(pause)
+    async def _explained(self, error: SpikeserveError, replica: Replica) -> SpikeserveError:
+        return await asyncio.to_thread(self._explain, error, replica)
 
     async def _attempt(
-        self, replica: Replica, call: Call[Any], request: Message, timeout: float
+        self, call: Call[Any], request: Message, replica: Replica, timeout: float
     ) -> Message:
         line, began = replica.line, time.monotonic()
         watch = Watch(lambda: self.suspect(replica, began))
@@ -209,6 +157,7 @@ class AsyncConnection(Channels):
             raise LineRenewedError from None
         finally:
             watch.stop()
+        self._reached = True
         replica.doubt.answered()
         return response
 

@@ -11,16 +11,9 @@ from numpy.typing import ArrayLike
 
 from spikeserve.async_connection import AsyncConnection, Watch, is_cancelled
 from spikeserve.async_session import AsyncSession
-from spikeserve.errors import SessionLostError, SpikeserveError, code_of_end, make_error
-from spikeserve.open_requests import (
-    OpenRequest,
-    OpenRequests,
-    stream_closed,
-    stream_ended,
-    stream_silent,
-)
-from spikeserve.replicas import Route
-from spikeserve.stream_opener import StreamOpener
+from spikeserve.errors import SpikeserveError, code_of_end, make_error
+from spikeserve.open_requests import stream_ended, stream_silent
+from spikeserve.stream_core import StreamCore
 from spikeserve.values import Decision, ExecutedLike
 from spikeserve.wire import Message
 
@@ -31,7 +24,7 @@ if TYPE_CHECKING:
 _CORE_ERROR = "Internal error from Core"
 
 
-class AsyncActStream:
+class AsyncActStream(StreamCore[AsyncSession]):
     """Asyncio form of ActStream. One task at a time may send, and one may receive.
 
     A `receive` that is cancelled, for example by asyncio.timeout, ends the stream. Its requests
@@ -39,12 +32,7 @@ class AsyncActStream:
     """
 
     def __init__(self, client: AsyncConnection) -> None:
-        self._client = client
-        self._opener = StreamOpener(client)
-        self._open: OpenRequests[AsyncSession] = OpenRequests(
-            self._opener, client.options, client.patience
-        )
-        self._closed = False
+        super().__init__(client)
         self._writing = asyncio.Lock()  # gRPC allows one write at a time
         self._resending: asyncio.Task[None] | None = None
         self._call = self._opener.open()
@@ -55,45 +43,11 @@ class AsyncActStream:
     async def __aexit__(self, *_: object) -> None:
         self.close()
 
-    @property
-    def route(self) -> Route:
-        """Asyncio form of ActStream.route."""
-        return self._opener.route
-
-    async def send(
-        self,
-        session: AsyncSession,
-        observation: ArrayLike,
-        reward: float | None = None,
-        *,
-        executed_action: ExecutedLike | None = None,
-    ) -> None:
-        """Asyncio form of ActStream.send."""
-        await self._reopen_if_broken()
-        await self._write(self._open.add(session, observation, reward, executed_action))
+    send = StreamCore[AsyncSession]._send
 
     async def receive(self) -> tuple[AsyncSession, Decision | SpikeserveError]:
         """Asyncio form of ActStream.receive."""
-        while True:
-            if self._open.broken is not None:
-                raise self._open.broken
-            reply = await self._read()
-            if isinstance(reply, SpikeserveError):
-                await self._recover(reply)
-                continue
-            accepted = self._open.accept(reply)
-            if isinstance(accepted, SpikeserveError):
-                await self._recover(accepted)
-            elif accepted is None:
-                # The requests of other sessions are answered while this one waits.
-                if self._resending is None or self._resending.done():
-                    self._resending = asyncio.create_task(self._send_due())
-            elif isinstance(accepted, OpenRequest):
-                answered = await self._find(accepted)
-                if answered is not None:
-                    return answered
-            else:
-                return accepted
+        return await self._receive()
 
     async def act(
         self,
@@ -104,12 +58,7 @@ class AsyncActStream:
         executed_action: ExecutedLike | None = None,
     ) -> Decision:
         """Asyncio form of ActStream.act."""
-        self._open.check_empty()
-        await self.send(session, observation, reward, executed_action=executed_action)
-        _, result = await self.receive()
-        if isinstance(result, SpikeserveError):
-            raise result
-        return result
+        return await self._act(session, observation, reward, executed_action)
 
     def close(self) -> None:
         """Ends the stream. Drops answers that were not received."""
@@ -118,29 +67,13 @@ class AsyncActStream:
         if self._resending is not None:
             self._resending.cancel()
 
-    async def _find(
-        self, request: OpenRequest[AsyncSession]
-    ) -> tuple[AsyncSession, Decision | SpikeserveError] | None:
-        """Makes the call of a request outside of the stream. None: in a new session, later."""
-        session = request.session
-        try:
-            return session, await self._client.run(request.call)
-        except SessionLostError as error:
-            if not session.reopens:
-                return session, error
-        except SpikeserveError as error:
-            return session, error
-        await session.open_again()
-        await self._write(self._open.restart(request))
-        return None
-
     async def _write(self, request: Message) -> None:
         # A broken call is repaired by `receive`, which sends the open requests again.
         with contextlib.suppress(grpc.RpcError, asyncio.InvalidStateError):
             async with self._writing:
                 await self._call.write(request)
 
-    async def _read(self) -> Message | SpikeserveError:
+    async def _next_reply(self, deadline: float | None) -> Message | SpikeserveError:
         if self._call.cancelled():  # with a `receive` that was cancelled
             return stream_ended()
         watch = Watch(self._open.doubt)
@@ -182,25 +115,20 @@ class AsyncActStream:
             for request in self._open.take_due():
                 await self._write(request)
 
-    async def _recover(self, error: SpikeserveError) -> None:
-        """Opens another stream after `error`, or marks the stream as broken."""
+    async def _break(self, error: SpikeserveError) -> None:
         pause = self._open.pause_after_break(error)
-        if pause is None:
-            return
-        await asyncio.sleep(pause)
-        await self._start()
-
-    async def _reopen_if_broken(self) -> None:
-        if self._closed:
-            raise stream_closed()
-        if self._open.broken is not None and not self._open.may_reopen():
-            raise self._open.broken
-        if self._open.broken is not None or self._call.done():
+        if pause is not None:
+            await asyncio.sleep(pause)
             await self._start()
 
-    async def _start(self) -> None:
+    def _is_over(self) -> bool:
+        return bool(self._call.done())
+
+    def _resend_later(self) -> None:
+        # The requests of other sessions are answered while this one waits.
+        if self._resending is None or self._resending.done():
+            self._resending = asyncio.create_task(self._send_due())
+
+    def _open_call(self) -> None:
         self._call.cancel()
         self._call = self._opener.open()
-        self._open.broken = None
-        for request in self._open.all_messages():
-            await self._write(request)

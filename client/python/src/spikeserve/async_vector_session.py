@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
@@ -23,8 +24,7 @@ class AsyncVectorSession(VectorRows[AsyncSession]):
     """Asyncio form of VectorSession. `open` makes one. One call at a time."""
 
     def __init__(self, client: AsyncClient, envs: Any) -> None:
-        super().__init__(envs)
-        self._client = client
+        super().__init__(client, envs)
         self._opened = contextlib.AsyncExitStack()
 
     @classmethod
@@ -70,33 +70,37 @@ class AsyncVectorSession(VectorRows[AsyncSession]):
         *,
         executed_actions: ArrayLike | None = None,
     ) -> Actions:
-        """Asyncio form of VectorSession.act. Ends the episodes of a step concurrently."""
+        """Returns the actions for `envs.step`.
+
+        The arguments are what `envs.step` returned. After `envs.reset`, the observations suffice.
+        `infos` holds the final observations of SAME_STEP environments, which only recordings use.
+        `executed_actions` are the actions that `envs.step` received, if they differ from those that
+        the last `act` returned.
+        If any row fails, no row moves to its next step, and the same call may be made again.
+        """
         step = self._begin(
             observations, rewards, terminations, truncations, infos, executed_actions
         )
-        endings = (self._end(row, ending) for row, ending in step.endings.items())
-        # Every ending is awaited, so that `_newly_ended` has all that succeed if one fails.
-        for error in await asyncio.gather(*endings, return_exceptions=True):
-            if error is not None:
-                raise error
+        await self._end_all(step.endings)
         while True:
             try:
-                decisions = await self._client.run(step.batch(timeout)) if step.cursors else []
+                decisions = await self._client.perform(step.batch(timeout)) if step.cursors else []
                 return self._finish(step, decisions)
             except SessionLostError as error:
                 lost = self._lost_rows(error)
             for session in lost:
-                await session.open_again()
+                await session._open_again()
 
     async def reset(self) -> None:
-        """Asyncio form of VectorSession.reset."""
+        """Ends the running episodes as truncated. Call it where you call `envs.reset`."""
         for ending in self._truncations():
-            await self._client.run(ending)
+            await self._client.perform(ending)
         self._newly_ended = {}
 
-    async def _end(self, row: int, ending: Call[EpisodeSummary]) -> None:
-        try:
-            self._newly_ended[row] = await self._client.run(ending)
-        except SessionLostError as error:
-            for session in self._lost_rows(error):
-                await session.open_again()
+    async def _end_all(self, endings: Mapping[int, Call[EpisodeSummary]]) -> None:
+        """Ends the episodes concurrently."""
+        # Every ending is awaited, so that `_newly_ended` has all that succeed if one fails.
+        ended = (self._end(row, ending) for row, ending in endings.items())
+        for error in await asyncio.gather(*ended, return_exceptions=True):
+            if error is not None:
+                raise error

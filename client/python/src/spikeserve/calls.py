@@ -1,6 +1,6 @@
 """The calls of the service: the request that each one sends and the value of its response.
 
-The blocking client and the asyncio client both run these descriptions (see connection.py). Nothing
+The blocking client and the asyncio client both run these descriptions (see caller.py). Nothing
 in this module sends or waits.
 """
 

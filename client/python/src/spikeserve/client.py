@@ -5,16 +5,14 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 
-from numpy.typing import ArrayLike
-
-from spikeserve.batches import ExecutedActions, act_each, by_server
-from spikeserve.calls import list_policies, named, open_session
+from spikeserve.async_client import AsyncClient
+from spikeserve.calls import named, open_session
 from spikeserve.connection import Connection
-from spikeserve.errors import SpikeserveError
+from spikeserve.coroutines import blocking
 from spikeserve.replicas import Route
 from spikeserve.session import Session
 from spikeserve.stream import ActStream
-from spikeserve.values import Decision, Policy, SessionOptions
+from spikeserve.values import SessionOptions
 
 
 class Client(Connection):
@@ -34,9 +32,8 @@ class Client(Connection):
     `credentials` are those of grpc, for example grpc.ssl_channel_credentials(); None: plain text.
     """
 
-    def list_policies(self) -> list[Policy]:
-        """Returns every policy version that is served, sorted by name, then by version."""
-        return self.run(list_policies())
+    list_policies = blocking(AsyncClient.list_policies)
+    act_batch = blocking(AsyncClient.act_batch)
 
     def open_session(
         self,
@@ -61,37 +58,6 @@ class Client(Connection):
             open_session, policy, named(options, observation, action), route
         )
         return Session._of(self, self.run(open_again()), open_again if reopen else None)
-
-    def act_batch(
-        self,
-        sessions: Sequence[Session],
-        observations: Sequence[ArrayLike],
-        rewards: Sequence[float],
-        timeout: float | None = None,
-        *,
-        executed_actions: ExecutedActions = None,
-    ) -> list[Decision | SpikeserveError]:
-        """Returns one decision or error for each session, with a single call.
-
-        `executed_actions` has the executed action of each session's previous step, or None for a
-        session that executed the answer. A session whose result is an error stays at its step. The
-        others move to their next step. With several servers, there is one call for each of them
-        that has some of the sessions, which stay together from then on.
-        """
-        cursors = [session.cursor for session in sessions]
-        executed = [None] * len(cursors) if executed_actions is None else executed_actions
-        results: dict[int, Decision | SpikeserveError] = {}
-        for rows in by_server(cursors, self.replicas):
-            batch = act_each(
-                [cursors[row] for row in rows],
-                [observations[row] for row in rows],
-                [rewards[row] for row in rows],
-                timeout,
-                [executed[row] for row in rows],
-            )
-            answers = self.run(batch)
-            results.update(zip(rows, answers, strict=True))
-        return [results[row] for row in range(len(cursors))]
 
     def act_stream(self) -> ActStream:
         """Opens a stream of decisions for any number of sessions."""

@@ -1,4 +1,4 @@
-"""`Connection`: sends calls, waits for their responses and repeats failed attempts. Blocks."""
+"""`Connection`: the connection of the blocking client."""
 
 from __future__ import annotations
 
@@ -6,25 +6,23 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import grpc
 
+from spikeserve.caller import Caller
 from spikeserve.calls import Call
-from spikeserve.channels import Channels, ClientOptions
+from spikeserve.channels import ClientOptions
+from spikeserve.coroutines import finish
 from spikeserve.errors import (
     DeadlineExceededError,
-    FailedPreconditionError,
     SpikeserveError,
     error_of_call,
     is_retryable,
     is_retryable_code,
-    is_said_again,
 )
 from spikeserve.lines import RACE_SECONDS, SERVING, LineWatch, has_answered
 from spikeserve.replicas import PROBE_SECONDS, Replica
-from spikeserve.retry import Attempts
 from spikeserve.wire import Message
 
 if TYPE_CHECKING:
@@ -33,7 +31,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-class Connection(Channels):
+class Connection(Caller):
     """Runs calls and blocks until they end. Thread-safe."""
 
     _transport = grpc
@@ -95,57 +93,15 @@ class Connection(Channels):
 
         Sends decisions again that the server expects and that were made before.
         """
-        attempts = self._attempts(call)
-        while True:
-            try:
-                return self._run_with(call, attempts)
-            except FailedPreconditionError as error:
-                missing = call.missing(error) if call.missing is not None else []
-                pause = attempts.pause_before_missing() if missing else None
-                if pause is None:
-                    raise
-            time.sleep(pause)
-            self._send_missing(missing, attempts)
+        return finish(self.perform(call))
 
-    def _run_with(self, call: Call[T], attempts: Attempts) -> T:
-        response = self._response(call, call.request, attempts)
-        while call.failed_items is not None and (failed := call.failed_items(response)):
-            pause = attempts.pause_before_part(failed)
-            if pause is None:
-                break
-            time.sleep(pause)
-            self._send_missing(failed.missing, attempts)
-            failed.merge(self._response(call, failed.request, attempts))
-        return call.decode(response)
+    async def _wait(self, seconds: float) -> None:
+        time.sleep(seconds)
 
-    def _send_missing(self, missing: Sequence[Call[None]], attempts: Attempts) -> None:
-        for part in missing:
-            try:
-                self._run_with(part, attempts)
-            except SpikeserveError as error:
-                # The call that follows shows what is still missing.
-                if not is_said_again(error):
-                    raise
+    async def _explained(self, error: SpikeserveError, replica: Replica) -> SpikeserveError:
+        return self._explain(error, replica)
 
-    def _response(self, call: Call[Any], request: Message, attempts: Attempts) -> Message:
-        while True:
-            replica, timeout = attempts.replica, attempts.timeout()
-            try:
-                response = self._attempt(call, request, replica, timeout)
-            except grpc.RpcError as error:
-                try:
-                    pause = attempts.pause_after(error, timeout)
-                except SpikeserveError as last:
-                    # A call of a connection that was made once must fail without delay.
-                    raise last if self._reached else self._explain(last, replica) from error
-            else:
-                attempts.answered()
-                return response
-            if pause is None:
-                return self._table[call.method].response()
-            time.sleep(pause)
-
-    def _attempt(
+    async def _attempt(
         self, call: Call[Any], request: Message, replica: Replica, timeout: float
     ) -> Message:
         while True:
@@ -168,7 +124,7 @@ class Connection(Channels):
     def run_once(self, call: Call[T], replica: Replica, timeout: float) -> T:
         """Returns the value of `call`, or raises the error of its only attempt, at `replica`."""
         try:
-            response = self._attempt(call, call.request, replica, timeout)
+            response = finish(self._attempt(call, call.request, replica, timeout))
         except grpc.RpcError as failed:
             error = error_of_call(call.method, failed)
             if is_retryable(error):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from spikeserve.caller import Caller
 from spikeserve.calls import Call, Opened
 from spikeserve.check import check
 from spikeserve.cursor import SessionCursor
@@ -13,7 +14,7 @@ from spikeserve.values import Opening
 if TYPE_CHECKING:
     from typing_extensions import Self  # typing has it from Python 3.11 on
 
-AnyConnection = TypeVar("AnyConnection")
+AnyConnection = TypeVar("AnyConnection", bound=Caller)
 
 
 class SessionHandle(Generic[AnyConnection]):
@@ -29,7 +30,7 @@ class SessionHandle(Generic[AnyConnection]):
         self._client = client
         self.cursor = SessionCursor(session_id, step)
         self.opening = opening
-        self._open_again: Callable[[], Call[Opened]] | None = None
+        self._new_opening: Callable[[], Call[Opened]] | None = None
         self._closed = False
         self.reopened = 0  # how often a lost session was replaced by a new one
 
@@ -42,28 +43,26 @@ class SessionHandle(Generic[AnyConnection]):
     ) -> Self:
         """Returns a session that was opened now. `open_again` describes how to open another one."""
         session = cls(client, opened.session_id)
-        session._open_again = open_again
+        session._new_opening = open_again
         session._begin(opened)
         return session
 
     @property
     def reopens(self) -> bool:
         """Returns whether a lost session is replaced by a new one."""
-        return self._open_again is not None
-
-    def _reopening(self) -> Call[Opened]:
-        check(self._open_again is not None, "session", "one opened with reopen=True", "another")
-        assert self._open_again is not None
-        return self._open_again()
+        return self._new_opening is not None
 
     def _begin(self, opened: Opened) -> None:
         """Continues with a new session, at step 0 of its first episode."""
         self.cursor.begin(opened, self.reopens)
         self.opening = opened.opening
 
-    def _move_to(self, opened: Opened) -> None:
+    async def _open_again(self) -> None:
         """Replaces a lost session by a new one."""
-        self._begin(opened)
+        opening = self._new_opening
+        check(opening is not None, "session", "one opened with reopen=True", "another")
+        assert opening is not None
+        self._begin(await self._client.perform(opening()))
         self.reopened += 1
 
     @property

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spikeserve.batches import act_all
+from spikeserve.caller import Caller
 from spikeserve.calls import Call
 from spikeserve.check import check, unmasked
 from spikeserve.cursor import SessionCursor
@@ -71,7 +72,8 @@ class VectorRows(Generic[AnySession]):
     the decision of each row at the last `act`; None: the row did not act.
     """
 
-    def __init__(self, envs: Any) -> None:
+    def __init__(self, client: Caller, envs: Any) -> None:
+        self._client = client
         self._num_envs = int(envs.num_envs)
         self._acts_on_ended_rows = _autoreset_mode(envs) == _SAME_STEP
         self._observation_space = envs.single_observation_space
@@ -178,6 +180,13 @@ class VectorRows(Generic[AnySession]):
         from spikeserve.flat_spaces import to_native_box  # needs Gymnasium, as environments do
 
         return np.stack([to_native_box(action, self._native_space) for action in actions])
+
+    async def _end(self, row: int, ending: Call[EpisodeSummary]) -> None:
+        try:
+            self._newly_ended[row] = await self._client.perform(ending)
+        except SessionLostError as error:
+            for session in self._lost_rows(error):
+                await session._open_again()
 
     def _lost_rows(self, error: SessionLostError) -> list[AnySession]:
         """Returns the sessions that `error` is about. Raises it if they do not reopen."""

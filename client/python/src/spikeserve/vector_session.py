@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from numpy.typing import ArrayLike
-
+from spikeserve.async_vector_session import AsyncVectorSession
+from spikeserve.calls import Call
 from spikeserve.client import Client
-from spikeserve.errors import SessionLostError
+from spikeserve.coroutines import blocking
 from spikeserve.session import Session
-from spikeserve.values import SessionOptions
-from spikeserve.vector_rows import Actions, VectorRows
+from spikeserve.values import EpisodeSummary, SessionOptions
+from spikeserve.vector_rows import VectorRows
 
 if TYPE_CHECKING:
     from typing_extensions import Self  # typing has it from Python 3.11 on
@@ -35,8 +36,7 @@ class VectorSession(VectorRows[Session]):
         *,
         reopen: bool = False,
     ) -> None:
-        super().__init__(envs)
-        self._client = client
+        super().__init__(client, envs)
         with contextlib.ExitStack() as opened:
             for row_options in self._row_options(options):
                 session = client.open_session(policy, row_options, reopen=reopen, route=self._route)
@@ -54,45 +54,9 @@ class VectorSession(VectorRows[Session]):
         """Ends the sessions on the server."""
         self._opened.close()
 
-    def act(
-        self,
-        observations: ArrayLike,
-        rewards: ArrayLike | None = None,
-        terminations: ArrayLike | None = None,
-        truncations: ArrayLike | None = None,
-        infos: dict[str, Any] | None = None,
-        timeout: float | None = None,
-        *,
-        executed_actions: ArrayLike | None = None,
-    ) -> Actions:
-        """Returns the actions for `envs.step`.
+    act = blocking(AsyncVectorSession.act)
+    reset = blocking(AsyncVectorSession.reset)
 
-        The arguments are what `envs.step` returned. After `envs.reset`, the observations suffice.
-        `infos` holds the final observations of SAME_STEP environments, which only recordings use.
-        `executed_actions` are the actions that `envs.step` received, if they differ from those that
-        the last `act` returned.
-        If any row fails, no row moves to its next step, and the same call may be made again.
-        """
-        step = self._begin(
-            observations, rewards, terminations, truncations, infos, executed_actions
-        )
-        for row, ending in step.endings.items():
-            try:
-                self._newly_ended[row] = self._client.run(ending)
-            except SessionLostError as error:
-                for session in self._lost_rows(error):
-                    session.open_again()
-        while True:
-            try:
-                decisions = self._client.run(step.batch(timeout)) if step.cursors else []
-                return self._finish(step, decisions)
-            except SessionLostError as error:
-                lost = self._lost_rows(error)
-            for session in lost:
-                session.open_again()
-
-    def reset(self) -> None:
-        """Ends the running episodes as truncated. Call it where you call `envs.reset`."""
-        for ending in self._truncations():
-            self._client.run(ending)
-        self._newly_ended = {}
+    async def _end_all(self, endings: Mapping[int, Call[EpisodeSummary]]) -> None:
+        for row, ending in endings.items():
+            await self._end(row, ending)
