@@ -56,8 +56,8 @@ class Robot:
 
     def take(self, response):
         """Executes the action of an answer."""
-        verdict = spikeserve.WiringVerdict.from_wire(response)
-        if verdict is not None:
+        if response.HasField("wiring"):
+            verdict = spikeserve.WiringVerdict.from_wire(response.wiring)
             self.causes.append((self.steps, verdict.cause, verdict.elements))
         action = response.action
         is_box = isinstance(self.environment.action_space, gymnasium.spaces.Box)

@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spikeserve.values import Decision, enum_name
+from spikeserve.from_message import FromMessage
+from spikeserve.values import Decision
 from spikeserve.wire import Message
 
 
 @dataclass(frozen=True)
-class Token:
+class Token(FromMessage):
     """One token of the input sequence of the model."""
 
     kind: str  # RETURN_TO_GO, STATE or ACTION
     timestep: int  # within the episode
 
-    @classmethod
-    def from_wire(cls, message: Message) -> Token:
-        """Converts a Token of the wire contract."""
-        return cls(enum_name(message, "kind"), message.timestep)
-
 
 @dataclass(frozen=True)
-class SpikeRaster:
+class SpikeRaster(FromMessage):
     """The spikes that one neuron population emitted for one token, as a scatter plot takes them."""
 
     stage: str  # a key of Stats.spikes_by_stage
@@ -36,20 +33,12 @@ class SpikeRaster:
     neurons: NDArray[np.int32]  # of each spike
 
     @classmethod
-    def from_wire(cls, message: Message) -> SpikeRaster:
-        """Converts a SpikeRaster of the wire contract."""
-        return cls(
-            stage=message.stage,
-            layer=message.layer if message.HasField("layer") else None,
-            token=Token.from_wire(message.token),
-            population=message.population,
-            ticks=np.asarray(message.ticks, np.int32),
-            neurons=np.asarray(message.neurons, np.int32),
-        )
+    def _others(cls, message: Message) -> dict[str, Any]:
+        return {name: np.asarray(getattr(message, name), np.int32) for name in ("ticks", "neurons")}
 
 
 @dataclass(frozen=True)
-class Attention:
+class Attention(FromMessage):
     """The attention weights of the state token of the decision in one layer."""
 
     layer: int
@@ -57,11 +46,9 @@ class Attention:
     weights: NDArray[np.float32]  # [ticks, heads, keys]; they add up to 1 over the keys
 
     @classmethod
-    def from_wire(cls, message: Message) -> Attention:
-        """Converts an Attention of the wire contract."""
-        keys = tuple(Token.from_wire(key) for key in message.keys)
+    def _others(cls, message: Message) -> dict[str, Any]:
         weights = np.asarray(message.weights, np.float32)
-        return cls(message.layer, keys, weights.reshape(message.ticks, -1, len(keys)))
+        return {"weights": weights.reshape(message.ticks, -1, len(message.keys))}
 
 
 @dataclass(frozen=True)
@@ -81,7 +68,7 @@ class RoutingGates:
 
 
 @dataclass(frozen=True)
-class Explanation:
+class Explanation(FromMessage, message="ExplainResponse"):
     """The last decision of a session: its spikes, attention, routing gates and logits."""
 
     session_id: str
@@ -101,15 +88,8 @@ class Explanation:
     routing: tuple[RoutingGates, ...]  # one per layer; empty for a mode without routing
 
     @classmethod
-    def from_wire(cls, message: Message) -> Explanation:
-        """Converts an ExplainResponse."""
-        values = {name: getattr(message, name) for name in cls.__dataclass_fields__}
-        for name in ("observation", "logits", "readout"):
-            values[name] = np.asarray(values[name], np.float32)
-        values["answer"] = Decision.from_wire(message.answer)
-        values["rasters"] = tuple(map(SpikeRaster.from_wire, message.rasters))
-        values["attention"] = tuple(map(Attention.from_wire, message.attention))
-        values["routing"] = tuple(
-            RoutingGates.from_wire(gates, message.ticks) for gates in message.routing
-        )
-        return cls(**values)
+    def _others(cls, message: Message) -> dict[str, Any]:
+        arrays = ("observation", "logits", "readout")
+        values = {name: np.asarray(getattr(message, name), np.float32) for name in arrays}
+        routing = (RoutingGates.from_wire(gates, message.ticks) for gates in message.routing)
+        return {**values, "routing": tuple(routing)}

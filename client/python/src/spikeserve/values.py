@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from spikeserve.check import check, unmasked
 from spikeserve.executed import Executed
+from spikeserve.from_message import CONVERTERS, FromMessage, enum_name
 from spikeserve.spaces import ActionSpace, action_space_from_wire
 from spikeserve.wire import Message, message_class
 
@@ -20,9 +21,14 @@ Action = int | NDArray[np.float32]
 ActionLike = int | np.integer[Any] | ArrayLike
 ExecutedLike = ActionLike | Executed
 
+CONVERTERS["ActionSpace"] = action_space_from_wire
+CONVERTERS["SpikesByStage"] = lambda stages: {
+    described.name: getattr(stages, described.name) for described in stages.DESCRIPTOR.fields
+}
+
 
 @dataclass(frozen=True)
-class Feature:
+class Feature(FromMessage):
     """One element of an observation or of a Box action, or one action of a Discrete."""
 
     name: str
@@ -31,23 +37,9 @@ class Feature:
     high: float | None = None
     frame: str = ""  # the frame of reference; "": unknown
 
-    @classmethod
-    def all_from_wire(cls, messages: Sequence[Message]) -> tuple[Feature, ...]:
-        """Converts the Features of a message."""
-        return tuple(
-            cls(
-                message.name,
-                message.unit,
-                message.low if message.HasField("low") else None,
-                message.high if message.HasField("high") else None,
-                message.frame,
-            )
-            for message in messages
-        )
-
 
 @dataclass(frozen=True)
-class WiringVerdict:
+class WiringVerdict(FromMessage):
     """What the server believes about how the elements of the observation are wired."""
 
     cause: str  # EXCHANGED, SIGN, UNIT, STUCK, DELAY or DYNAMICS
@@ -56,23 +48,9 @@ class WiringVerdict:
     evidence: float  # logarithm of the likelihood ratio between the cause and a correct wiring
     is_safe_action: bool  # the action is the policy's neutral action because of this verdict
 
-    @classmethod
-    def from_wire(cls, message: Message) -> WiringVerdict | None:
-        """Converts the verdict of an ActResponse or a GetSessionResponse; None: there is none."""
-        if not message.HasField("wiring"):
-            return None
-        verdict = message.wiring
-        return cls(
-            enum_name(verdict, "cause"),
-            tuple(verdict.elements),
-            verdict.text,
-            verdict.evidence,
-            verdict.is_safe_action,
-        )
-
 
 @dataclass(frozen=True)
-class Policy:
+class Policy(FromMessage, message="PolicyInfo"):
     """One version of a policy that the server serves."""
 
     name: str
@@ -93,32 +71,6 @@ class Policy:
     rate_hz: float | None  # decisions per second in the training data; None: unknown
     rate_tolerance: float  # largest relative deviation from it
     checks_wiring: bool  # whether the server checks how sessions are wired
-
-    @classmethod
-    def from_wire(cls, message: Message) -> Policy:
-        """Converts a PolicyInfo."""
-        has_return = message.HasField("training_return")
-        has_share = message.HasField("traffic_percent")
-        return cls(
-            name=message.name,
-            version=message.version,
-            is_default=message.is_default,
-            observation_size=message.observation_size,
-            action_space=action_space_from_wire(message.action_space),
-            context_length=message.context_length,
-            target_return=message.target_return,
-            training_return=message.training_return if has_return else None,
-            environment=message.environment,
-            mode=message.mode,
-            version_labels=tuple(message.version_labels),
-            traffic_percent=message.traffic_percent if has_share else None,
-            is_shadow=message.is_shadow,
-            observation_features=Feature.all_from_wire(message.observation_features),
-            action_features=Feature.all_from_wire(message.action_features),
-            rate_hz=message.rate_hz if message.HasField("rate_hz") else None,
-            rate_tolerance=message.rate_tolerance,
-            checks_wiring=message.checks_wiring,
-        )
 
 
 @dataclass(frozen=True)
@@ -195,7 +147,7 @@ class SessionOptions:
 
 
 @dataclass(frozen=True)
-class Opening:
+class Opening(FromMessage, message="OpenSessionResponse"):
     """The answer of the server to OpenSession."""
 
     policy: str
@@ -209,22 +161,6 @@ class Opening:
     observation_features: tuple[Feature, ...] = ()  # (): the policy file names none
     action_features: tuple[Feature, ...] = ()
 
-    @classmethod
-    def from_wire(cls, message: Message) -> Opening:
-        """Converts an OpenSessionResponse."""
-        return cls(
-            policy=message.policy,
-            version=message.version,
-            observation_size=message.observation_size,
-            action_space=action_space_from_wire(message.action_space),
-            context_length=message.context_length,
-            target_return=message.target_return,
-            recording=message.recording,
-            durability=enum_name(message, "durability"),
-            observation_features=Feature.all_from_wire(message.observation_features),
-            action_features=Feature.all_from_wire(message.action_features),
-        )
-
     def check_action_space(self, space: ActionSpace) -> None:
         """ValueError if `space`, that of an environment, differs from that of the policy."""
         expected = f"{self.action_space} for policy {self.policy!r}"
@@ -232,7 +168,7 @@ class Opening:
 
 
 @dataclass(frozen=True)
-class Stats:
+class Stats(FromMessage, message="DecisionStats"):
     """The cost of one decision. Energies are estimates."""
 
     spikes: int
@@ -255,23 +191,9 @@ class Stats:
     int_energy_joules: float | None  # by int_45nm; None for a policy in float32
     int_sram_energy_joules: float | None  # by int_sram_45nm; None for a policy in float32
 
-    @classmethod
-    def from_wire(cls, message: Message) -> Stats:
-        """Converts a DecisionStats."""
-        stages = message.spikes_by_stage
-        values = {name: getattr(message, name) for name in cls.__dataclass_fields__}
-        for described in message.DESCRIPTOR.fields:
-            is_estimate = described.name.endswith("_energy_joules") and described.has_presence
-            if is_estimate and not message.HasField(described.name):
-                values[described.name] = None
-        values["spikes_by_stage"] = {
-            field.name: getattr(stages, field.name) for field in stages.DESCRIPTOR.fields
-        }
-        return cls(**values)
-
 
 @dataclass(frozen=True)
-class Hold:
+class Hold(FromMessage):
     """What an operator has put on a session: its robot stays at its safe action."""
 
     id: str
@@ -279,7 +201,7 @@ class Hold:
 
 
 @dataclass(frozen=True)
-class Decision:
+class Decision(FromMessage, message="ActResponse"):
     """The answer to one observation."""
 
     step: int
@@ -297,29 +219,21 @@ class Decision:
     hold: Hold | None = None  # what holds the session; None: nothing
 
     @classmethod
-    def from_wire(cls, message: Message) -> Decision:
-        """Converts an ActResponse."""
-        discrete = message.action.WhichOneof("kind") == "discrete"
+    def _others(cls, message: Message) -> dict[str, Any]:
+        action = message.action
+        discrete = action.WhichOneof("kind") == "discrete"
+        values = action.discrete if discrete else np.asarray(action.continuous.values, np.float32)
         probabilities = np.asarray(message.action_probabilities, np.float32)
-        return cls(
-            step=message.step,
-            action=message.action.discrete
-            if discrete
-            else np.asarray(message.action.continuous.values, np.float32),
-            action_probabilities=probabilities if discrete else None,
-            return_to_go=message.return_to_go,
-            stats=Stats.from_wire(message.stats),
-            durable_decision=message.durable_decision,
-            durable_episode=message.durable_episode,
-            wiring=WiringVerdict.from_wire(message),
-            source=enum_name(message.source, "kind") if message.HasField("source") else "POLICY",
-            operator_id=message.source.operator_id,
-            hold=Hold(message.hold.id, message.hold.reason) if message.HasField("hold") else None,
-        )
+        return {
+            "action": values,
+            "action_probabilities": probabilities if discrete else None,
+            "source": enum_name(message.source, "kind") if message.HasField("source") else "POLICY",
+            "operator_id": message.source.operator_id,
+        }
 
 
 @dataclass(frozen=True)
-class LearningSummary:
+class LearningSummary(FromMessage):
     """What a session that learns learned from an episode."""
 
     updates: int
@@ -330,14 +244,9 @@ class LearningSummary:
     rolled_back: bool  # the guard restored the last good head
     watched_return: float  # of the last complete window of episodes that the guard judged
 
-    @classmethod
-    def from_wire(cls, message: Message) -> LearningSummary:
-        """Converts a LearningSummary of the wire contract."""
-        return cls(**{name: getattr(message, name) for name in cls.__dataclass_fields__})
-
 
 @dataclass(frozen=True)
-class EpisodeSummary:
+class EpisodeSummary(FromMessage, message="EndEpisodeResponse"):
     """The totals of an episode that has ended."""
 
     episode_return: float
@@ -350,22 +259,9 @@ class EpisodeSummary:
     # session was lost, and a new one took its place.
     lost_steps: int = 0
 
-    @classmethod
-    def from_wire(cls, message: Message) -> EpisodeSummary:
-        """Converts an EndEpisodeResponse."""
-        learns = message.HasField("learning")
-        return cls(
-            message.episode_return,
-            message.steps,
-            message.spikes,
-            message.energy_joules,
-            LearningSummary.from_wire(message.learning) if learns else None,
-            enum_name(message, "recording"),
-        )
-
 
 @dataclass(frozen=True)
-class SessionState:
+class SessionState(FromMessage, message="GetSessionResponse"):
     """The state of a session on the server."""
 
     session_id: str
@@ -392,27 +288,12 @@ class SessionState:
     wiring: WiringVerdict | None  # None: nothing speaks against the wiring
 
     @classmethod
-    def from_wire(cls, message: Message) -> SessionState:
-        """Converts a GetSessionResponse."""
-        values = {name: getattr(message, name) for name in cls.__dataclass_fields__}
-        values["labels"] = dict(message.labels)
-        values["head_delta"] = _array_or_none(message.head_delta)
-        values["wiring"] = WiringVerdict.from_wire(message)
-        return cls(**values)
+    def _others(cls, message: Message) -> dict[str, Any]:
+        delta = np.asarray(message.head_delta, np.float32)
+        return {"head_delta": delta if delta.size else None}
 
 
 FLATTEN_HINT = "gymnasium.wrappers.FlattenObservation makes one of a Dict or Tuple observation"
-
-
-def enum_name(message: Message, field: str) -> str:
-    """Returns the name of the value of an enum field, or its number if the name is unknown."""
-    value = getattr(message, field)
-    known = message.DESCRIPTOR.fields_by_name[field].enum_type.values_by_number
-    return known[value].name if value in known else str(value)
-
-
-def _array_or_none(values: Sequence[float]) -> NDArray[np.float32] | None:
-    return np.asarray(values, np.float32) if len(values) else None
 
 
 def _flat(values: ArrayLike) -> NDArray[np.float32]:
