@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from spikeserve.imitation.options import ImitationOptions
-    from spikeserve.imitation.pipeline import ImitationResult
+    from spikeserve.imitation.report import ImitationResult
 
 
 def imitate(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import pathlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -45,6 +47,18 @@ def _read_json(path: pathlib.Path) -> Any:
         return json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise ValueError(f"{path}: expected a JSON file, received {error}") from error
+
+
+@contextlib.contextmanager
+def _reading(path: pathlib.Path) -> Iterator[None]:
+    """Turns an error of pyarrow into a ValueError."""
+    try:
+        yield
+    except MemoryError:
+        raise
+    except (OSError, package("pyarrow").ArrowException) as error:
+        expected = "a Parquet file, received damaged data"
+        raise ValueError(f"{path}: expected {expected}: {error}") from error
 
 
 def _check_info(path: pathlib.Path, info: Any) -> None:
@@ -209,20 +223,12 @@ class _Reader:
         return tables
 
     def _read_file(self, path: pathlib.Path, wanted: list[str]) -> dict[str, NDArray[Any]]:
-        parquet, arrow = package("pyarrow.parquet"), package("pyarrow")
-        try:
-            with parquet.ParquetFile(path) as file:
-                stored = set(file.schema_arrow.names)
-                for column in wanted:
-                    check(column in stored, f"{path}: {column}", "a column", "none")
-                table = file.read(columns=wanted)
-                table.validate(full=True)
-        except MemoryError:
-            raise
-        except (OSError, arrow.ArrowException) as error:
-            raise ValueError(
-                f"{path}: expected a Parquet file, received damaged data: {error}"
-            ) from error
+        with _reading(path), package("pyarrow.parquet").ParquetFile(path) as file:
+            stored = set(file.schema_arrow.names)
+            for column in wanted:
+                check(column in stored, f"{path}: {column}", "a column", "none")
+            table = file.read(columns=wanted)
+            table.validate(full=True)
         return {
             column: _numbers(table.column(column), self._size_of(column), f"{path}: {column}")
             for column in wanted
@@ -253,15 +259,8 @@ class _Reader:
         path = self._folder / layout.TASKS
         if not path.is_file():
             return {}
-        parquet, arrow = package("pyarrow.parquet"), package("pyarrow")
-        try:
-            rows = parquet.read_table(path).to_pydict()
-        except MemoryError:
-            raise
-        except (OSError, arrow.ArrowException) as error:
-            raise ValueError(
-                f"{path}: expected a Parquet file, received damaged data: {error}"
-            ) from error
+        with _reading(path):
+            rows = package("pyarrow.parquet").read_table(path).to_pydict()
         texts = rows.get("task") or rows.get("__index_level_0__") or []
         indices = rows.get("task_index", [])
         same = len(indices) == len(texts)

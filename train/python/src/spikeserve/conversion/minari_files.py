@@ -7,7 +7,6 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spikeserve.check import check
 from spikeserve.conversion.data import (
@@ -21,7 +20,7 @@ from spikeserve.conversion.data import (
     sources_of,
 )
 from spikeserve.conversion.packages import package
-from spikeserve.spaces import ActionSpace, Box, Discrete, as_action_space
+from spikeserve.spaces import ActionSpace, Discrete, as_action_space
 
 if TYPE_CHECKING:
     from spikeserve.imitation.episodes import Episode as PlayedEpisode
@@ -106,11 +105,11 @@ def write_minari(data: RobotData, folder: pathlib.Path, dataset_id: str) -> None
     if isinstance(data.action_space, Discrete):
         native = spaces.Discrete(data.action_space.n)
     else:
-        low, high = (np.asarray(b, np.float32) for b in _bounds(data.action_space))
-        native = spaces.Box(low, high, dtype=np.float32)
+        low, high = data.action_space.low, data.action_space.high
+        native = spaces.Box(np.array(low, np.float32), np.array(high, np.float32))
     storage = write_storage(
         folder,
-        [_to_played(episode) for episode in data.episodes],
+        data.episodes,
         native,
         data.environment,
         dataset_id,
@@ -120,31 +119,6 @@ def write_minari(data: RobotData, folder: pathlib.Path, dataset_id: str) -> None
     storage.update_episode_metadata(attributes, range(len(attributes)))
     extension = {"environment": data.environment, "recipe": names_to_json(data)}
     storage.update_metadata({_EXTENSION: extension})
-
-
-def _bounds(space: Box) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    return space.low, space.high
-
-
-def _rows(actions: NDArray[Any] | None) -> list[Any]:
-    if actions is None:
-        return []
-    return actions.tolist() if actions.ndim == 1 else list(actions)
-
-
-def _to_played(episode: Episode) -> PlayedEpisode:
-    from spikeserve.imitation.episodes import Episode as PlayedEpisode
-
-    return PlayedEpisode(
-        seed=episode.seed,
-        observations=list(episode.observations),
-        actions=_rows(episode.actions),
-        labels=_rows(episode.labels),
-        weights=[] if episode.weights is None else episode.weights.tolist(),
-        rewards=episode.rewards.tolist(),
-        terminated=episode.terminated,
-        truncated=episode.truncated,
-    )
 
 
 def _infos(episode: Episode) -> dict[str, Any]:

@@ -49,13 +49,16 @@ def write_dataset(
 
 def write_storage(
     folder: pathlib.Path,
-    episodes: Sequence[Episode],
+    episodes: Sequence[Any],
     action_space: spaces.Space[Any],
     name: str,
     dataset_id: str,
     infos: Sequence[dict[str, Any]] | None = None,
 ) -> MinariStorage:
-    """Writes the files of a dataset to `folder` and returns them. `infos` are further infos."""
+    """Writes the files of a dataset to `folder` and returns them. `infos` are further infos.
+
+    An episode is one of `imitate` or of a conversion, which have the same fields.
+    """
     (folder / "data").mkdir()
     storage = MinariStorage.new(
         folder / "data",
@@ -75,14 +78,14 @@ def _space_of(observation: NDArray[Any]) -> spaces.Box:
     return spaces.Box(low, high, observation.shape, observation.dtype.type)
 
 
-def _buffer(index: int, episode: Episode, further: dict[str, Any]) -> EpisodeBuffer:
+def _buffer(index: int, episode: Any, further: dict[str, Any]) -> EpisodeBuffer:
     last = episode.steps - 1
     ended_early = episode.truncated or not episode.terminated
     infos = dict(further)
     # Infos belong to observations, of which there is one more than actions.
-    if episode.labels:
+    if episode.labels is not None and len(episode.labels):
         infos["label"] = [*episode.labels, episode.labels[-1]]
-    if episode.weights:
+    if episode.weights is not None and len(episode.weights):
         infos["weight"] = [*episode.weights, episode.weights[-1]]
     return EpisodeBuffer(
         index,

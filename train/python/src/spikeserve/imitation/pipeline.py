@@ -30,14 +30,14 @@ from spikeserve.imitation.episodes import Actor, Budget, Episode, play
 from spikeserve.imitation.experts import Expert, is_dataset, load_expert
 from spikeserve.imitation.figures import Evaluator, Figures
 from spikeserve.imitation.images import image_flags
-from spikeserve.imitation.insight import Insight, Verdict, drift, learning_curves, noise_floor
+from spikeserve.imitation.insight import Insight, drift, learning_curves, noise_floor
 from spikeserve.imitation.journal import Journal
 from spikeserve.imitation.memory import TrainingPlan, plan_training
 from spikeserve.imitation.options import FIRST_SELECTION_SEED, FIRST_UNSEEN_SEED, ImitationOptions
 from spikeserve.imitation.pace import RecordingPlan, plan_recording
 from spikeserve.imitation.policy_record import write_with_record
 from spikeserve.imitation.progress import progress_bar
-from spikeserve.imitation.report import Account, has_changes, write_report
+from spikeserve.imitation.report import Account, ImitationResult, has_changes, write_report
 from spikeserve.imitation.training import Spiketrain, Training, find_spiketrain
 from spikeserve.printing import say
 
@@ -47,24 +47,6 @@ _BASELINE_EPISODES = 100
 _NORMAL_95 = 1.96
 # The largest share of the way from random actions to the policy that integers may lose.
 _LARGEST_LOSS = 0.01
-
-
-@dataclass(frozen=True)
-class ImitationResult:
-    """The outcome of `imitate`. The figures are of starts that nothing else used."""
-
-    policies: pathlib.Path  # a folder for `spikeserve --policies`
-    policy: pathlib.Path  # the policy in float32
-    quantized: pathlib.Path | None  # in integers; None in mode dense, or if it lost too much
-    report: pathlib.Path
-    figures: Figures  # of `policy`
-    quantized_figures: Figures | None
-    baselines: dict[str, Figures]  # of lines and perceptrons that learned from the same data
-    warnings: list[str]  # of baselines that are better than the policy, and of lost returns
-    expert_figures: Figures
-    errors: dict[str, float]  # on held-out episodes, of "the policy" and of the baselines
-    verdict: Verdict
-    advice: list[str]  # what to try next
 
 
 @dataclass(frozen=True)

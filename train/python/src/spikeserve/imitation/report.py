@@ -7,7 +7,7 @@ import json
 import pathlib
 import statistics
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import safetensors
 
@@ -17,25 +17,22 @@ from spikeserve.imitation.insight import Insight, Verdict
 from spikeserve.imitation.journal import Journal
 
 
-class _Result(Protocol):
-    @property
-    def baselines(self) -> dict[str, Figures]: ...
-    @property
-    def warnings(self) -> list[str]: ...
-    @property
-    def policies(self) -> pathlib.Path: ...
-    @property
-    def policy(self) -> pathlib.Path: ...
-    @property
-    def figures(self) -> Figures: ...
-    @property
-    def quantized_figures(self) -> Figures | None: ...
-    @property
-    def expert_figures(self) -> Figures: ...
-    @property
-    def verdict(self) -> Verdict: ...
-    @property
-    def advice(self) -> list[str]: ...
+@dataclass(frozen=True)
+class ImitationResult:
+    """The outcome of `imitate`. The figures are of starts that nothing else used."""
+
+    policies: pathlib.Path  # a folder for `spikeserve --policies`
+    policy: pathlib.Path  # the policy in float32
+    quantized: pathlib.Path | None  # in integers; None in mode dense, or if it lost too much
+    report: pathlib.Path
+    figures: Figures  # of `policy`
+    quantized_figures: Figures | None
+    baselines: dict[str, Figures]  # of lines and perceptrons that learned from the same data
+    warnings: list[str]  # of baselines that are better than the policy, and of lost returns
+    expert_figures: Figures
+    errors: dict[str, float]  # on held-out episodes, of "the policy" and of the baselines
+    verdict: Verdict
+    advice: list[str]  # what to try next
 
 
 @dataclass(frozen=True)
@@ -51,7 +48,9 @@ class Account:
     delays: Delays = AT_ONCE
 
 
-def write_report(path: pathlib.Path, account: Account, result: _Result, insight: Insight) -> None:
+def write_report(
+    path: pathlib.Path, account: Account, result: ImitationResult, insight: Insight
+) -> None:
     """Writes the report, and beside it metadata.json with the same figures and all settings."""
     name, settings, stages = account.name, account.settings, account.stages
     figures = {
@@ -102,7 +101,7 @@ def write_report(path: pathlib.Path, account: Account, result: _Result, insight:
 
 
 def _introduction(
-    account: Account, result: _Result, insight: Insight, figures: dict[str, Figures]
+    account: Account, result: ImitationResult, insight: Insight, figures: dict[str, Figures]
 ) -> list[str]:
     """Returns the returns of the policy, the expert and what it is compared with."""
     settings = account.settings
@@ -161,7 +160,7 @@ def has_changes(policy: pathlib.Path) -> bool:
         return "observation.change_std" in file.keys()
 
 
-def _baselines(result: _Result, insight: Insight) -> list[str]:
+def _baselines(result: ImitationResult, insight: Insight) -> list[str]:
     """Returns the section of the baselines, with a warning for each that is better."""
     comparison = insight.comparison
     if comparison is None:
