@@ -48,7 +48,7 @@ void RobotSession::AskAgain(Now now) {
 Choice RobotSession::Choose(Now now, Time deadline) {
   const bool may_wait = now.steady < deadline;
   if (sees_) {
-    if (may_wait && AwaitsAnswer(deadline)) return Choice::kWait;
+    if (may_wait && AwaitsAnswer(now.steady, deadline)) return Choice::kWait;
     if (TakeAnswer(now)) return Choice::kTaken;
   }
   if (stays_safe_) {
@@ -67,13 +67,14 @@ Choice RobotSession::Choose(Now now, Time deadline) {
 }
 
 // Returns whether a newer answer than what is here should arrive before the deadline.
-bool RobotSession::AwaitsAnswer(Time deadline) const {
-  const std::optional<uint64_t> wanted = ExpectedAnswer(deadline);
+bool RobotSession::AwaitsAnswer(Time now, Time deadline) const {
+  const std::optional<uint64_t> wanted = ExpectedAnswer(now, deadline);
   return wanted.has_value() && !(HasAnswer() && *answer_.step >= *wanted);
 }
 
-// Returns the newest step whose answer should arrive before `deadline`; nothing: none should.
-std::optional<uint64_t> RobotSession::ExpectedAnswer(Time deadline) const {
+// Returns the newest step whose answer should arrive before `deadline`; nothing: none should. A
+// stream brings what is late, and a datagram that is late was lost.
+std::optional<uint64_t> RobotSession::ExpectedAnswer(Time now, Time deadline) const {
   const auto is_due = [&](const SentRequest& request) {
     return request.asks && request.sent + round_trip_.value_or(Time::zero()) <= deadline;
   };
@@ -82,6 +83,7 @@ std::optional<uint64_t> RobotSession::ExpectedAnswer(Time deadline) const {
   for (const InFlight* way : {&in_flight_, &datagrams_}) {
     for (size_t i = way->size(); i-- > 0 && (*way)[i].episode == log_.running().index;) {
       if (!is_due((*way)[i])) continue;
+      if (way == &datagrams_ && transport_.IsLate((*way)[i].sent, now)) break;
       newest = std::max(newest, std::optional((*way)[i].number));
       break;
     }
@@ -90,15 +92,16 @@ std::optional<uint64_t> RobotSession::ExpectedAnswer(Time deadline) const {
 }
 
 // A channel belongs to the session, not to the stream: datagrams go on while that is opened again.
-// They keep off the end of an episode, which they could overtake.
+// What they overtake, they have in their history; but not the end of an episode, with which and
+// behind which requests go both ways until it is answered.
 Ways RobotSession::OpenWays(Time now) const {
   const bool is_open = link_ == LinkState::kOnline && in_flight_.size() < window_;
-  if (!has_session() || log_.is_ending() || !log_.is_current() || !log_.FitsDatagram()) {
-    return {.stream = is_open};
-  }
+  if (!has_session() || !log_.FitsDatagram()) return {.stream = is_open};
   const Ways wanted = transport_.Choose(now);
   const bool is_wanted = wanted.datagram || (!is_open && transport_.is_offered(now));
-  return {.stream = wanted.stream && is_open, .datagram = is_wanted && datagrams_.size() < window_};
+  const bool is_end = log_.is_ending() || !log_.is_current();
+  return {.stream = (wanted.stream || is_end) && is_open,
+          .datagram = is_wanted && datagrams_.size() < window_};
 }
 
 bool RobotSession::TakeAnswer(Now now) {

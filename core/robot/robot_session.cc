@@ -144,14 +144,13 @@ bool RobotSession::MaySendEnd(Time now) const {
 
 Task RobotSession::Send(Time now) {
   Task task = {.kind = Task::Kind::kSend, .request = log_.NextRequest()};
-  if (log_.is_current()) {
-    task.ways = OpenWays(now);
-    queued_.reset();
-  }
   Request& request = task.request;
-  if (request.episode->has_ended() && EndsOnStream() && log_.FitsOne()) {
-    request.ends = true;
+  request.ends = request.episode->has_ended() && EndsOnStream() && log_.FitsOne();
+  if (request.ends || log_.is_current()) task.ways = OpenWays(now);
+  if (request.ends) {
     log_.BeginEnd();
+  } else if (log_.is_current()) {
+    queued_.reset();
   }
   request.report = counters_.TakeReport(now);
   const SentRequest sent = {.episode = request.episode->index,
@@ -194,15 +193,20 @@ Received RobotSession::OnReply(const Reply& reply, Now now) {
   if (reply.stays_safe || reply.action.has_value()) StaySafe(reply.stays_safe);
   if (sent.episode == log_.oldest().index) {
     Succeeded();
-    log_.ForgetDurable(reply.durable_decision, reply.durable_episode);
-    if (sent.ends) {
-      received.settled = TakeEnd(reply);
-    } else {
-      log_.Acknowledge(reply.next_step);
-      if (reply.action.has_value()) TakeDecision(reply, sent, now);
-    }
+    TakeAnswered(reply, sent, now, &received);
   }
   return received;
+}
+
+void RobotSession::TakeAnswered(const Reply& reply, const SentRequest& sent, Now now,
+                                Received* received) {
+  log_.ForgetDurable(reply.durable_decision, reply.durable_episode);
+  if (sent.ends) {
+    received->settled = TakeEnd(reply);
+  } else {
+    log_.Acknowledge(reply.next_step);
+    if (reply.action.has_value()) TakeDecision(reply, sent, now);
+  }
 }
 
 // The newest answer wins: those to older datagrams tell nothing that it does not.
@@ -212,23 +216,20 @@ Received RobotSession::OnDatagram(uint64_t number, const Reply& reply, Now now) 
   if (datagrams_.empty() || datagrams_.front().id != number || !has_session()) return {};
   const SentRequest sent = datagrams_.Pop();
   if (reply.error != nullptr) {
-    // What an error means for the session is left to the stream. One about the order may only mean
-    // that a newer datagram was faster.
+    // What an error means for the session is left to the stream.
     if (reply.error->retry_after.has_value()) {
       paused_until_ = now.steady + *reply.error->retry_after;
-    } else if (!reply.error->expected_decision.has_value()) {
-      transport_.OnError();
+    } else {
+      transport_.OnError(/*is_order=*/reply.error->expected_decision.has_value());
     }
     return {.has_work = true};
   }
   transport_.OnAnswer(sent.sent, now.steady);
+  datagram_answered_ = sent.sent;
   ++counters_.counts().datagram_answers;
-  if (sent.episode == log_.oldest().index) {
-    log_.ForgetDurable(reply.durable_decision, reply.durable_episode);
-    log_.Acknowledge(reply.next_step);
-    if (reply.action.has_value()) TakeDecision(reply, sent, now);
-  }
-  return {.has_work = !log_.is_current() || log_.is_ending() || queued_.has_value()};
+  Received received = {.has_work = !log_.is_current() || log_.is_ending() || queued_.has_value()};
+  if (sent.episode == log_.oldest().index) TakeAnswered(reply, sent, now, &received);
+  return received;
 }
 
 std::optional<Settled> RobotSession::TakeEnd(const Reply& reply) {
@@ -291,6 +292,10 @@ void RobotSession::TakeError(const Error& error, const SentRequest& sent, Time n
   if (error.expected_decision.has_value()) {
     // A request behind an end that failed, or one that was sent twice, fails without consequence.
     if (!is_oldest) return;
+    // A datagram that was sent later was answered since: the error is of before.
+    if (sent.sent <= datagram_answered_) return;
+    // A datagram has brought the end, whose answer is under way, before this request.
+    if (log_.is_ending() && error.expected_episode.value_or(0) > sent.episode) return;
     // The server has lost what it had acknowledged, the ends of episodes, too, and gets it again.
     // If it has lost nothing, it has another end of the episode.
     const bool is_kept = log_.Rewind(*error.expected_decision, error.expected_episode);

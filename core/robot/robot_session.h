@@ -187,8 +187,8 @@ class RobotSession {
   void Queue(uint64_t number, bool sees, Time now);
   // Returns how a request for the newest step may go now.
   Ways OpenWays(Time now) const;
-  bool AwaitsAnswer(Time deadline) const;
-  std::optional<uint64_t> ExpectedAnswer(Time deadline) const;
+  bool AwaitsAnswer(Time now, Time deadline) const;
+  std::optional<uint64_t> ExpectedAnswer(Time now, Time deadline) const;
   bool TakeAnswer(Now now);
   double Finite(double reward);
   void TakeExecuted(const ActionView* executed, const ChooserView& chooser);
@@ -202,6 +202,8 @@ class RobotSession {
   bool EndsOnStream() const;  // the oldest episode, which has ended
   Task Send(Time now);
   Task Begin(CallState call, Task::Kind kind);
+  // Of a request for the oldest episode.
+  void TakeAnswered(const Reply& reply, const SentRequest& sent, Now now, Received* received);
   std::optional<Settled> TakeEnd(const Reply& reply);
   Settled Settle(std::optional<double> at_server);
   void StaySafe(bool stays_safe);
@@ -259,6 +261,7 @@ class RobotSession {
   InFlight in_flight_;                 // on the stream
   InFlight datagrams_;                 // in flight
   uint64_t next_datagram_ = 0;         // its number
+  Time datagram_answered_ = kLongAgo;  // when the newest one with an answer was sent
   TransportChoice transport_;
   size_t window_;                   // most requests in flight
   std::optional<Time> round_trip_;  // smoothed

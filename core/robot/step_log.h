@@ -57,7 +57,7 @@ struct Outcome {
 enum class EpisodeState {
   kRunning,  // steps are added at the robot
   kEnded,    // the robot has ended it; the server misses steps, or its end, or an older one
-  kEnding,   // its end is under way, on the stream; requests are of the episode after it
+  kEnding,   // its end is under way; requests are of the episode after it
   kSettled,  // the server has answered the end, and its store may lose it: then it is kEnded again
 };
 

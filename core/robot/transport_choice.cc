@@ -23,9 +23,11 @@ void TransportChoice::OnSent(Time now) {
 
 void TransportChoice::OnAnswer(Time sent, Time now) {
   const Time took = now - sent;
-  round_trip_ = round_trip_.has_value() ? *round_trip_ + (took - *round_trip_) / 8 : took;
+  const Time error = took - round_trip_.value_or(took / 2);
+  deviation_ = round_trip_.has_value() ? deviation_ + (abs(error) - deviation_) / 4 : error;
+  round_trip_ = round_trip_.has_value() ? *round_trip_ + error / 8 : took;
   is_doubted_ = false;
-  unanswered_ = 0;
+  unanswered_ = disorders_ = 0;
 }
 
 // One that was lost alone is not overdue: the answer to the next one comes first.

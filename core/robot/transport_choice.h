@@ -27,6 +27,8 @@ class TransportChoice {
   // Datagrams in doubt that are sent with each step; later ones probe the way once in kProbe.
   static constexpr uint64_t kTries = 10;
   static constexpr Time kProbe = std::chrono::seconds(1);
+  // So many errors about the order without an answer are more than that.
+  static constexpr int kDisorders = 3;
 
   // With `is_allowed` false, everything goes over the stream.
   TransportChoice(bool is_allowed, Time period) : is_allowed_(is_allowed), period_(period) {}
@@ -40,8 +42,14 @@ class TransportChoice {
 
   void OnSent(Time now);
   void OnAnswer(Time sent, Time now);
-  // Datagrams are refused.
-  void OnError() { is_doubted_ = true; }
+  // Datagrams are refused. An error about their order may only mean that a newer one was faster.
+  void OnError(bool is_order) {
+    if (!is_order || ++disorders_ >= kDisorders) is_doubted_ = true;
+  }
+  // Returns whether the answer to a datagram takes longer than usual.
+  bool IsLate(Time sent, Time now) const {
+    return round_trip_.has_value() && sent + *round_trip_ + 4 * deviation_ < now;
+  }
   // Notices if `waiting`, which are not answered, are overdue.
   void Check(const InFlight& waiting, Time now);
 
@@ -51,8 +59,10 @@ class TransportChoice {
   Time until_ = kLongAgo;  // of the channel
   bool is_doubted_ = true;
   uint64_t unanswered_ = 0;  // sent since the last answer
+  int disorders_ = 0;        // errors about the order since then
   Time sent_at_ = kLongAgo;
-  std::optional<Time> round_trip_;  // smoothed
+  std::optional<Time> round_trip_;  // smoothed, as in RFC 6298
+  Time deviation_ = Time::zero();   // of it, smoothed
 };
 
 }  // namespace spikeserve::robot

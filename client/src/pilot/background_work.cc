@@ -195,6 +195,7 @@ void Pilot::Controller::OnDatagram(uint64_t number, const v1::ActResponse& reply
   const robot::Reply view = piloting::ReplyOf(reply, &error);
   absl::MutexLock lock(&mutex_);
   const robot::Received received = session_.OnDatagram(number, view, now);
+  if (received.settled.has_value()) Complete(*received.settled, reply.ended());
   if (reply.has_datagrams()) TakeChannel(reply.datagrams());
   if (received.has_work) background_->Wake(this);
   has_event_.notify_all();

@@ -258,8 +258,9 @@ class Simulator {
       case Event::What::kDatagramReply: {
         Reply reply = event.answer.reply;
         if (event.answer.error.has_value()) reply.error = &*event.answer.error;
-        robot_.OnDatagram(event.datagram, reply, Clock());
         ++datagrams_;
+        const Received received = robot_.OnDatagram(event.datagram, reply, Clock());
+        if (received.settled.has_value()) Take(*received.settled);
         return;
       }
     }

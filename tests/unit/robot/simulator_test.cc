@@ -11,6 +11,7 @@
 //   what is sent again ignores lost ends                        "the server never got all episodes"
 //   answers, or requests, change their order (*)                "an old answer"
 //   a step of another robot counts as a repeated one (*)        "reward" differs
+//   what an end by datagram overtakes is an error for the session  "a session was given up in vain"
 //   a conflict does not end the session                         requests without end
 //   late answers are executed; ages stop while the robot sleeps "stale"
 #include "tests/unit/robot/simulator.h"
@@ -95,12 +96,15 @@ TEST_P(SimulatorTest, NothingIsLostOrDoubled) {
 
 INSTANTIATE_TEST_SUITE_P(
     Kinds, SimulatorTest,
-    ::testing::Values(Kind{.is_stored = false}, Kind{.has_engine = true}, Kind{.servers = 3},
-                      Kind{.servers = 2, .has_engine = true, .shares_head = true},
-                      Kind{.is_old = true}, Kind{.is_shared = true},
-                      Kind{.has_engine = true, .kept_steps = 5},
-                      Kind{.servers = 3, .sends_datagrams = true},
-                      Kind{.is_stored = false, .sends_datagrams = true}));
+    ::testing::Values(
+        Kind{.is_stored = false}, Kind{.has_engine = true}, Kind{.servers = 3},
+        Kind{.servers = 2, .has_engine = true, .shares_head = true}, Kind{.is_old = true},
+        Kind{.is_shared = true}, Kind{.has_engine = true, .kept_steps = 5},
+        Kind{.servers = 3, .sends_datagrams = true},
+        Kind{.is_stored = false, .sends_datagrams = true},
+        Kind{.has_engine = true, .kept_steps = 5, .sends_datagrams = true},
+        Kind{.servers = 2, .has_engine = true, .shares_head = true, .sends_datagrams = true},
+        Kind{.is_shared = true, .sends_datagrams = true}));
 
 }  // namespace
 }  // namespace spikeserve::robot

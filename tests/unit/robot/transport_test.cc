@@ -145,6 +145,35 @@ TEST_F(TransportTest, SingleLossesDoNotBringTheStreamBack) {
   EXPECT_EQ(by_stream_, 0);
 }
 
+TEST_F(TransportTest, AnAnswerThatIsLateIsNotAwaited) {
+  constexpr Time kWait = milliseconds(10);
+  Connect(true);
+  Offer();
+  std::vector<uint64_t> sent;
+  for (int i = 0; i < 60; ++i) {
+    const auto task = Step();
+    if (task->ways.stream) ++by_stream_;
+    sent.push_back(task->datagram);
+    if (i < 2) continue;
+    now_ += milliseconds(15);
+    Answer(sent[sent.size() - 3], robot_->step_log().next() - 2);  // after 55 ms
+    now_ -= milliseconds(15);
+  }
+  AnswerStream();
+  sent.push_back(Step()->datagram);  // an answer is missing
+  now_ += kPeriod;
+  EXPECT_TRUE(robot_->BeginStep({.observation = observation_, .reward = 1.0}, Clock()));
+  EXPECT_EQ(robot_->Choose(Clock(), now_ + kWait), Choice::kTaken);
+  (void)robot_->FinishStep(Clock());
+  Fail(sent.back(), {.kind = Failure::kOther});
+  // In doubt, the stream has the request, too, and what it brings late is awaited.
+  Step();
+  Step();
+  now_ += kPeriod;
+  EXPECT_TRUE(robot_->BeginStep({.observation = observation_, .reward = 1.0}, Clock()));
+  EXPECT_EQ(robot_->Choose(Clock(), now_ + 3 * kPeriod), Choice::kWait);
+}
+
 TEST_F(TransportTest, AFirewallBringsTheStreamBackUntilDatagramsComeThrough) {
   Connect(true);
   Offer();
@@ -187,6 +216,20 @@ TEST_F(TransportTest, AnErrorIsLeftToTheStream) {
   EXPECT_TRUE(Step()->ways.stream);
 }
 
+TEST_F(TransportTest, ErrorsAboutTheOrderThatDoNotEndAreMoreThanReordering) {
+  Connect(true);
+  Offer();
+  Steps(5);
+  AnswerStream();
+  Error other;
+  other.expected_decision = 77;  // another robot has the session's id
+  for (int i = 0; i < TransportChoice::kDisorders; ++i) {
+    EXPECT_TRUE(robot_->SendsDatagrams(now_));
+    Fail(Step()->datagram, other);
+  }
+  EXPECT_TRUE(Step()->ways.stream);
+}
+
 TEST_F(TransportTest, DatagramsGoOnWhileTheStreamIsOpenedAgain) {
   Connect(true);
   Offer();
@@ -199,7 +242,7 @@ TEST_F(TransportTest, DatagramsGoOnWhileTheStreamIsOpenedAgain) {
   EXPECT_TRUE(!task->ways.stream && task->ways.datagram);
 }
 
-TEST_F(TransportTest, AnEndGoesOverTheStreamAndKeepsDatagramsBack) {
+TEST_F(TransportTest, AnEndAndWhatFollowsGoBothWaysUntilItIsAnswered) {
   Connect(true);
   Offer();
   Steps(5);
@@ -207,13 +250,33 @@ TEST_F(TransportTest, AnEndGoesOverTheStreamAndKeepsDatagramsBack) {
   robot_->EndEpisode({.reward = 1.0}, nullptr);
   const Task end = robot_->Next(now_);
   ASSERT_EQ(end.kind, What::kSend);
-  EXPECT_TRUE(end.request.ends && end.ways.stream && !end.ways.datagram);
+  EXPECT_TRUE(end.request.ends && end.ways.stream && end.ways.datagram);
   const auto next = Step();
   ASSERT_TRUE(next.has_value());
-  EXPECT_TRUE(next->ways.stream && !next->ways.datagram);
-  robot_->OnReply({.next_step = 0, .has_ended = true}, Clock());
+  EXPECT_TRUE(next->ways.stream && next->ways.datagram);
+  const Received ended = robot_->OnDatagram(end.datagram, {.has_ended = true}, Clock());
+  EXPECT_TRUE(ended.settled.has_value());
+  Answer(next->datagram, 1);
+  EXPECT_TRUE(robot_->HasAnswer());
+  // The same on the stream tells nothing more.
+  EXPECT_FALSE(robot_->OnReply({.has_ended = true}, Clock()).settled.has_value());
   robot_->OnReply({.next_step = 1}, Clock());
-  EXPECT_TRUE(Step()->ways.datagram);
+  EXPECT_FALSE(Step()->ways.stream);
+}
+
+TEST_F(TransportTest, ARequestThatADatagramWithTheEndHasOvertakenChangesNothing) {
+  Connect(true);
+  Offer();
+  Steps(5);
+  ASSERT_GT(by_stream_, 0);  // whose answers are under way
+  robot_->EndEpisode({.reward = 1.0}, nullptr);
+  const Task end = robot_->Next(now_);
+  Error late;
+  late.expected_decision = 6;
+  late.expected_episode = 1;
+  for (; by_stream_ > 0; --by_stream_) robot_->OnReply({.error = &late}, Clock());
+  EXPECT_EQ(robot_->link(), LinkState::kOnline);
+  EXPECT_TRUE(robot_->OnDatagram(end.datagram, {.has_ended = true}, Clock()).settled.has_value());
 }
 
 TEST_F(TransportTest, WhatDoesNotFitGoesOverTheStream) {

@@ -306,11 +306,13 @@ class Link:
     def _on_datagram(self, number: int, reply: Message) -> None:
         now, robot_now = time.monotonic_ns(), robot_clock.now_ns()
         with self.changed:
-            _, has_work = take_reply(self.machine, reply, now, robot_now, number)
+            settled, has_work = take_reply(self.machine, reply, now, robot_now, number)
             self._take_channel(reply)
             self.changed.notify_all()
         if has_work:
             self._woken.set()
+        if settled is not None:
+            self._complete(settled, reply.ended)
 
     # On both, and the background thread.
 
