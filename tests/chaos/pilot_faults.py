@@ -17,6 +17,8 @@ ALONE = (
     "stop",
     "restart",
     "cut",
+    "drop datagrams",
+    "change addresses",
     "fill the store",
     "another robot",
     "sleep",
@@ -51,7 +53,7 @@ def claim(client, session_id):
 class Faults:
     """Makes faults, one after the other, and counts them by kind.
 
-    `setup` has the servers, the links to them, clients that reach one of them each, Redis or the disk of the file store,
+    `setup` has the servers, the links and relays of datagrams to them, clients that reach one of them each, Redis or the disk of the file store,
     and the clocks of servers and robots.
     """
 
@@ -97,6 +99,17 @@ class Faults:
         link.cut()
         self._wait(LATE)
         link.heal()
+
+    def _drop_datagrams(self):
+        """A firewall drops them for a while."""
+        relay = self._random.choice(self._setup.relays)
+        relay.drops = True
+        self._wait(LATE)
+        relay.drops = False
+
+    def _change_addresses(self):
+        """The NAT before a server forgets its robots, which come from other ports then."""
+        self._random.choice(self._setup.relays).rebind()
 
     def _fill_the_store(self):
         redis = self._setup.redis

@@ -5,7 +5,8 @@ usage: python -m tests.chaos.pilots [--pilots=N] [--faults=N] [--servers=N,...] 
 
 Plays a round for each set-up: every number of servers with every store and durability that go together, on each of which
 all pilots fly and an equal part of the faults is made. Half of the pilots are those of the Python client, half those of
-the C++ client, each in a process of its own. Checks that no session is lost, that each episode has every reward once, that
+the C++ client, each in a process of its own; half of each send their steps as datagrams where these come through, which
+are lost, doubled and reordered. Checks that no session is lost, that each episode has every reward once, that
 every action that was called fresh is an answer, and that each session equals, bit for bit, one on an undisturbed server
 that was told the same steps. Needs the variables SPIKESERVE_PROGRAM and CLIENT_PILOT_PROGRAM, and root for a disk of its
 own. Exits with status 1 if something differs, and with 77 if it may not mount.
@@ -28,6 +29,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "python"), str(ROOT / "tests" / 
 
 import spikeserve  # noqa: E402
 import test_pilot  # noqa: E402
+from datagram_relay import DatagramRelay  # noqa: E402
 from links import Link  # noqa: E402
 from machine import Clock, small_disk  # noqa: E402
 from replicated import options_of, policy_of, running_fleet  # noqa: E402
@@ -42,6 +44,8 @@ EPISODE = 40  # beats, about
 DISK = 64 << 20  # bytes
 PATIENCE = 300.0  # seconds, on a busy machine
 TTL = "--session_ttl=24h"  # the comparison of many sessions takes a while, too
+TRANSPORTS = ("stream", "datagram")
+DATAGRAMS = {"loss": 0.02, "doubled": 0.1, "reordered": 0.1}  # shares
 PATIENT = spikeserve.ClientOptions(connect_timeout=PATIENCE, retry=spikeserve.RetryOptions(max_elapsed=PATIENCE))
 
 
@@ -70,8 +74,9 @@ def running(store, servers):
         folder = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
         setup = SimpleNamespace(redis=None, disk=None, server_clock=Clock(folder / "servers"))
         setup.robot_clock = Clock(folder / "robots")
+        setup.relays = [stack.enter_context(DatagramRelay(seed=i, **DATAGRAMS)) for i in range(servers)]
         if store == "redis":
-            fleet = stack.enter_context(running_fleet(TTL, replicas=servers, prefix=setup.server_clock.prefix))
+            fleet = stack.enter_context(running_fleet(TTL, prefix=setup.server_clock.prefix, relays=setup.relays))
             setup.redis, setup.servers = fleet.redis, fleet.replicas
         else:
             setup.disk = stack.enter_context(small_disk(folder / "disk", DISK))
@@ -79,7 +84,7 @@ def running(store, servers):
                 yield None
                 return
             files = f"--session_store=file:{setup.disk}/store"
-            server = RestartableServer(files, TTL, prefix=setup.server_clock.prefix)
+            server = RestartableServer(files, TTL, prefix=setup.server_clock.prefix, relay=setup.relays[0])
             stack.callback(server.kill)
             server.start()
             setup.servers = [server]
@@ -134,7 +139,10 @@ def play_round(arguments, store, servers, durability, count):
         client = stack.enter_context(spikeserve.Client(",".join(link.address for link in setup.links), PATIENT))
         flights = []
         for i in range(arguments.pilots):
-            options = {"local": False, "session": options_of(i, durability), "max_age": 5.0}
+            session, transport = options_of(i, durability), TRANSPORTS[i // 2 % 2]
+            if transport == "datagram":
+                session.labels["datagrams"] = "true"  # of a session with a channel, a part of its value
+            options = {"local": False, "session": session, "max_age": 5.0, "transport": transport}
             options |= {"prefix": setup.robot_clock.prefix, "patience": PATIENCE} if i % 2 else {}
             flight = [Flight, CppFlight][i % 2](client, policy_of(i), arguments.beat, **options)
             if i % 2:
@@ -143,12 +151,13 @@ def play_round(arguments, store, servers, durability, count):
         faults = Faults(setup, flights, arguments.period, arguments.pause, arguments.seed)
         kinds = arguments.kinds.split(",") if arguments.kinds else kinds_of(store, servers)
         errors = fly_all(flights, lambda: faults.run(kinds, count)) + errors_of(flights, setup.direct[0])
+        datagrams = sum(flight.pilot.stats().datagram_answers for flight in flights)
     beats = sum(len(flight.actions) for flight in flights)
     fresh = sum(action.source == "fresh" for flight in flights for action in flight.actions)
     episodes = sum(len(flight.summaries) for flight in flights)
     print(f"{store}, {servers} servers, {durability}: {len(flights)} pilots, {faults.made.total()} faults")
     print(f"  {dict(faults.made)}; {faults.told} other robots were told so")
-    print(f"  {episodes} episodes, {beats} beats, {fresh} fresh, {len(errors)} errors")
+    print(f"  {episodes} episodes, {beats} beats, {fresh} fresh, {datagrams} answers as datagrams, {len(errors)} errors")
     print(*errors, sep="\n", end="\n" if errors else "", flush=True)
     return errors
 

@@ -28,13 +28,16 @@ class Fleet:
 
 
 @contextlib.contextmanager
-def running_fleet(*flags, replicas=REPLICAS, http=False, redis_flags=DURABLE, prefix=()):
-    """Starts Redis and the replicas, which have HTTP ports if `http` and run with `prefix`, and yields the Fleet."""
+def running_fleet(*flags, replicas=REPLICAS, http=False, redis_flags=DURABLE, prefix=(), relays=()):
+    """Starts Redis and the replicas, which have HTTP ports if `http` and run with `prefix`, and yields the Fleet.
+
+    `relays` are those of their datagrams; none: they take none.
+    """
     with stopping([Redis(*redis_flags, password="")]) as [redis], contextlib.ExitStack() as stack:
         store = f"--session_store=redis://127.0.0.1:{redis.port}"
         started = []
-        for _ in range(replicas):
-            replica = RestartableServer(store, *flags, http=http, prefix=prefix)
+        for relay in relays or [None] * replicas:
+            replica = RestartableServer(store, *flags, http=http, prefix=prefix, relay=relay)
             stack.callback(replica.kill)
             replica.start()
             started.append(replica)

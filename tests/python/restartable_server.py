@@ -10,11 +10,13 @@ class RestartableServer:
     """Its first start picks a free port of `host`; later starts use the same one.
 
     `prefix` is a command that runs the server in its own process, such as nsenter. The server has an HTTP port, at
-    `http_address`, if `http` is true.
+    `http_address`, if `http` is true, and takes datagrams that come through `relay`, a DatagramRelay.
     """
 
-    def __init__(self, *flags, host="127.0.0.1", prefix=(), http=False):
-        self._flags = flags
+    def __init__(self, *flags, host="127.0.0.1", prefix=(), http=False, relay=None):
+        self._flags, self._relay = list(flags), relay
+        if relay is not None:
+            self._flags += ["--datagram_listen=127.0.0.1:0", f"--datagram_advertise={relay.address}"]
         self._prefix = prefix
         self._running = contextlib.ExitStack()
         self._server = None
@@ -27,7 +29,8 @@ class RestartableServer:
         started = running_server(flags=flags, log=subprocess.DEVNULL, prefix=self._prefix)
         self._server = self._running.enter_context(started)
         self.address, self.http_address = self._server.grpc, self._server.http
-        self.datagrams = self._server.datagrams
+        if self._relay is not None:
+            self._relay.target = self._server.datagrams
 
     @property
     def pid(self):

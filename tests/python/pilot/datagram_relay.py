@@ -8,21 +8,21 @@ import threading
 
 
 class DatagramRelay:
-    """Forwards datagrams to `target`, HOST:PORT, which may change, and takes them at `address`.
+    """Forwards datagrams of robots to `target`, HOST:PORT, which may change, and takes them at `address`.
 
     Of them, `loss` are lost, `doubled` come twice and `reordered` come behind the next one, in each direction. `drops` is what a
-    firewall does. After `rebind`, the server sees another address of the robot.
+    firewall does. After `rebind`, the server sees other addresses of the robots.
     """
 
-    def __init__(self, target="", seed=0):
-        self.target = target
-        self.loss = self.doubled = self.reordered = 0.0
+    def __init__(self, seed=0, loss=0.0, doubled=0.0, reordered=0.0):
+        self.target = ""
+        self.loss, self.doubled, self.reordered = loss, doubled, reordered
         self.drops = False
         self.forwarded = 0
         self._random = random.Random(seed)
-        self._inside, self._outside = self._socket(), self._socket()
+        self._inside = self._socket()
         self.address = "127.0.0.1:{}".format(self._inside.getsockname()[1])
-        self._robot = None  # its address
+        self._outside = {}  # by a robot's address: the socket that the server sees
         self._kept = {}  # by direction, a datagram that comes behind the next one
         self._ends, self._end = socket.socketpair()
         self._lock = threading.Lock()
@@ -41,39 +41,47 @@ class DatagramRelay:
     def __exit__(self, *_):
         self._end.close()
         self._thread.join()
-        for each in (self._inside, self._outside, self._ends):
+        for each in (self._inside, self._ends, *self._outside.values()):
             each.close()
 
     def rebind(self):
-        """Forwards from another port; what comes to the old one is lost."""
+        """Forwards from other ports; what comes to the old ones is lost."""
         with self._lock:
-            self._outside.close()
-            self._outside = self._socket()
+            for each in self._outside.values():
+                each.close()
+            self._outside = {}
 
     def _run(self):
         while True:
             with self._lock:
-                inside, outside = self._inside, self._outside
-            # Soon looks at the socket of rebind.
+                robots = {outside: robot for robot, outside in self._outside.items()}
+            # Soon looks at the sockets of rebind, which closes the others.
             with contextlib.suppress(OSError, ValueError):
-                ready, _, _ = select.select([inside, outside, self._ends], [], [], 0.01)
+                ready, _, _ = select.select([self._inside, self._ends, *robots], [], [], 0.01)
                 if self._ends in ready:
                     return
-                if inside in ready:
-                    data, self._robot = inside.recvfrom(2048)
+                if self._inside in ready:
+                    data, robot = self._inside.recvfrom(2048)
                     host, _, port = self.target.rpartition(":")
-                    self._forward("up", data, outside, (host, int(port)))
-                if outside in ready:
-                    self._forward("down", outside.recv(2048), inside, self._robot)
+                    self._forward("up", data, self._outside_of(robot), (host, int(port)))
+                for outside in robots.keys() & set(ready):
+                    self._forward("down", outside.recv(2048), self._inside, robots[outside])
 
-    def _forward(self, way, data, sender, to):
+    def _outside_of(self, robot):
+        with self._lock:
+            if robot not in self._outside:
+                self._outside[robot] = self._socket()
+            return self._outside[robot]
+
+    def _forward(self, way, *datagram):
         if self.drops or self._random.random() < self.loss:
             return
         if way not in self._kept and self._random.random() < self.reordered:
-            self._kept[way] = data
+            self._kept[way] = datagram
             return
         copies = 2 if self._random.random() < self.doubled else 1
-        for each in [data] * copies + [self._kept.pop(way, None)]:
+        for each in [datagram] * copies + [self._kept.pop(way, None)]:
             if each is not None:
-                sender.sendto(each, to)
+                data, sender, to = each
+                sender.sendto(data, to)
                 self.forwarded += 1

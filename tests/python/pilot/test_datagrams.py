@@ -8,6 +8,7 @@ import spikeserve
 from cpp_pilot import CppPilot
 from datagram_relay import DatagramRelay
 from restartable_server import RestartableServer
+from spikeserve.piloting.datagram_link import require_ciphers
 from test_pilot import WAIT, Flight, undisturbed
 
 # The label of a session with a channel, which is part of its value.
@@ -42,16 +43,10 @@ def relay():
 @pytest.fixture
 def server(relay, tmp_path):
     """A server that keeps its sessions, whose datagrams go through the relay."""
-    flags = [f"--datagram_advertise={relay.address}", "--datagram_listen=127.0.0.1:0"]
-    server = RestartableServer(*flags, f"--session_store=file:{tmp_path}")
-    start(server, relay)
+    server = RestartableServer(f"--session_store=file:{tmp_path}", relay=relay)
+    server.start()
     yield server
     server.kill()
-
-
-def start(server, relay):
-    server.start()
-    relay.target = server.datagrams
 
 
 @pytest.fixture
@@ -64,6 +59,9 @@ def client(server):
 def fly(client, request):
     """Returns what makes a flight, whose program ends with the test."""
     with contextlib.ExitStack() as stack:
+
+        if request.param is DatagramFlight:
+            require_ciphers()
 
         def begin(**options):
             flight = request.param(client, session=SESSION, local=False, **options)
@@ -128,7 +126,7 @@ def test_the_server_that_takes_a_session_over_brings_its_channel(client, server,
     flight.until_datagrams()
     server.kill()
     flight.until_datagrams(False)
-    start(server, relay)
+    server.start()
     flight.until_datagrams()
     flight.check_and_end(client)
 
