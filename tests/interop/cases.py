@@ -1,9 +1,13 @@
-"""The cases that the clients in other languages implement, each as one run of a program."""
+"""The cases that the clients in other languages implement, each as one run of a program.
+
+The tests call a fixture `client`: `check` for one program.
+"""
 
 import contextlib
 import pathlib
 import shutil
 
+import pytest
 from contract import PROTO
 from programs import run
 from serving import SHIPPED_POLICIES, running_server
@@ -41,3 +45,30 @@ def odd_server(path: pathlib.Path):
     shutil.copytree(SHIPPED_POLICIES / "cartpole", policies / "cartpole")
     with running_server(policies=policies) as started:
         yield started, f"{policies}/cartpole/9/policy.safetensors"
+
+
+@pytest.mark.parametrize("case", NAMES)
+def test_plain_text(client, server, case):
+    client(case, server.grpc)
+
+
+@pytest.mark.parametrize("case", CORE)
+def test_tls(client, tls_server, certificates, case):
+    client(case, tls_server.grpc, certificates / "ca.pem")
+
+
+@pytest.mark.parametrize("case", CORE)
+def test_mutual_tls(client, mutual_tls_server, certificates, case):
+    names = ("ca.pem", "client.pem", "client.key")
+    client(case, mutual_tls_server.grpc, *(certificates / name for name in names))
+
+
+def test_unix_socket(client, tmp_path):
+    with running_server(flags=[f"--listen=unix:{tmp_path}/spikeserve.sock"]) as started:
+        for case in CORE:
+            client(case, started.grpc)
+
+
+def test_a_status_message_with_any_character(client, tmp_path):
+    with odd_server(tmp_path) as (started, message):
+        client("status_message", started.grpc, EXPECTED_MESSAGE=message)

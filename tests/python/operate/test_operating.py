@@ -8,7 +8,7 @@ import shutil
 import grpc
 import pytest
 import serving
-from overflowing_policy import FAR, add_overflowing
+from made_policies import FAR, add_overflowing
 from security import OBSERVATION, code_of, entry, until
 from serving import SHIPPED_POLICIES, page_of, refusal_at_start, run, running_server
 

@@ -5,9 +5,9 @@ import json
 import grpc
 import pytest
 from agent_streams import AgentStream
+from made_policies import add_wide
 from security import OBSERVATION, fails_with, until
 from serving import metric, page_of, running_server, series
-from wide_policy import add_wide
 
 
 def test_an_episode_adds_up(server):

@@ -5,7 +5,7 @@ import shutil
 
 import grpc
 import pytest
-from overflowing_policy import FAR, ZERO, add_overflowing
+from made_policies import FAR, ZERO, add_overflowing
 from security import OBSERVATION, code_of, fails_with, until
 from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, method_of, metric, running_server, status_of
 

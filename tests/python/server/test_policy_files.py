@@ -4,7 +4,7 @@ import json
 import shutil
 
 import pytest
-from overflowing_policy import LARGEST
+from made_policies import LARGEST
 from policy_file import read_policy, write_policy
 from serving import RELEASED_POLICIES, SHIPPED_POLICIES, add_version, refusal_at_start, running_server
 

@@ -4,10 +4,10 @@ import json
 
 import grpc
 import pytest
+from made_policies import add_wide
 from sealed_datagrams import Robot, chacha20, poly1305
 from security import OBSERVATION, TOKENS, code_of, service_with, until
 from serving import metric, refusal_at_start, running_server, series
-from wide_policy import add_wide
 
 LISTEN = "--datagram_listen=127.0.0.1:0"
 

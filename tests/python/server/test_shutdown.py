@@ -5,9 +5,9 @@ import contextlib
 import grpc
 import pytest
 from agent_streams import AgentStream
+from made_policies import add_wide
 from security import HEALTH, fails_with, until
 from serving import DEADLINE_SECONDS, http_call, method_of, running_server, series
-from wide_policy import add_wide
 
 ACTIONS = 2000  # an answer holds one float for each: 8,000 bytes
 WINDOW = 65536  # bytes that the server may send before the client reads

@@ -1,7 +1,7 @@
-"""A server that cannot start says in one line which flag is wrong, and what it expects."""
+"""A server that cannot start says in one line which flag is wrong; without tokens or TLS it does not listen on a network."""
 
 import pytest
-from serving import refusal_at_start, run
+from serving import refusal_at_start, run, running_server
 
 DURATION = "expected a duration such as 250ms, 10s or 1.5m"
 RECORDINGS = "--record_dir: expected a directory in which the server can create folders, received"
@@ -45,3 +45,29 @@ def test_policies_are_needed():
 def test_a_taken_port_is_named(server):
     for flag, address in (("--listen", server.grpc), ("--http_listen", server.http)):
         assert f"{flag}: cannot listen on {address}" in refusal_at_start(f"{flag}={address}")
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (["--listen=0.0.0.0:0"], "--listen: expected --tokens for 0.0.0.0:0"),
+        (["--listen=0.0.0.0:0", "--tokens={tokens}"], "--listen: expected --tls_certificate"),
+        (["--http_listen=0.0.0.0:0"], "--http_listen: expected --tokens"),
+        (
+            ["--http_listen=0.0.0.0:0", "--tokens={tokens}"],
+            "--http_listen: expected --tls_certificate",
+        ),
+        (["--tls_certificate=missing.pem"], "--tls_key: expected a file"),
+        (["--tls_certificate=missing.pem", "--tls_key=missing.key"], "--tls_certificate: cannot read missing.pem"),
+        (["--tokens=missing.json"], "--tokens: missing.json: expected a file that can be read"),
+    ],
+)
+def test_an_open_door_is_not_served_by_accident(tmp_path, tokens, flags, message):
+    flags = [flag.format(tokens=tokens) for flag in flags]
+    said = refusal_at_start("--allow_no_policies", *flags, policies=tmp_path)
+    assert f"spikeserve: {message}" in said
+
+
+def test_an_open_door_is_served_where_it_was_asked_for():
+    with running_server(flags=["--listen=0.0.0.0:0", "--insecure_network"]) as addresses:
+        assert addresses.grpc.startswith("0.0.0.0:")

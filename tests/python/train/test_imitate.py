@@ -10,7 +10,7 @@ import pytest
 import safetensors
 import spikeserve
 from serving import running_server
-from test_imitation_walk import walk
+from test_imitation_plans import walk
 
 TINY = "--environments=8 --hidden-size=32 --selection-episodes=16 --episodes=40".split()
 
