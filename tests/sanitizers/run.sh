@@ -15,7 +15,7 @@ duration=${2:-60s}
 # What threads of the server share: the HTTP pages, budgets, recordings, roll-outs, stores, and the log of shared heads.
 # Tests that measure the speed of the server are not here.
 python_tests=(
-  test_explain_turns test_fleet_attack test_fleet_learning test_fleet_log test_late_replies test_late_writes test_learning test_limits
+  test_explain_turns test_fleet_attack test_fleet_learning test_fleet_log test_late_replies test_learning test_limits
   test_operator test_promotion test_recording_queue test_redis_kinds test_redis_store test_session_store
   test_shared_settings test_status_json test_tenants test_tls test_tokens
 )

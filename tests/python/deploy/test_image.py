@@ -14,8 +14,8 @@ import subprocess
 
 import grpc
 import pytest
-from release_roots import BUILD, ROOT, bare_root, run
 from serving import DEADLINE_SECONDS, Service
+from test_release_roots import BUILD, ROOT, bare_root, run
 
 USER = 10001
 MOST_BYTES = 120e6

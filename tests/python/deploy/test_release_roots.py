@@ -4,11 +4,14 @@ Needs root, debootstrap and a mirror of Debian.
 """
 
 import os
+import pathlib
 import shutil
 
 import pytest
-from release_roots import BUILD, ROOT, bare_root, run
+from serving import run
 
+ROOT = pathlib.Path(__file__).parents[3]
+BUILD = pathlib.Path(os.environ["SPIKESERVE_BUILD_DIR"])
 PROGRAMS = {
     "spikeserve": "spikeserve --version",
     "spikeserve-tools": "spikectl --version && spikeload --version",
@@ -21,6 +24,17 @@ pytestmark = [
     pytest.mark.skipif(os.geteuid() != 0, reason="making a root needs root"),
     pytest.mark.skipif(shutil.which("debootstrap") is None, reason="without debootstrap"),
 ]
+
+
+def bare_root():
+    """Returns a root with Debian 12 and nothing else, which is made once for a build folder."""
+    root = BUILD / "tests/bare-root"
+    if not (root / "etc/debian_version").exists():
+        new = root.with_suffix(".new")
+        shutil.rmtree(new, ignore_errors=True)
+        run("debootstrap", "--variant=minbase", "bookworm", new)
+        new.rename(root)
+    return root
 
 
 @pytest.fixture(scope="module")
