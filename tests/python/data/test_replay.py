@@ -1,6 +1,7 @@
 """Episodes that a real server records, and that `spikectl replay` plays again on another one."""
 
 import json
+import math
 
 import cbor2
 import grpc
@@ -97,6 +98,7 @@ def test_what_is_cut_off_is_kept(policies, recordings):
             for step in range(5):
                 act(server, session, step)
         server.agent.CloseSession(session_id=closed)
+        act(server, opened(server))  # nobody rewarded its only step
     assert [(len(episode["actions"]), episode["truncated"]) for episode in episodes_of(recordings)] == [(4, True)] * 2
 
 
@@ -105,11 +107,14 @@ def test_only_sessions_that_ask_are_recorded_and_counted(policies, recordings):
         server.spikectl("run", "--env=CartPole-v1", "--quiet")
         session = opened(server)
         act(server, session)
+        with fails_with(grpc.StatusCode.INVALID_ARGUMENT, "observation: expected 4 numbers, received 1"):
+            server.agent.EndEpisode(session_id=session, reward=1.0, observation=[1.0])
         server.agent.EndEpisode(session_id=session, reward=1.0)
         until(lambda: sum(series(server, "spikeserve_recorded_episodes_total", outcome="written")) == 1)
         assert metric(server, "spikeserve_recorded_episodes_total") == 1
     [episode] = episodes_of(recordings)
     assert len(episode["actions"]) == 1
+    assert [math.isnan(number) for number in episode["observations"]] == [False] * 4 + [True] * 4  # the last one is unknown
 
 
 def test_without_a_directory_nothing_is_recorded(policies):

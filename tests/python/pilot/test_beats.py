@@ -212,9 +212,20 @@ def without_executed(request):
     request["history"][4] = {key: request["history"][4][key] for key in ("step", "observation", "reward")}
 
 
+def with_endless_reward(request):
+    request["history"][3] = request["history"][3] | {"reward": float("inf")}
+
+
+def with_skipped(request):
+    request.update(history=request["history"][2:], skipped_rewards=[0.1, float("nan")])
+
+
 @pytest.mark.parametrize(
     "change, message",
     [
+        (with_endless_reward, r"history\[3\]: reward: expected a finite number"),
+        (with_skipped, r"skipped_rewards\[1\]: reward: expected a finite number"),
+        (lambda request: request.update(history=[], skipped_rewards=[1.0]), "expected at least one beat behind skipped"),
         (with_wrong_step, r"history\[2\]: step: expected 3, received 4"),
         (without_executed, r"history\[4\]: executed_action: expected 1 continuous values, received none"),
         (lambda request: request.update(reward=float("nan")), "reward: expected a finite number"),

@@ -13,12 +13,13 @@ from serving import metric, page_of, running_server, series
 def test_an_episode_adds_up(server):
     session = server.agent.OpenSession(policy="cartpole").session_id
     acts = [server.agent.Act(session_id=session, step=step, observation=OBSERVATION, reward=0.1 * step) for step in range(3)]
-    end = server.agent.EndEpisode(session_id=session, reward=4.0, terminated=True)
+    assert [answer.return_to_go for answer in acts] == pytest.approx([500.0, 499.9, 499.7])
+    end = server.agent.EndEpisode(session_id=session, reward=4.0, terminated=True, target_return=3.0)
     assert end.episode_return == pytest.approx(0.1 + 0.2 + 4.0)
     assert end.steps == 3
     assert end.spikes == sum(answer.stats.spikes for answer in acts) > 0
     assert end.energy_joules == pytest.approx(sum(answer.stats.energy_joules for answer in acts))
-    server.agent.Act(session_id=session, observation=OBSERVATION)
+    assert server.agent.Act(session_id=session, observation=OBSERVATION).return_to_go == 3.0
     state = server.agent.GetSession(session_id=session)
     assert (state.episode, state.step, state.episode_return, state.decisions) == (1, 1, 0.0, 4)
     assert state.spikes > end.spikes

@@ -50,6 +50,7 @@ STEPS = [
     ),
     ("Act", {"observation": [0.0] * 3 + [math.nan]}, INVALID, "observation[3]: expected a finite number, received nan"),
     ("Act", {"reward": -math.inf}, INVALID, "reward: expected a finite number, received -inf"),
+    ("Act", {"reward": 1e300}, INVALID, "reward: expected a return-to-go within float32, received 1e+300"),
     ("EndEpisode", {"reward": math.nan}, INVALID, "reward: expected a finite number, received nan"),
     ("EndEpisode", {"target_return": math.inf}, INVALID, "target_return: expected a finite number"),
 ]

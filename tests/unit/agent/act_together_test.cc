@@ -1,7 +1,5 @@
-#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <limits>
 #include <memory>
 #include <vector>
 
@@ -13,8 +11,6 @@
 
 namespace spikeserve {
 namespace {
-
-using ::testing::HasSubstr;
 
 class ActTogetherTest : public ::testing::Test {
  protected:
@@ -76,27 +72,6 @@ TEST_F(ActTogetherTest, EqualsOneAfterTheOtherBitForBit) {
     }
     if (step % 3 == 0) AgentSession::AppendPendingActions(sessions);
   }
-}
-
-TEST_F(ActTogetherTest, ARetryAndABadRequestLeaveTheOthersAlone) {
-  const auto sessions = NewSessions();
-  const std::vector<float> observation = ObservationAt(0);
-  ASSERT_TRUE(sessions[0]->Act(0, observation, 0.0).ok());
-  const std::vector<float> bad = {1.0f, std::numeric_limits<float>::infinity(), 1.0f};
-  const std::string untouched = SerializeSession(sessions[1]->session());
-  std::vector<Step> steps = {
-      {.session = sessions[0].get(), .place = {.step = 0}, .observation = observation},
-      {.session = sessions[1].get(), .place = {.step = 0}, .observation = bad},
-      {.session = sessions[2].get(), .place = {.step = 0}, .observation = observation},
-      {.session = sessions[3].get(), .place = {.step = 4}, .observation = observation}};
-  Apply(steps);
-  EXPECT_TRUE(steps[0].result.status.ok());
-  EXPECT_TRUE(steps[0].result.is_retry);
-  EXPECT_THAT(steps[1].result.status.message(), HasSubstr("observation[1]: expected a finite"));
-  EXPECT_EQ(SerializeSession(sessions[1]->session()), untouched);
-  EXPECT_TRUE(steps[2].result.status.ok());
-  EXPECT_EQ(sessions[2]->session().step, 1);
-  EXPECT_EQ(steps[3].result.status.code(), absl::StatusCode::kFailedPrecondition);
 }
 
 }  // namespace

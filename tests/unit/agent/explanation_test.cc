@@ -171,12 +171,6 @@ TEST_P(ExplanationTest, TheHistoryHoldsEverything) {
 INSTANTIATE_TEST_SUITE_P(Variants, ExplanationTest, testing::ValuesIn(Variants()),
                          [](const auto& test) { return test.param.name; });
 
-TEST(ExplainTest, ASessionWithoutADecisionIsRefused) {
-  const auto served = Serve(SmallConfig(), ActionSpace::Discrete(2));
-  const auto explanation = Explain(served->policy(), NewSession("id", SmallOptions()));
-  EXPECT_EQ(explanation.status().code(), absl::StatusCode::kFailedPrecondition);
-}
-
 TEST(ExplainTest, ADecisionThatComesOutOtherwiseIsAnInternalError) {
   const auto served = Serve(SmallConfig(), ActionSpace::Discrete(2));
   FakeClock clock;

@@ -76,28 +76,6 @@ class LearningSessionTest : public ::testing::TestWithParam<LearningCase> {
   std::shared_ptr<const ServedPolicy> served_ = Serve(SmallConfig(), GetParam().action_space);
 };
 
-TEST_P(LearningSessionTest, RestoredMidEpisodeItGoesOnBitForBit) {
-  AgentSession steady = NewAgent();
-  AgentSession moved = NewAgentElsewhere();
-  for (int episode = 0; episode < 3; ++episode) {
-    for (int64_t t = 0; t < 15; ++t) {
-      if (t % 4 == episode) {
-        auto restored = ParseSession(SerializeSession(moved.session()));
-        ASSERT_TRUE(restored.ok()) << restored.status();
-        moved = AgentSession(served_, *std::move(restored), &clock_);
-      }
-      const auto expected = steady.Act(t, ObservationAt(t), RewardAt(t));
-      const auto actual = moved.Act(t, ObservationAt(t), RewardAt(t));
-      ASSERT_TRUE(expected.ok() && actual.ok());
-      ASSERT_EQ(**actual, **expected) << "episode " << episode << ", step " << t;
-    }
-    End(steady);
-    End(moved);
-    EXPECT_EQ(SerializeSession(moved.session()), SerializeSession(steady.session()));
-  }
-  EXPECT_GT(steady.HeadDrift(), 0.0);
-}
-
 // A session that is restored or loses its context between a decision and the report of what was
 // executed continues as one that did neither.
 TEST_P(LearningSessionTest, ExecutedActionsAreLearnedBitForBitAfterARestart) {
@@ -130,39 +108,6 @@ TEST_P(LearningSessionTest, ExecutedActionsAreLearnedBitForBitAfterARestart) {
   EXPECT_EQ(steady.session().learner->updates, answered.session().learner->updates);
 }
 
-TEST_P(LearningSessionTest, RetriesNeverLearn) {
-  AgentSession agent = NewAgent();
-  for (int64_t t = 0; t < 10; ++t) {
-    Play(agent, t, t + 1);
-    const std::string before = SerializeSession(agent.session());
-    ASSERT_TRUE(agent.Act(t, ObservationAt(t), RewardAt(t)).ok());
-    EXPECT_FALSE(agent.Act(t, ObservationAt(t + 1), 1e9).ok());
-    EXPECT_EQ(SerializeSession(agent.session()), before);
-  }
-  End(agent);
-  const std::string before = SerializeSession(agent.session());
-  const auto again = agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}});
-  ASSERT_TRUE(again.ok() && again->learning.has_value());
-  EXPECT_EQ(again->learning->head_drift, agent.HeadDrift());
-  EXPECT_EQ(SerializeSession(*ParseSession(before)), before);
-  EXPECT_EQ(SerializeSession(agent.session()), before);
-}
-
-TEST_P(LearningSessionTest, TheHeadMovesWhenItsModulatorIsKnown) {
-  AgentSession agent = NewAgent();
-  Play(agent, 0, 10);
-  const bool each_decision = GetParam().learning.modulator == Modulator::kTarget;
-  EXPECT_EQ(agent.HeadDrift() > 0.0, each_decision && GetParam().learning.scope == Scope::kSession);
-  EXPECT_GT(agent.session().learner->trace.norm(), 0.0);
-  const auto summary = agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}});
-  ASSERT_TRUE(summary.ok() && summary->learning.has_value());
-  EXPECT_EQ(summary->learning->updates, each_decision ? 10 : 1);
-  EXPECT_EQ(summary->learning->rejected, 0);
-  EXPECT_GT(summary->learning->head_drift, 0.0);
-  EXPECT_EQ(summary->learning->head_drift, agent.HeadDrift());
-  EXPECT_EQ(agent.session().learner->trace.norm(), 0.0);
-}
-
 TEST_P(LearningSessionTest, OthersOfThePolicyAreUntouched) {
   AgentSession alone = NewAgent(/*learns=*/false);
   AgentSession frozen = NewAgent(/*learns=*/false);
@@ -180,34 +125,6 @@ TEST_P(LearningSessionTest, OthersOfThePolicyAreUntouched) {
   EXPECT_GT(learning.HeadDrift(), 0.0);
   EXPECT_EQ(frozen.HeadDrift(), 0.0);
   EXPECT_FALSE(frozen.session().learner.has_value());
-}
-
-TEST_P(LearningSessionTest, AnEpisodeInWhichLearningWasPausedTeachesNothingMore) {
-  AgentSession agent = NewAgent();
-  served_->learning->set_paused(true);
-  Play(agent, 0, 5);
-  served_->learning->set_paused(false);
-  Play(agent, 5, 10);
-  const auto summary = agent.EndEpisode({.reward = 2.0, .terminated = true, .target_return = {}});
-  ASSERT_TRUE(summary.ok());
-  EXPECT_EQ(summary->learning->updates, 0);
-  EXPECT_EQ(agent.HeadDrift(), 0.0);
-  Play(agent, 0, 10);
-  End(agent);
-  EXPECT_GT(agent.HeadDrift(), 0.0);
-}
-
-TEST_P(LearningSessionTest, AFrozenSessionGoesOnFromWhatWasLearned) {
-  AgentSession agent = NewAgent();
-  Play(agent, 0, 10);
-  End(agent);
-  SessionOptions options = SmallOptions();
-  options.head_delta = agent.HeadDelta();
-  AgentSession frozen(served_, NewSession("id", options), &clock_);
-  EXPECT_EQ(frozen.HeadDrift(), agent.HeadDrift());
-  Play(frozen, 0, 10);
-  End(frozen);
-  EXPECT_EQ(frozen.HeadDelta(), agent.HeadDelta());
 }
 
 INSTANTIATE_TEST_SUITE_P(Rules, LearningSessionTest, ::testing::ValuesIn(LearningCases()),

@@ -25,41 +25,11 @@ class ShadowSessionTest : public ::testing::Test {
   }
 
   FakeClock clock_;
-  std::shared_ptr<RecordingObserver> observer_ = std::make_shared<RecordingObserver>();
   std::shared_ptr<const ServedPolicy> policy_ =
-      spikeserve::Serve(SmallConfig(), ActionSpace::Discrete(3), observer_);
+      spikeserve::Serve(SmallConfig(), ActionSpace::Discrete(3));
   AgentSession agent_{policy_, NewSession("served", SmallOptions()), &clock_};
   ShadowSession shadow_{*policy_, SmallOptions(), &clock_};
 };
-
-TEST_F(ShadowSessionTest, TheSamePolicyAnswersTheSameAndCountsNothing) {
-  for (int episode = 0; episode < 2; ++episode) {
-    for (int step = 0; step < 20; ++step) {
-      const ShadowStep seen = Serve(agent_);
-      const auto answer = shadow_.Act(seen);
-      ASSERT_TRUE(answer.ok()) << answer.status();
-      EXPECT_EQ((*answer)->action, seen.served.action);
-      EXPECT_EQ((*answer)->counts.total_spikes(), seen.served.counts.total_spikes());
-    }
-    ASSERT_TRUE(agent_.EndEpisode({.reward = 0.0, .target_return = 3.0}).ok());
-  }
-  EXPECT_EQ(observer_->decisions.size(), 40u);
-}
-
-// The window of the candidate holds the executed actions, not those it would have taken: a session
-// with other actions in its window decides differently.
-TEST_F(ShadowSessionTest, ItsWindowHoldsTheActionsThatWereTaken) {
-  ShadowSession contradicted(*policy_, SmallOptions(), &clock_);
-  bool differed = false;
-  for (int step = 0; step < 20; ++step) {
-    ShadowStep seen = Serve(agent_);
-    seen.served.action.discrete = (seen.served.action.discrete + 1) % 3;
-    const auto answer = contradicted.Act(seen);
-    ASSERT_TRUE(answer.ok()) << answer.status();
-    differed = differed || (*answer)->counts != seen.served.counts;
-  }
-  EXPECT_TRUE(differed);
-}
 
 TEST_F(ShadowSessionTest, ItsWindowHoldsTheActionsThatWereExecuted) {
   for (int step = 0; step < 20; ++step) {
@@ -91,14 +61,6 @@ TEST_F(ShadowSessionTest, AnEpisodeWithAHoleIsLostUntilTheNext) {
   EXPECT_EQ(shadow_.Act(Serve(agent_)).status().code(), absl::StatusCode::kFailedPrecondition);
   ASSERT_TRUE(agent_.EndEpisode({}).ok());
   EXPECT_TRUE(shadow_.Act(Serve(agent_)).ok());
-}
-
-TEST(AgreeTest, BoxesAgreeWithinAHundredthOfTheirRange) {
-  const ActionSpace box = ActionSpace::Box({-2.0f}, {2.0f});
-  EXPECT_TRUE(
-      Agree({.discrete = 0, .continuous = {1.0f}}, {.discrete = 0, .continuous = {1.03f}}, box));
-  EXPECT_FALSE(
-      Agree({.discrete = 0, .continuous = {1.0f}}, {.discrete = 0, .continuous = {1.05f}}, box));
 }
 
 }  // namespace

@@ -5,13 +5,16 @@
 
 #include <cstdlib>
 #include <fstream>
+#include <iostream>
 #include <map>
 #include <optional>
+#include <sstream>
 #include <string>
 #include <vector>
 
 #include "absl/time/time.h"
 #include "core/base/version.h"
+#include "core/cli/printable_output.h"
 #include "tests/support/files.h"
 
 namespace spikeserve {
@@ -261,6 +264,35 @@ TEST_F(ProgramTest, Version) {
   EXPECT_EQ(Run({"tower", "close", "--version=3"}).output, "");
   EXPECT_EQ(flags_.version, 3);
   EXPECT_THAT(Run({"tower", "close", "--help"}).output, Not(HasSubstr("Print the version")));
+}
+
+// Returns what reaches the terminal when `write` writes to std::cout.
+template <typename Write>
+std::string Shown(Write write) {
+  std::ostringstream terminal;
+  std::streambuf* const before = std::cout.rdbuf(terminal.rdbuf());
+  {
+    const PrintableOutput output;
+    write(std::cout);
+    std::cout << std::flush;
+  }
+  std::cout.rdbuf(before);
+  return terminal.str();
+}
+
+TEST(PrintableOutput, PassesTextsOn) {
+  EXPECT_EQ(Shown([](std::ostream& out) { out << "a\tMüller " << 7 << std::endl; }),
+            "a\tMüller 7\n");
+}
+
+TEST(PrintableOutput, EscapesWhatATerminalObeys) {
+  EXPECT_EQ(Shown([](std::ostream& out) { out << "\x1b]52;c;\x07 a\rb \xc2\x9b"; }),
+            "\\u001b]52;c;\\u0007 a\\u000db \\u00c2\\u009b");
+}
+
+TEST(PrintableOutput, KnowsCharactersThatComeInParts) {
+  EXPECT_EQ(Shown([](std::ostream& out) { out << '\xc3' << '\xbc'; }), "ü");
+  EXPECT_EQ(Shown([](std::ostream& out) { out << '\xc3' << std::flush << "a"; }), "\\u00c3a");
 }
 
 }  // namespace

@@ -2,17 +2,22 @@
 // Gymnasium's, step by step.
 #include "core/environment/environment.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <memory>
 #include <string>
 #include <tuple>
 #include <vector>
 
 #include "core/environment/classic_tasks.h"
+#include "core/environment/perturbation.h"
 
 namespace spikeserve {
 namespace {
+
+using ::testing::HasSubstr;
 
 Action Discrete(int index) { return {.discrete = index, .continuous = {}}; }
 Action Continuous(float value) { return {.discrete = 0, .continuous = {value}}; }
@@ -90,6 +95,105 @@ TEST(PositionOnlyTest, HidesTheVelocitiesAndChangesNothingElse) {
     }
     EXPECT_EQ(whole->state(), part->state());
   }
+}
+
+constexpr double kPi = 3.14159265358979323846;
+
+Action Push(int discrete) { return {.discrete = discrete, .continuous = {}}; }
+
+// Returns one component of the internal state after one step from `state`.
+double Next(const std::string& id, const std::string& perturb, std::vector<double> state,
+            const Action& action, size_t component) {
+  auto environment = perturb.empty() ? MakeEnvironment(id)
+                                     : MakePerturbedEnvironment(id, *ParsePerturbation(perturb));
+  EXPECT_TRUE(environment.ok()) << environment.status();
+  (*environment)->Reset(0);
+  (*environment)->ResetTo(state);
+  (void)(*environment)->Step(action);
+  return (*environment)->state()[component];
+}
+
+TEST(ParsePerturbationTest, TakesANameAndAFiniteNumber) {
+  const auto parsed = ParsePerturbation("force=-1.5");
+  ASSERT_TRUE(parsed.ok());
+  EXPECT_EQ(parsed->name, "force");
+  EXPECT_EQ(parsed->value, -1.5);
+  for (const char* text : {"", "force", "force=", "force=x", "force=nan", "force=inf", "=1x"}) {
+    EXPECT_THAT(std::string(ParsePerturbation(text).status().message()),
+                HasSubstr("expected NAME=VALUE with a finite number"))
+        << text;
+  }
+}
+
+TEST(PerturbationTest, AFactorOfOneChangesNothing) {
+  for (const std::string id : {"CartPole-v1", "MountainCar-v0", "Acrobot-v1", "Pendulum-v1"}) {
+    for (const std::string name : {"length", "mass", "force", "gravity"}) {
+      if (id == "MountainCar-v0" && (name == "length" || name == "mass")) continue;
+      const auto plain = MakeEnvironment(id);
+      const auto perturbed = MakePerturbedEnvironment(id, {.name = name, .value = 1.0});
+      ASSERT_TRUE(perturbed.ok()) << perturbed.status();
+      EXPECT_EQ((*perturbed)->id(), id);
+      EXPECT_EQ((*perturbed)->Reset(3), (*plain)->Reset(3));
+      const Action action = (*plain)->action_space().is_discrete()
+                                ? Push(0)
+                                : Action{.discrete = 0, .continuous = {1.5f}};
+      for (int step = 0; step < 5; ++step) {
+        EXPECT_EQ((*perturbed)->Step(action).observation, (*plain)->Step(action).observation)
+            << id << " " << name;
+      }
+    }
+  }
+}
+
+TEST(PerturbationTest, AReversedActuatorMirrorsThePush) {
+  // Each task starts at rest and at the centre of its symmetry, so that only the push moves it.
+  EXPECT_EQ(Next("CartPole-v1", "force=-1", {0, 0, 0, 0}, Push(0), 1),
+            Next("CartPole-v1", "", {0, 0, 0, 0}, Push(1), 1));
+  EXPECT_EQ(Next("Acrobot-v1", "force=-1", {0, 0, 0, 0}, Push(0), 3),
+            Next("Acrobot-v1", "", {0, 0, 0, 0}, Push(2), 3));
+  EXPECT_EQ(Next("MountainCar-v0", "force=-1", {-0.5, 0}, Push(0), 1),
+            Next("MountainCar-v0", "", {-0.5, 0}, Push(2), 1));
+  const auto torque = [](float value) { return Action{.discrete = 0, .continuous = {value}}; };
+  EXPECT_EQ(Next("Pendulum-v1", "force=-1", {0, 0}, torque(1.5f), 1),
+            Next("Pendulum-v1", "", {0, 0}, torque(-1.5f), 1));
+}
+
+TEST(PerturbationTest, WindPushesTheCartToTheRight) {
+  // A push of 10 N to the left cancels a wind of 10 N: the cart does not move.
+  EXPECT_EQ(Next("CartPole-v1", "wind=10", {0, 0, 0, 0}, Push(0), 1), 0.0);
+  EXPECT_GT(Next("CartPole-v1", "wind=11", {0, 0, 0, 0}, Push(0), 1), 0.0);
+}
+
+TEST(PerturbationTest, GravityScalesTheFall) {
+  // From rest and without a push, the acceleration in Gymnasium's equations is proportional to
+  // gravity.
+  const auto torque = Action{.discrete = 0, .continuous = {0.0f}};
+  const double plain = Next("Pendulum-v1", "", {kPi / 2, 0}, torque, 1);
+  EXPECT_NEAR(Next("Pendulum-v1", "gravity=1.3", {kPi / 2, 0}, torque, 1), 1.3 * plain, 1e-12);
+  EXPECT_NEAR(Next("MountainCar-v0", "gravity=2", {-0.6, 0}, Push(1), 1),
+              2 * Next("MountainCar-v0", "", {-0.6, 0}, Push(1), 1), 1e-12);
+  EXPECT_EQ(Next("MountainCar-v0", "gravity=0", {-0.6, 0}, Push(1), 1), 0.0);
+}
+
+TEST(PerturbationTest, LengthAndMassAreThoseOfThePendulumsEquation) {
+  // Gymnasium: dw = (3 g / 2l sin(theta) + 3 / (m l^2) u) dt.
+  const auto torque = Action{.discrete = 0, .continuous = {1.0f}};
+  const auto expected = [](double mass, double length) {
+    return (3 * 10.0 / (2 * length) * std::sin(1.0) + 3.0 / (mass * length * length)) * 0.05;
+  };
+  EXPECT_NEAR(Next("Pendulum-v1", "mass=2", {1.0, 0}, torque, 1), expected(2, 1), 1e-12);
+  EXPECT_NEAR(Next("Pendulum-v1", "length=2", {1.0, 0}, torque, 1), expected(1, 2), 1e-12);
+}
+
+TEST(PerturbationTest, SaysWhatATaskHas) {
+  const auto message = [](const std::string& id, const Perturbation& perturbation) {
+    return std::string(MakePerturbedEnvironment(id, perturbation).status().message());
+  };
+  EXPECT_THAT(message("MountainCar-v0", {.name = "wind", .value = 4}),
+              HasSubstr("expected one of force, gravity for MountainCar-v0, received \"wind\""));
+  EXPECT_THAT(message("Pendulum-v1", {.name = "mass", .value = 0}),
+              HasSubstr("expected a mass above 0, received 0"));
+  EXPECT_THAT(message("Pong-v0", {.name = "mass", .value = 1}), HasSubstr("Pong-v0"));
 }
 
 }  // namespace

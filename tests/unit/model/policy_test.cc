@@ -1,17 +1,27 @@
 #include "core/model/policy.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdint>
+#include <memory>
 #include <numbers>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
+#include "core/math/counter_random.h"
+#include "core/model/features.h"
+#include "core/model/policy_file.h"
+#include "core/model/wiring_fit.h"
+#include "core/model/wiring_model.h"
 #include "tests/support/small_policy.h"
 
 namespace spikeserve {
 namespace {
+
+using ::testing::HasSubstr;
 
 double Mean(const std::vector<float>& values) {
   double sum = 0.0;
@@ -98,6 +108,133 @@ TEST(TrainingReturn, IsAbsentWhereNothingIsStored) {
     Policy policy;
     policy.training = training;
     EXPECT_EQ(TrainingReturn(policy), std::nullopt) << training;
+  }
+}
+
+constexpr char kText[] =
+    R"({"observation": ["x", {"name": "v", "unit": "m/s", "low": -1, "high": 2.5},
+  {"name": "angle", "unit": "rad", "frame": "upright"}, "rate"],
+  "action": ["left", "right"], "rate_hz": 50, "rate_tolerance": 0.2})";
+
+std::string Refusal(const std::vector<std::string>& names, const std::vector<std::string>& units,
+                    bool in_any_order = false) {
+  const Features features = *ParseFeatures(kText);
+  return std::string(CheckNames(features.observation,
+                                {.field = "observation", .names = names, .units = units},
+                                in_any_order)
+                         .message());
+}
+
+TEST(FeaturesTest, AFileKeepsThemAndTheModelOfTheObservations) {
+  Policy policy = SmallPolicy();
+  const std::string plain = *FormatPolicyFile(policy);
+  EXPECT_THAT(plain, testing::Not(HasSubstr("features")));
+  EXPECT_TRUE(ParsePolicyFile(plain)->features.empty());
+
+  policy.features = *ParseFeatures(kText);
+  WiringFit fit(4, 2);
+  std::vector<float> observations, actions;
+  for (int i = 0; i < 101 * 4; ++i) observations.push_back(static_cast<float>(i * i % 17));
+  for (int i = 0; i < 100; ++i) actions.insert(actions.end(), {i % 3 ? 1.0f : 0.0f, 0.0f});
+  fit.Add(observations, actions);
+  policy.wiring = std::make_shared<const WiringModel>(*fit.Finish());
+  const std::string named = *FormatPolicyFile(policy);
+  const Policy read = *ParsePolicyFile(named);
+  EXPECT_EQ(read.features, policy.features);
+  EXPECT_EQ(*read.wiring, *policy.wiring);
+  EXPECT_EQ(*FormatPolicyFile(read), named);
+}
+
+TEST(FeaturesTest, RefusesWhatDoesNotFitThePolicy) {
+  const auto refused = [](const std::string& text) {
+    auto features = ParseFeatures(text);
+    if (!features.ok()) return std::string(features.status().message());
+    return std::string(features->Validate(2, 2).message());
+  };
+  EXPECT_EQ(refused(R"({"observation": ["x"]})"),
+            "features.observation: expected none or 2 elements, received 1");
+  EXPECT_THAT(refused(R"({"observation": ["x", "x"]})"), HasSubstr("another name than before"));
+  EXPECT_THAT(refused(R"({"observation": ["x", ""]})"), HasSubstr("[1].name: expected a name"));
+  EXPECT_THAT(refused(R"({"observation": ["x", {"name": "y", "low": 1, "high": 0}]})"),
+              HasSubstr("features.observation[1].high: expected at least 1, received 0"));
+  EXPECT_THAT(refused(R"({"rate_hz": 0})"), HasSubstr("rate_hz: expected a positive"));
+  EXPECT_THAT(refused(R"({"observations": []})"), HasSubstr("observations"));
+}
+
+TEST(FeaturesTest, NamesTheFirstDifferenceAndThePermutation) {
+  EXPECT_EQ(Refusal({"x", "v", "angle", "rate"}, {}), "");
+  EXPECT_EQ(Refusal({}, {}), "");
+  EXPECT_EQ(
+      Refusal({"x", "angle", "v", "rate"}, {}),
+      "observation_names[1]: expected \"v\", received \"angle\"; the policy's order is [0, 2, "
+      "1, 3] of the received elements");
+  EXPECT_EQ(Refusal({"x", "angle", "v", "rate"}, {}, /*in_any_order=*/true), "");
+  for (const bool in_any_order : {false, true}) {
+    EXPECT_EQ(Refusal({"x", "v", "angle", "speed"}, {}, in_any_order),
+              "observation_names[3]: expected \"rate\", received \"speed\"; the policy has x, v, "
+              "angle, rate");
+    EXPECT_THAT(Refusal({"x", "x", "angle", "rate"}, {}, in_any_order),
+                HasSubstr("expected \"v\""));
+    EXPECT_THAT(Refusal({"x", "v"}, {}, in_any_order), HasSubstr("expected 4 names"));
+  }
+}
+
+TEST(FeaturesTest, NamesUnitsThatCanBeConverted) {
+  EXPECT_EQ(Refusal({"x", "v", "angle", "rate"}, {"", "m/s", "rad", ""}), "");
+  EXPECT_EQ(Refusal({"angle", "v", "x", "rate"}, {"deg", "", "", ""}, /*in_any_order=*/true),
+            "observation_units[0] (angle): expected \"rad\", received \"deg\"; multiply by "
+            "0.0174533 to convert");
+  EXPECT_EQ(Refusal({"x", "v", "angle", "rate"}, {"", "N", "", ""}),
+            "observation_units[1] (v): expected \"m/s\", received \"N\"");
+  EXPECT_THAT(Refusal({"x", "v", "angle", "rate"}, {"m"}), HasSubstr("expected one per name"));
+  EXPECT_DOUBLE_EQ(*UnitFactor("km/h", "m/s"), 1000.0 / 3600.0);
+  EXPECT_DOUBLE_EQ(*UnitFactor("kN.m", "N.m"), 1000.0);
+  EXPECT_DOUBLE_EQ(*UnitFactor("cm/s2", "m/s2"), 0.01);
+  EXPECT_FALSE(UnitFactor("m", "rad").has_value());
+  EXPECT_FALSE(UnitFactor("furlong", "m").has_value());
+}
+
+constexpr size_t kObs = 5, kAct = 3;
+
+std::vector<double> Draws(uint64_t seed, size_t count) {
+  std::vector<double> draws;
+  for (uint64_t i = 0; i < count; ++i) {
+    draws.push_back(2.0 * UniformDouble(RandomBits({seed, i})) - 1.0);
+  }
+  return draws;
+}
+
+// The naive form of the equation in the header.
+std::vector<double> Change(const WiringModel& model, const std::vector<double>& z,
+                           const std::vector<float>& action) {
+  std::vector<double> terms(WiringModel::Terms(kObs, kAct)), change(kObs, 0.0);
+  FillWiringTerms(z, action, absl::MakeSpan(terms));
+  for (size_t k = 0; k < terms.size(); ++k) {
+    for (size_t i = 0; i < kObs; ++i) change[i] += model.coefficients[k * kObs + i] * terms[k];
+  }
+  return change;
+}
+
+TEST(WiringModelTest, MovedElementsArePredictedAsIfFromTheBeginning) {
+  WiringModel model;
+  model.mean.assign(kObs, 0.0);
+  model.coefficients = Draws(1, WiringModel::Terms(kObs, kAct) * kObs);
+  for (const std::vector<float>& action : {std::vector<float>{0.0f, 1.0f, 0.0f}, {0.3f, -1, 1}}) {
+    const std::vector<double> z = Draws(2, kObs);
+    std::vector<double> terms(WiringModel::Terms(kObs, kAct)), change(kObs), slopes(kObs * kObs);
+    model.Predict(z, action, absl::MakeSpan(terms), absl::MakeSpan(change));
+    EXPECT_EQ(change, Change(model, z, action));
+    model.FillSlopes(z, action, absl::MakeSpan(slopes));
+    for (size_t i = 0; i < kObs; ++i) {
+      for (size_t j = i + 1; j < kObs; ++j) {
+        std::vector<double> moved = z, predicted = change;
+        moved[i] += 0.5;
+        moved[j] -= 1.25;
+        model.AddMoves(slopes, {{i, 0.5}, {j, -1.25}}, absl::MakeSpan(predicted));
+        const std::vector<double> expected = Change(model, moved, action);
+        for (size_t k = 0; k < kObs; ++k) EXPECT_NEAR(predicted[k], expected[k], 1e-12);
+      }
+    }
   }
 }
 

@@ -3,18 +3,19 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <memory>
 #include <set>
 #include <thread>
+#include <vector>
 
-#include "absl/synchronization/notification.h"
-#include "core/open_sessions/session_reaper.h"
+#include "core/open_sessions/session_locks.h"
+#include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
 
 namespace spikeserve {
 namespace {
-
-using ::testing::HasSubstr;
 
 class SessionStoreTest : public ::testing::Test {
  protected:
@@ -44,30 +45,6 @@ TEST_F(SessionStoreTest, IdsAreRandomAndFindTheirSession) {
     EXPECT_EQ((*entry)->agent.session().id, id);
     EXPECT_EQ((*entry)->agent.session().return_to_go, 10.0);
   }
-}
-
-TEST_F(SessionStoreTest, UnknownIdsAreNotFound) {
-  SessionStore store(10, &clock_);
-  const std::string id = MustOpen(store);
-  EXPECT_TRUE(store.Close(id).ok());
-  for (const auto& status : {store.Find(id).status(), store.Close(id), store.Find("").status()}) {
-    EXPECT_EQ(status.code(), absl::StatusCode::kNotFound);
-    EXPECT_THAT(std::string(status.message()), HasSubstr("session_id: expected an open session"));
-  }
-  EXPECT_EQ(store.size(), 0);
-  EXPECT_EQ(observer_->opened, 1);
-  EXPECT_EQ(observer_->closed, 1);
-}
-
-TEST_F(SessionStoreTest, LimitIsEnforcedAndNamed) {
-  SessionStore store(2, &clock_);
-  const std::string id = MustOpen(store);
-  MustOpen(store);
-  const auto refused = store.Open(served_, SmallOptions());
-  EXPECT_EQ(refused.status().code(), absl::StatusCode::kResourceExhausted);
-  EXPECT_THAT(std::string(refused.status().message()), HasSubstr("fewer than 2 open sessions"));
-  ASSERT_TRUE(store.Close(id).ok());
-  MustOpen(store);
 }
 
 TEST_F(SessionStoreTest, OnlyIdleSessionsAreRemoved) {
@@ -194,19 +171,71 @@ TEST_F(SessionStoreTest, ManyThreadsShareIt) {
   EXPECT_EQ(store.size(), 0);
 }
 
-TEST_F(SessionStoreTest, TheReaperTakesOutIdleSessions) {
-  SessionStore store(10, &clock_);
-  MustOpen(store);
-  clock_.Advance(absl::Seconds(1));
-  absl::Notification reaped;
-  const IdleLimits limits = {.compact_after = absl::Milliseconds(1),
-                             .time_to_live = absl::Milliseconds(1)};
-  SessionReaper reaper(&store, limits, [&](int64_t count) {
-    EXPECT_EQ(count, 1);
-    reaped.Notify();
-  });
-  reaped.WaitForNotification();
-  EXPECT_EQ(store.size(), 0);
+class SessionLocksTest : public testing::Test {
+ protected:
+  SessionLocksTest() {
+    const auto served = Serve(SmallConfig(), ActionSpace::Discrete(2));
+    for (int i = 0; i < 8; ++i) {
+      entries_.push_back(
+          std::make_shared<SessionEntry>(served, NewSession("id", SmallOptions()), &clock_));
+    }
+  }
+
+  // Returns whether another thread can lock the entry.
+  static bool IsFree(SessionEntry& entry) {
+    bool free = false;
+    std::thread([&]() ABSL_NO_THREAD_SAFETY_ANALYSIS {
+      free = entry.mutex.TryLock();
+      if (free) entry.mutex.Unlock();
+    }).join();
+    return free;
+  }
+
+  FakeClock clock_;
+  std::vector<std::shared_ptr<SessionEntry>> entries_;
+};
+
+TEST_F(SessionLocksTest, HoldsEveryLockUntilItEnds) {
+  {
+    const SessionLocks locks(entries_);
+    for (const auto& entry : entries_) EXPECT_FALSE(IsFree(*entry));
+  }
+  for (const auto& entry : entries_) EXPECT_TRUE(IsFree(*entry));
+}
+
+TEST_F(SessionLocksTest, AnEntryMayStandThereTwice) {
+  std::vector<std::shared_ptr<SessionEntry>> twice = {entries_[0], entries_[1], entries_[0]};
+  { const SessionLocks locks(twice); }
+  EXPECT_TRUE(IsFree(*entries_[0]));
+}
+
+TEST_F(SessionLocksTest, KeepsItsSessionsAlive) {
+  const std::weak_ptr<SessionEntry> weak = entries_.back();
+  {
+    const SessionLocks locks(entries_);
+    entries_.clear();
+    EXPECT_FALSE(weak.expired());
+  }
+  EXPECT_TRUE(weak.expired());
+}
+
+// Two threads lock the same sessions, each in the reverse order of the other. They would deadlock
+// if the locks were taken in the order of the entries.
+TEST_F(SessionLocksTest, OppositeOrdersNeverWaitForEachOther) {
+  std::vector<std::shared_ptr<SessionEntry>> reversed = entries_;
+  std::reverse(reversed.begin(), reversed.end());
+  int64_t inside = 0;  // guarded by the locks of all sessions
+  const auto lock_often = [&inside](const auto& entries) {
+    for (int i = 0; i < 20'000; ++i) {
+      const SessionLocks locks(entries);
+      ++inside;
+    }
+  };
+  std::thread forward([&] { lock_often(entries_); });
+  std::thread backward([&] { lock_often(reversed); });
+  forward.join();
+  backward.join();
+  EXPECT_EQ(inside, 40'000);
 }
 
 }  // namespace

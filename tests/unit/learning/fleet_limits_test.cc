@@ -1,15 +1,110 @@
-#include "core/learning/return_guard.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
+#include <initializer_list>
 #include <iostream>
+#include <limits>
+#include <string>
 
+#include "core/learning/contribution_budget.h"
+#include "core/learning/peer_norms.h"
+#include "core/learning/return_guard.h"
 #include "core/math/counter_random.h"
 
 namespace spikeserve {
 namespace {
+
+using Budget = ContributionBudget;
+
+// Returns how many of 1000 contributions are accepted.
+int Accepted(Budget& budget, const std::string& contributor, absl::Duration now,
+             bool is_protected = false) {
+  int accepted = 0;
+  for (int i = 0; i < 1000; ++i) accepted += budget.Take(contributor, now, is_protected) ? 1 : 0;
+  return accepted;
+}
+
+TEST(ContributionBudgetTest, AMinuteIsBoundedForOneAndForAll) {
+  Budget budget;
+  EXPECT_EQ(Accepted(budget, "0", absl::Seconds(1)), Budget::kPerMinute);
+  int together = Budget::kPerMinute;
+  for (int i = 1; i < 20; ++i) together += Accepted(budget, std::to_string(i), absl::Seconds(1));
+  EXPECT_EQ(together, Budget::kTotalPerMinute);
+  EXPECT_EQ(Accepted(budget, "0", absl::Seconds(59)), 0);
+  EXPECT_EQ(Accepted(budget, "0", absl::Seconds(100)), Budget::kPerMinute);
+}
+
+TEST(ContributionBudgetTest, OfAProtectedHeadNoneGivesAQuarterOfAWindow) {
+  Budget budget;
+  for (int window = 0; window < 3; ++window) {
+    EXPECT_EQ(Accepted(budget, "0", {}, /*is_protected=*/true), Budget::kPerWindow);
+    budget.OnWindowEnd(/*bad=*/false, /*is_protected=*/true);
+  }
+}
+
+TEST(ContributionBudgetTest, AFullShareOfABadWindowSuspends) {
+  Budget budget;
+  constexpr bool kIsProtected = true;
+  Accepted(budget, "0", {}, kIsProtected);
+  EXPECT_TRUE(budget.Take("1", {}, kIsProtected));
+  budget.OnWindowEnd(/*bad=*/true, kIsProtected);
+  for (int window = 0; window < Budget::kSuspendedWindows; ++window) {
+    EXPECT_TRUE(budget.IsSuspended("0")) << window;
+    EXPECT_FALSE(budget.IsSuspended("1")) << window;
+    EXPECT_TRUE(budget.Take("0", {}, kIsProtected))
+        << window;  // its returns count, so that windows end
+    budget.OnWindowEnd(/*bad=*/false, kIsProtected);
+  }
+  EXPECT_FALSE(budget.IsSuspended("0"));
+}
+
+constexpr double kNoLimit = std::numeric_limits<double>::infinity();
+
+// Adds a contribution of each of the contributors "0", "1" and so on.
+PeerNorms Norms(std::initializer_list<double> norms) {
+  PeerNorms all;
+  int i = 0;
+  for (const double norm : norms) all.Add(std::to_string(i++), norm);
+  return all;
+}
+
+TEST(PeerNormsTest, ThereIsNoLimitBeforeEnoughOthersHaveContributed) {
+  const PeerNorms norms = Norms({0.1, 0.1, 0.1, 0.1});
+  EXPECT_EQ(norms.Limit("0"), kNoLimit);  // of three others
+  EXPECT_DOUBLE_EQ(norms.Limit("new"), 0.1 * PeerNorms::kFactor);
+}
+
+TEST(PeerNormsTest, TheLimitFollowsTheMedianOfTheOthers) {
+  const PeerNorms norms = Norms({0.3, 0.1, 0.5, 0.2, 0.4});
+  EXPECT_DOUBLE_EQ(norms.Limit("new"), 0.3 * PeerNorms::kFactor);
+  EXPECT_DOUBLE_EQ(norms.Limit("2"), 0.2 * PeerNorms::kFactor);  // the lower of 0.2 and 0.3
+}
+
+TEST(PeerNormsTest, OneContributorCannotRaiseALimit) {
+  PeerNorms norms = Norms({0.1, 0.1, 0.1, 0.1, 0.1});
+  for (int i = 0; i < 1000; ++i) norms.Add("0", 1e6);
+  EXPECT_DOUBLE_EQ(norms.Limit("0"), 0.1 * PeerNorms::kFactor);
+  EXPECT_DOUBLE_EQ(norms.Limit("1"), 0.1 * PeerNorms::kFactor);
+}
+
+TEST(PeerNormsTest, TheLimitFollowsContributorsThatLearnFaster) {
+  PeerNorms norms = Norms({0.1, 0.1, 0.1, 0.1, 0.1});
+  for (int i = 0; i < 3; ++i) norms.Add(std::to_string(i), 10.0);
+  EXPECT_DOUBLE_EQ(norms.Limit("4"), 10.0 * PeerNorms::kFactor);
+}
+
+TEST(PeerNormsTest, AContributionOfZeroSaysNothing) {
+  PeerNorms norms = Norms({0.1, 0.1, 0.1, 0.1});
+  for (int i = 0; i < 4; ++i) norms.Add(std::to_string(i), 0.0);
+  EXPECT_DOUBLE_EQ(norms.Limit("new"), 0.1 * PeerNorms::kFactor);
+}
+
+TEST(PeerNormsTest, OnlyTheLastContributorsCount) {
+  PeerNorms norms;
+  for (size_t i = 0; i < 10 * PeerNorms::kContributors; ++i) norms.Add(std::to_string(i), 1.0);
+  EXPECT_EQ(norms.norms.size(), PeerNorms::kContributors);
+}
 
 constexpr double kMargin = 0.02;
 
