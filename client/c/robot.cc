@@ -55,8 +55,15 @@ int Guarded(spikeserve_robot_error_t* error, const Function& function) noexcept 
 
 std::string Text(const char* text) { return text == nullptr ? "" : text; }
 
+// Who chose a given action. A number that is none stays none.
+spikeserve::ChosenBy ChosenByOf(const spikeserve_robot_action_t& action) {
+  using Source = spikeserve::v1::ActionSource;
+  const int kind = Source::Kind_IsValid(action.by) ? action.by : Source::Kind_ARRAYSIZE;
+  return {static_cast<Source::Kind>(kind), absl::NullSafeStringView(action.operator_id)};
+}
+
 spikeserve::ActionView ViewOf(const spikeserve_robot_action_t& action) {
-  return {action.discrete, {action.continuous, action.size}};
+  return {action.discrete, {action.continuous, action.size}, ChosenByOf(action)};
 }
 
 void Write(const spikeserve::ActionView& view, spikeserve_robot_action_t* action) {
@@ -77,6 +84,14 @@ spikeserve::v1::Action MessageOf(const spikeserve_robot_action_t& action) {
   return message;
 }
 
+spikeserve::v1::ActionSource SourceOf(const spikeserve_robot_action_t& action) {
+  const spikeserve::ChosenBy by = ChosenByOf(action);
+  spikeserve::v1::ActionSource source;
+  source.set_kind(by.kind);
+  source.set_operator_id(std::string(by.operator_id));
+  return source;
+}
+
 // Sets `option` unless the number stands for the default.
 template <typename Option>
 void Set(double number, Option* option) {
@@ -94,6 +109,10 @@ spikeserve::PilotOptions PilotOptionsOf(const spikeserve_robot_options_t& given)
   Set(given.ramp_beats, &options.ramp_beats);
   Set(given.in_flight, &options.in_flight);
   Set(given.kept_beats, &options.kept_beats);
+  Set(given.redundancy, &options.redundancy);
+  if (given.transport >= 0) {
+    options.transport = static_cast<spikeserve::PilotTransport>(given.transport);
+  }
   if (!(given.close_timeout < 0)) options.close_timeout = absl::Seconds(given.close_timeout);
   if (given.local_policy != nullptr) {
     const std::string path = given.local_policy;
@@ -125,6 +144,10 @@ absl::Status Open(const spikeserve_robot_options_t& given, spikeserve_robot_t* r
     return absl::InvalidArgumentError(
         absl::StrCat("size: expected ", kFirstOptions, " to ", sizeof(given), ", received ",
                      given.size, ": the library is ", spikeserve_robot_version()));
+  }
+  if (given.transport > SPIKESERVE_ROBOT_DATAGRAM) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("transport: expected 0 to 2, received ", given.transport));
   }
   spikeserve::v1::OpenSessionRequest request;
   if (given.session != nullptr) {
@@ -160,6 +183,7 @@ void spikeserve_robot_options_init(spikeserve_robot_options_t* options, size_t s
   filled.size = size;
   filled.patience = filled.budget = filled.max_age = filled.close_timeout = -1.0;
   filled.hold_beats = filled.ramp_beats = filled.in_flight = filled.kept_beats = -1;
+  filled.transport = filled.redundancy = -1;
   std::memcpy(options, &filled, std::min(size, sizeof(filled)));
 }
 
@@ -204,7 +228,9 @@ uint64_t spikeserve_robot_end_episode(spikeserve_robot_t* robot,
     spikeserve::EpisodeOutcome ended = {.reward = outcome->reward,
                                         .terminated = outcome->terminated != 0,
                                         .truncated = outcome->truncated != 0};
-    if (outcome->executed != nullptr) ended.executed_action = MessageOf(*outcome->executed);
+    if (const auto* const executed = outcome->executed; executed != nullptr) {
+      ended.executed_action.emplace(MessageOf(*executed), SourceOf(*executed));
+    }
     robot->summaries[robot->ended] = robot->pilot->EndEpisode(ended);
     if (robot->summaries.size() > kMostSummaries) robot->summaries.erase(robot->summaries.begin());
     return absl::OkStatus();
@@ -244,6 +270,7 @@ void spikeserve_robot_stats(const spikeserve_robot_t* robot, spikeserve_robot_st
                                      .stale = counted.stale,
                                      .late_answers = counted.late_answers,
                                      .cancelled_calls = counted.cancelled_calls,
+                                     .datagram_answers = counted.datagram_answers,
                                      .reconnects = counted.reconnects,
                                      .reopened = counted.reopened,
                                      .dropped = counted.dropped,
@@ -257,7 +284,8 @@ void spikeserve_robot_stats(const spikeserve_robot_t* robot, spikeserve_robot_st
                                      .age_p99 = absl::ToDoubleSeconds(counted.age_p99),
                                      .age_p999 = absl::ToDoubleSeconds(counted.age_p999),
                                      .has_local = counted.has_local,
-                                     .local_head_is_copy = counted.local_head_is_copy};
+                                     .local_head_is_copy = counted.local_head_is_copy,
+                                     .sends_datagrams = counted.sends_datagrams};
   static_assert(spikeserve::kActionSources == 4);
   std::copy(counted.by_source.begin(), counted.by_source.end(), filled.by_source);
   std::copy(counted.entries.begin(), counted.entries.end(), filled.entries);

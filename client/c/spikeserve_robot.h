@@ -60,7 +60,20 @@ enum {
   SPIKESERVE_ROBOT_SAFE = 3,   // the neutral action, the way to it, or options.fallback
 };
 
-// An action, in environment units. `source`, `age` and `step` are those of a returned one.
+// Who chose an executed action, as ActionSource of the wire contract has it.
+enum {
+  SPIKESERVE_ROBOT_BY_UNKNOWN = 0,  // not said: the policy, if the action is the returned one
+  SPIKESERVE_ROBOT_BY_POLICY = 1,
+  SPIKESERVE_ROBOT_BY_OPERATOR = 2,
+  SPIKESERVE_ROBOT_BY_SAFETY_LAYER = 3,
+  SPIKESERVE_ROBOT_BY_HELD = 4,  // these, and HOLD, the robot says by itself
+  SPIKESERVE_ROBOT_BY_LOCAL = 5,
+  SPIKESERVE_ROBOT_BY_SAFE = 6,
+  SPIKESERVE_ROBOT_BY_HOLD = 7,
+};
+
+// An action, in environment units. `source`, `age` and `step` are those of a returned one, `by` and
+// `operator_id` those of a given one.
 typedef struct {
   int64_t discrete;         // index, if the space is Discrete
   const float* continuous;  // one number for each element, if it is a Box
@@ -68,6 +81,8 @@ typedef struct {
   int32_t source;
   double age;     // of the observation that the action was chosen for
   uint64_t step;  // counts the steps of the robot
+  int32_t by;
+  const char* operator_id;  // of an operator, at most 128 bytes; or NULL
 } spikeserve_robot_action_t;
 
 // Writes the robot's own action for an observation, whose elements are all NaN if that of the step
@@ -77,6 +92,13 @@ typedef int (*spikeserve_robot_fallback_t)(void* context, const float* observati
                                            spikeserve_robot_action_t* action);
 // Takes a line when a source is entered or something fails, on a thread of the library.
 typedef void (*spikeserve_robot_log_t)(void* context, const char* line);
+
+// How the steps go to the server.
+enum {
+  SPIKESERVE_ROBOT_AUTO = 0,  // as datagrams where the server takes them and they come through
+  SPIKESERVE_ROBOT_STREAM = 1,
+  SPIKESERVE_ROBOT_DATAGRAM = 2,  // as AUTO; a server that takes no datagrams is refused
+};
 
 // The settings of a robot. Texts may be NULL, and are copied. A negative number stands for the
 // default. spikeserve/pilot_options.h has more about each one.
@@ -99,6 +121,8 @@ typedef struct {
   int32_t ramp_beats;        // steps on the way to the neutral action; default: those of 0.2 s
   int32_t in_flight;         // most requests without an answer; default: as many as max_age allows
   int32_t kept_beats;        // steps that are kept until the server has them; default: 8192
+  int32_t transport;         // default: SPIKESERVE_ROBOT_AUTO
+  int32_t redundancy;        // how often each datagram is sent, 1 or 2; default: 1
   int32_t tls;               // 1: encrypts, with the system's authorities
   const spikeserve_robot_action_t* neutral;  // NULL: the policy's
   spikeserve_robot_fallback_t fallback;      // NULL: the neutral action
@@ -130,6 +154,7 @@ typedef struct {
   uint64_t stale;
   uint64_t late_answers;
   uint64_t cancelled_calls;
+  uint64_t datagram_answers;
   uint64_t reconnects;
   uint64_t reopened;
   uint64_t dropped;
@@ -142,6 +167,7 @@ typedef struct {
   double age_p50, age_p99, age_p999;
   int32_t has_local;
   int32_t local_head_is_copy;
+  int32_t sends_datagrams;
 } spikeserve_robot_stats_t;
 
 // Returns the version of the library: "0.2.0".

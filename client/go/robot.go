@@ -43,11 +43,37 @@ type Error struct {
 
 func (e *Error) Error() string { return fmt.Sprintf("%s (code %d)", e.Message, e.Code) }
 
-// Action is in environment units: Box has a number for each element, or is nil, and Discrete is an index then.
+// Action is in environment units: Box has a number for each element, or is nil, and Discrete is an index then. By and
+// OperatorID are those of an executed one.
 type Action struct {
-	Discrete int64
-	Box      []float32
+	Discrete   int64
+	Box        []float32
+	By         Chooser
+	OperatorID string
 }
+
+// Chooser says who chose an executed action, if it was not the policy.
+type Chooser int
+
+const (
+	ByUnknown Chooser = iota
+	ByPolicy
+	ByOperator
+	BySafetyLayer
+	ByHeld
+	ByLocal
+	BySafe
+	ByHold
+)
+
+// Transport says how the steps go to the server; Auto: as datagrams where it takes them and they come through.
+type Transport int
+
+const (
+	Auto Transport = iota
+	Stream
+	Datagram
+)
 
 // Source says who chose an action: the fallback order.
 type Source int
@@ -84,13 +110,14 @@ type Summary struct {
 
 // Stats says what a robot has done: the members of spikeserve_robot_stats_t.
 type Stats struct {
-	Steps                                                    uint64
-	BySource, Entries                                        [4]uint64
-	Stale, LateAnswers, CancelledCalls, Reconnects, Reopened uint64
-	Dropped, LostEpisodes, UnequalReturns                    uint64
-	Invalid, InvalidObservations, Failures                   uint64
-	LongestGap, AgeP50, AgeP99, AgeP999                      float64
-	HasLocal, LocalHeadIsCopy                                bool
+	Steps                                               uint64
+	BySource, Entries                                   [4]uint64
+	Stale, LateAnswers, CancelledCalls, DatagramAnswers uint64
+	Reconnects, Reopened                                uint64
+	Dropped, LostEpisodes, UnequalReturns               uint64
+	Invalid, InvalidObservations, Failures              uint64
+	LongestGap, AgeP50, AgeP99, AgeP999                 float64
+	HasLocal, LocalHeadIsCopy, SendsDatagrams           bool
 }
 
 // Options are the settings of a robot, in seconds. Nil: the default.
@@ -103,6 +130,8 @@ type Options struct {
 	Period                                    float64
 	Patience, Budget, MaxAge, CloseTimeout    *float64
 	HoldBeats, RampBeats, InFlight, KeptBeats *int
+	Transport                                 Transport
+	Redundancy                                *int // how often each datagram is sent, 1 or 2
 	// Returns the robot's own action for an observation, whose elements are NaN if the step has no valid one. Nil, or a
 	// panic: it has failed.
 	Fallback func(observation []float32) *Action
@@ -140,6 +169,8 @@ func Open(options Options) (*Robot, error) {
 	setCount(&given.ramp_beats, options.RampBeats)
 	setCount(&given.in_flight, options.InFlight)
 	setCount(&given.kept_beats, options.KeptBeats)
+	setCount(&given.redundancy, options.Redundancy)
+	given.transport = C.int32_t(options.Transport)
 	given.tls = truth(options.TLS)
 	given.context = unsafe.Pointer(r.kept)
 	if options.Fallback != nil {
@@ -208,7 +239,8 @@ func (r *Robot) Stats() Stats {
 	s := C.spikeserve_robot_stats_t{size: C.sizeof_spikeserve_robot_stats_t}
 	C.spikeserve_robot_stats(r.kept.robot, &s)
 	stats := Stats{Steps: uint64(s.steps), Stale: uint64(s.stale), LateAnswers: uint64(s.late_answers),
-		CancelledCalls: uint64(s.cancelled_calls), Reconnects: uint64(s.reconnects), Reopened: uint64(s.reopened),
+		CancelledCalls:  uint64(s.cancelled_calls),
+		DatagramAnswers: uint64(s.datagram_answers), SendsDatagrams: s.sends_datagrams != 0, Reconnects: uint64(s.reconnects), Reopened: uint64(s.reopened),
 		Dropped: uint64(s.dropped), LostEpisodes: uint64(s.lost_episodes), UnequalReturns: uint64(s.unequal_returns),
 		Invalid: uint64(s.invalid), InvalidObservations: uint64(s.invalid_observations), Failures: uint64(s.failures),
 		LongestGap: float64(s.longest_gap), AgeP50: float64(s.age_p50), AgeP99: float64(s.age_p99),
@@ -229,8 +261,10 @@ func (r *Robot) SessionID() string {
 // Close waits until the server has the ends of all episodes, for CloseTimeout at most, and frees the robot. Call it once.
 func (r *Robot) Close() {
 	C.spikeserve_robot_close(r.kept.robot)
-	C.free(unsafe.Pointer(r.kept.executed.continuous))
-	C.free(unsafe.Pointer(r.kept.chosen.continuous))
+	for _, kept := range []*C.spikeserve_robot_action_t{&r.kept.executed, &r.kept.chosen} {
+		C.free(unsafe.Pointer(kept.continuous))
+		C.free(unsafe.Pointer(kept.operator_id))
+	}
 	cgo.Handle(r.kept.handle).Delete()
 	C.free(unsafe.Pointer(r.kept))
 	r.kept = nil
@@ -251,6 +285,11 @@ func keep(to *C.spikeserve_robot_action_t, action *Action) *C.spikeserve_robot_a
 	}
 	to.discrete, to.size = C.int64_t(action.Discrete), C.size_t(len(action.Box))
 	copy(unsafe.Slice((*float32)(to.continuous), len(action.Box)), action.Box)
+	C.free(unsafe.Pointer(to.operator_id))
+	to.by, to.operator_id = C.int32_t(action.By), nil
+	if action.OperatorID != "" {
+		to.operator_id = C.CString(action.OperatorID)
+	}
 	return to
 }
 

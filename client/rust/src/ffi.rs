@@ -9,6 +9,7 @@ pub struct Action {
     pub discrete: i64,
     pub continuous: *const f32, pub size: usize,
     pub source: i32, pub age: f64, pub step: u64,
+    pub by: i32, pub operator_id: *const c_char,
 }
 
 pub type Fallback = unsafe extern "C" fn(*mut c_void, *const f32, usize, *mut Action) -> c_int;
@@ -19,7 +20,7 @@ pub struct Options {
     pub size: usize,
     pub texts: [*const c_char; 8], // servers to token
     pub times: [f64; 5],           // patience to close_timeout
-    pub counts: [i32; 4],          // hold_beats to kept_beats
+    pub counts: [i32; 6],          // hold_beats to redundancy
     pub tls: i32,
     pub neutral: *const Action,
     pub fallback: Option<Fallback>, pub log: Option<Log>,
@@ -40,11 +41,12 @@ pub struct Summary { pub steps: i64, pub lost_steps: i64, pub episode_return: f6
 pub struct Stats {
     pub(crate) size: usize,
     pub steps: u64, pub by_source: [u64; 4], pub entries: [u64; 4],
-    pub stale: u64, pub late_answers: u64, pub cancelled_calls: u64, pub reconnects: u64, pub reopened: u64,
+    pub stale: u64, pub late_answers: u64, pub cancelled_calls: u64, pub datagram_answers: u64,
+    pub reconnects: u64, pub reopened: u64,
     pub dropped: u64, pub lost_episodes: u64, pub unequal_returns: u64,
     pub invalid: u64, pub invalid_observations: u64, pub failures: u64,
     pub longest_gap: f64, pub age_p50: f64, pub age_p99: f64, pub age_p999: f64,
-    pub has_local: i32, pub local_head_is_copy: i32,
+    pub has_local: i32, pub local_head_is_copy: i32, pub sends_datagrams: i32,
 }
 
 pub enum Robot {}

@@ -47,6 +47,30 @@ pub enum Action<'a> {
 #[rustfmt::skip]
 pub enum Source { Fresh, Held, Local, Safe }
 
+/// Who chose an executed action, if it was not the policy.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[rustfmt::skip]
+pub enum Chooser { #[default] Unknown, Policy, Operator, SafetyLayer, Held, Local, Safe, Hold }
+
+/// An executed action, and who chose it, with the name of an operator. An action alone is one of an unknown chooser.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Executed<'a> {
+    pub action: Action<'a>,
+    pub by: Chooser,
+    pub operator_id: &'a CStr,
+}
+
+impl<'a> From<Action<'a>> for Executed<'a> {
+    fn from(action: Action<'a>) -> Self {
+        Executed { action, by: Chooser::Unknown, operator_id: Default::default() }
+    }
+}
+
+/// How the steps go to the server; `Auto`: as datagrams where it takes them and they come through.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[rustfmt::skip]
+pub enum Transport { #[default] Auto, Stream, Datagram }
+
 /// The action of a control step, with the age of its observation in seconds.
 #[derive(Clone, Copy, Debug)]
 pub struct Step<'a> {
@@ -62,7 +86,7 @@ pub struct Outcome<'a> {
     pub reward: f64,
     pub terminated: bool,
     pub truncated: bool,
-    pub executed: Option<Action<'a>>,
+    pub executed: Option<Executed<'a>>,
 }
 
 /// Returns the robot's own action for an observation, whose elements are NaN if the step has no valid one:
@@ -86,6 +110,7 @@ pub struct Options {
     pub budget: Option<f64>, pub max_age: Option<f64>, pub close_timeout: Option<f64>,
     pub hold_beats: Option<i32>, pub ramp_beats: Option<i32>,
     pub in_flight: Option<i32>, pub kept_beats: Option<i32>,
+    pub transport: Transport, pub redundancy: Option<i32>,
     pub fallback: Option<Fallback>,
     pub log: Option<Log>,
 }
@@ -106,7 +131,7 @@ unsafe extern "C" fn fallback(context: *mut c_void, observation: *const f32, siz
         Ok(Some(numbers)) => *chosen = numbers,
         _ => return 1,
     }
-    *action = to_c(Some(Action::Box(chosen)));
+    *action = to_c(Some(Action::Box(chosen).into()));
     (*action).discrete = chosen.first().map_or(-1, |index| *index as i64);
     0
 }
@@ -117,13 +142,14 @@ unsafe extern "C" fn log(context: *mut c_void, line: *const c_char) {
     let _ = catch_unwind(AssertUnwindSafe(|| function.as_mut().map(|function| function(&line))));
 }
 
-fn to_c(action: Option<Action>) -> ffi::Action {
-    let (discrete, numbers): (i64, &[f32]) = match action {
-        Some(Action::Discrete(index)) => (index, &[]),
-        Some(Action::Box(numbers)) => (0, numbers),
-        None => (0, &[]),
+fn to_c(executed: Option<Executed>) -> ffi::Action {
+    let Executed { action, by, operator_id } = executed.unwrap_or(Action::Discrete(0).into());
+    let (discrete, continuous, size) = match action {
+        Action::Discrete(index) => (index, null(), 0),
+        Action::Box(numbers) => (0, numbers.as_ptr(), numbers.len()),
     };
-    ffi::Action { discrete, continuous: numbers.as_ptr(), size: numbers.len(), source: 0, age: 0.0, step: 0 }
+    let (by, operator_id) = (by as i32, operator_id.as_ptr());
+    ffi::Action { discrete, continuous, size, source: 0, age: 0.0, step: 0, by, operator_id }
 }
 
 /// Calls `function`, which fills in an error.
@@ -157,7 +183,9 @@ impl Robot {
         given.texts = [0, 1, 2, 3, 4, 5, 6, 7].map(|i: usize| texts[i].as_ref().map_or(null(), |text| text.as_ptr()));
         let times = [o.patience, Some(o.period), o.budget, o.max_age, o.close_timeout];
         given.times = times.map(|time| time.unwrap_or(-1.0));
-        given.counts = [o.hold_beats, o.ramp_beats, o.in_flight, o.kept_beats].map(|count| count.unwrap_or(-1));
+        let transport = Some(o.transport as i32);
+        given.counts = [o.hold_beats, o.ramp_beats, o.in_flight, o.kept_beats, transport, o.redundancy]
+            .map(|count| count.unwrap_or(-1));
         given.tls = o.tls.into();
         given.fallback = o.fallback.is_some().then(|| fallback as ffi::Fallback);
         given.log = o.log.is_some().then(|| log as ffi::Log);
@@ -170,7 +198,7 @@ impl Robot {
 
     /// Returns the action for an observation. `reward` is for the action before, `executed` what the robot
     /// executed there, if that was another one. It fails, and is no step, as long as no observation was valid.
-    pub fn step(&mut self, observation: &[f32], reward: f64, executed: Option<Action>) -> Result<Step<'_>, Error> {
+    pub fn step(&mut self, observation: &[f32], reward: f64, executed: Option<Executed>) -> Result<Step<'_>, Error> {
         let given = to_c(executed);
         let executed = if executed.is_some() { &given as *const ffi::Action } else { null() };
         let (numbers, size) = (observation.as_ptr(), observation.len());

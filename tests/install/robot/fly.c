@@ -1,9 +1,9 @@
 /* Flies a robot, as the lines of its standard input say, and answers each with a line of JSON. Used by
  * tests/python/pilot/test_other_languages.py, as are fly.rs and fly.go. Words are separated by one space.
  *
- *   open SERVERS POLICY SESSION PERIOD MAX_AGE LOCAL_POLICY ACTION    LOCAL_POLICY: - for none, "" for the server's;
- *                                                                     ACTION: the robot's own for Box, or - for none
- *   beat REWARD N OBSERVATION... EXECUTED...
+ *   open SERVERS POLICY SESSION PERIOD MAX_AGE LOCAL_POLICY ACTION TRANSPORT    LOCAL_POLICY: - for none, "" for the server's;
+ *                                                        ACTION: the robot's own for Box, or - for none; TRANSPORT: a number
+ *   beat REWARD BY OPERATOR N OBSERVATION... EXECUTED...    BY: a number; OPERATOR: who chose, or - for nobody
  *   end REWARD TERMINATED
  *   summary EPISODE TIMEOUT
  *   wait TIMEOUT
@@ -62,6 +62,7 @@ static void open_robot(void) {
     options.fallback = own_action;
     options.context = &own;
   }
+  options.transport = (int32_t)number();
   options.log = log_line;
   if (spikeserve_robot_open(&options, &robot, &error) == 0) {
     puts("{}");
@@ -72,11 +73,18 @@ static void open_robot(void) {
 
 static void beat(void) {
   const double reward = number();
+  const int32_t by = (int32_t)number();
+  const char* operator_id = word();
   const size_t size = (size_t)number();
   float numbers[MOST];
   size_t count = 0;
   for (const char* next = word(); *next != '\0' && count < MOST; next = word()) numbers[count++] = strtof(next, NULL);
-  const spikeserve_robot_action_t executed = {.continuous = numbers + size, .size = count - size};
+  const spikeserve_robot_action_t executed = {
+      .continuous = numbers + size,
+      .size = count - size,
+      .by = by,
+      .operator_id = strcmp(operator_id, "-") == 0 ? NULL : operator_id,
+  };
   spikeserve_robot_action_t action;
   if (spikeserve_robot_step(robot, numbers, size, reward, count > size ? &executed : NULL, &action, &error) != 0) {
     fail();
@@ -118,6 +126,8 @@ static void stats(void) {
   putchar('{');
   count("beats", s.steps);
   for (int32_t i = 0; i < 4; ++i) count(spikeserve_robot_source_name(i), s.by_source[i]);
+  count("datagram_answers", s.datagram_answers);
+  count("sends_datagrams", (uint64_t)s.sends_datagrams);
   count("reconnects", s.reconnects);
   count("reopened", s.reopened);
   count("dropped", s.dropped);

@@ -33,19 +33,20 @@ func open(words []string) (*robot.Robot, error) {
 		own := []float32{float32(number(words[6]))}
 		options.Fallback = func(observation []float32) *robot.Action { return &robot.Action{Box: own} }
 	}
+	options.Transport = robot.Transport(number(words[7]))
 	options.Log = func(line string) { fmt.Fprintln(os.Stderr, "robot:", line) }
 	return robot.Open(options)
 }
 
 func beat(flown *robot.Robot, words []string) (any, error) {
 	var numbers []float32
-	for _, word := range words[2:] {
+	for _, word := range words[4:] {
 		numbers = append(numbers, float32(number(word)))
 	}
-	size := int(number(words[1]))
+	size := int(number(words[3]))
 	var executed *robot.Action
 	if len(numbers) > size {
-		executed = &robot.Action{Box: numbers[size:]}
+		executed = &robot.Action{Box: numbers[size:], By: robot.Chooser(number(words[1])), OperatorID: strings.Trim(words[2], "-")}
 	}
 	step, err := flown.Step(numbers[:size], number(words[0]), executed)
 	if err != nil {
@@ -69,7 +70,8 @@ func summary(flown *robot.Robot, words []string) (any, error) {
 func stats(flown *robot.Robot) any {
 	s := flown.Stats()
 	return object{"beats": s.Steps, "fresh": s.BySource[robot.Fresh], "held": s.BySource[robot.Held],
-		"local": s.BySource[robot.Local], "safe": s.BySource[robot.Safe], "reconnects": s.Reconnects, "reopened": s.Reopened,
+		"local": s.BySource[robot.Local], "safe": s.BySource[robot.Safe],
+		"datagram_answers": s.DatagramAnswers, "sends_datagrams": s.SendsDatagrams, "reconnects": s.Reconnects, "reopened": s.Reopened,
 		"dropped": s.Dropped, "lost_episodes": s.LostEpisodes, "unequal_returns": s.UnequalReturns, "invalid": s.Invalid,
 		"failures": s.Failures, "has_local": s.HasLocal, "age_p50": s.AgeP50, "age_p99": s.AgeP99, "age_p999": s.AgeP999}
 }

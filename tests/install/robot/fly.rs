@@ -1,5 +1,6 @@
 //! As fly.c.
-use spikeserve_robot::{Action, Error, Options, Outcome, Robot};
+use spikeserve_robot::{Action, Chooser, Error, Executed, Options, Outcome, Robot, Transport};
+use std::ffi::CString;
 use std::io::BufRead;
 
 fn failure(error: Error) -> String {
@@ -19,6 +20,7 @@ fn open(words: &[&str]) -> Result<Robot, Error> {
         period: words[3].parse().unwrap(),
         max_age: words[4].parse().ok(),
         local_policy: local,
+        transport: [Transport::Auto, Transport::Stream, Transport::Datagram][words[7].parse::<usize>().unwrap()],
         log: Some(Box::new(|line| eprintln!("robot: {line}"))),
         ..Options::default()
     };
@@ -29,9 +31,12 @@ fn open(words: &[&str]) -> Result<Robot, Error> {
 }
 
 fn beat(robot: &mut Robot, words: &[&str]) -> Result<String, Error> {
-    let numbers: Vec<f32> = words[2..].iter().map(|word| word.parse().unwrap()).collect();
-    let (observation, executed) = numbers.split_at(words[1].parse().unwrap());
-    let executed = (!executed.is_empty()).then(|| Action::Box(executed));
+    let by = if words[1] == "2" { Chooser::Operator } else { Chooser::Unknown };
+    let operator = CString::new(words[2].trim_matches('-')).unwrap();
+    let numbers: Vec<f32> = words[4..].iter().map(|word| word.parse().unwrap()).collect();
+    let (observation, executed) = numbers.split_at(words[3].parse().unwrap());
+    let executed =
+        (!executed.is_empty()).then(|| Executed { action: Action::Box(executed), by, operator_id: &operator });
     let step = robot.step(observation, words[0].parse().unwrap(), executed)?;
     let action = match step.action {
         Action::Discrete(index) => index.to_string(),
@@ -54,6 +59,7 @@ fn stats(robot: &Robot) -> String {
     let [fresh, held, local, safe] = s.by_source;
     let counts = [
         ("beats", s.steps), ("fresh", fresh), ("held", held), ("local", local), ("safe", safe),
+        ("datagram_answers", s.datagram_answers), ("sends_datagrams", s.sends_datagrams as u64),
         ("reconnects", s.reconnects), ("reopened", s.reopened), ("dropped", s.dropped), ("lost_episodes", s.lost_episodes),
         ("unequal_returns", s.unequal_returns), ("invalid", s.invalid), ("failures", s.failures),
         ("has_local", s.has_local as u64),

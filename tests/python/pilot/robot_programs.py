@@ -16,6 +16,7 @@ from cpp_pilot import CppPilot, CppSummary, code_of
 from google.protobuf.json_format import MessageToJson
 from serving import run
 from spikeserve.errors import make_error
+from spikeserve.executed import source_of
 
 ROOT = pathlib.Path(__file__).parents[3]
 SOURCES = ROOT / "tests/install/robot"
@@ -53,13 +54,13 @@ def build_c(folder, source=SOURCES / "fly.c"):
 class OtherPilot(CppPilot):
     """Starts `program`, which fly.c describes."""
 
-    def __init__(self, program, client, policy, period, session=None, local=None, max_age=-1.0, action="-"):
+    def __init__(self, program, client, policy, period, session=None, local=None, max_age=-1.0, action="-", transport=0):
         opening = (session or spikeserve.SessionOptions()).to_wire(policy)
         opening = MessageToJson(opening, indent=None, preserving_proto_field_name=True).replace(" ", "")
         servers = client if isinstance(client, str) else ",".join(r.address for r in client.replicas)
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
         self.process = subprocess.Popen([program], env=installed()[1], **pipes)
-        self._say("open", servers, policy, opening, period, max_age, "-" if local is False else '""', action)
+        self._say("open", servers, policy, opening, period, max_age, "-" if local is False else '""', action, transport)
 
     def _say(self, *words):
         print(*words, file=self.process.stdin, flush=True)
@@ -72,7 +73,10 @@ class OtherPilot(CppPilot):
         return self._say(do, *words.values())
 
     def beat(self, observation, reward=0.0, *, executed_action=()):
-        answer = self._say("beat", reward, len(observation), *map(float, [*observation, *executed_action]))
+        by = source_of(executed_action)
+        executed_action = getattr(executed_action, "action", executed_action)
+        numbers = map(float, [*observation, *executed_action])
+        answer = self._say("beat", reward, by[0], by[1] or "-", len(observation), *numbers)
         if isinstance(answer["action"], list):
             answer["action"] = np.float32(answer["action"])
         return SimpleNamespace(**answer)

@@ -4,18 +4,20 @@ import re
 
 import pytest
 import spikeserve
-import test_pilot
 from robot_programs import ROOT, OtherPilot, build_c, installed
 from serving import run, running_server
+from test_datagrams import DatagramFlight
 from test_pilot import (  # noqa: F401
     PERIOD,
     client,
     test_a_cable_that_is_pulled_costs_nothing,
     test_a_quick_link_gives_fresh_actions,
     test_a_server_that_loses_its_sessions_gets_a_new_one,
+    test_each_beat_says_who_chose_its_action,
     test_what_a_safety_layer_executes_is_what_the_server_remembers,
 )
 
+AUTO, STREAM, DATAGRAM = range(3)
 HEADER = ROOT / "client/c/spikeserve_robot.h"
 
 
@@ -28,7 +30,7 @@ def program(tmp_path_factory):
 def fly(program):
     """Returns what makes a flight of the program."""
 
-    class Flight(test_pilot.Flight):
+    class Flight(DatagramFlight):
         def make_pilot(self, *arguments, **options):
             return OtherPilot(program, *arguments, **options)
 
@@ -63,11 +65,22 @@ def test_the_engine_on_the_robot_and_the_robots_own_function(client, link, fly):
             assert flight.pilot.stats().failures == 0
 
 
+def test_steps_go_as_datagrams(fly):
+    with running_server(flags=["--datagram_listen=127.0.0.1:0"]) as server, spikeserve.Client(server.grpc) as client:
+        for transport in (AUTO, STREAM, DATAGRAM):
+            with fly(client, local=False, transport=transport) as flight:
+                flight.until("fresh")
+                flight.until_datagrams(transport != STREAM)
+                assert (flight.pilot.stats().datagram_answers > 0) == (transport != STREAM)
+
+
 def test_errors_name_the_field_and_have_a_code(address, program):
     with pytest.raises(spikeserve.InvalidArgumentError, match="period: expected 1ms to 1h, received 0"):
         OtherPilot(program, address, "pendulum", 0)
     with pytest.raises(spikeserve.NotFoundError):
         OtherPilot(program, address, "no-such-policy", PERIOD)
+    with pytest.raises(spikeserve.FailedPreconditionError, match="the server takes no datagrams"):
+        OtherPilot(program, address, "pendulum", PERIOD, transport=DATAGRAM)
     pilot = OtherPilot(program, address, "pendulum", PERIOD)
     with pytest.raises(spikeserve.InvalidArgumentError, match="observation: expected 3 numbers, received 2"):
         pilot.beat([0.0, 0.0])

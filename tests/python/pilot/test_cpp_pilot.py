@@ -182,6 +182,7 @@ def test_an_engine_that_cannot_play_is_an_error_at_the_begin():
         ({"ramp_beats": -1}, "ramp_beats: expected at least 0, received -1"),
         ({"in_flight": 65}, "in_flight: expected 1 to 64, received 65"),
         ({"kept_beats": 1}, "kept_beats: expected at least 2, received 1"),
+        ({"redundancy": 3}, "redundancy: expected 1 or 2, received 3"),
         ({"close_timeout": -1}, "close_timeout: expected at least 0, received -1s"),
     ],
 )

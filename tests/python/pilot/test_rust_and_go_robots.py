@@ -10,7 +10,9 @@ from test_c_robot import (  # noqa: F401
     client,
     fly,
     test_a_cable_that_is_pulled_costs_nothing,
+    test_each_beat_says_who_chose_its_action,
     test_errors_name_the_field_and_have_a_code,
+    test_steps_go_as_datagrams,
     test_the_engine_on_the_robot_and_the_robots_own_function,
     test_what_a_safety_layer_executes_is_what_the_server_remembers,
 )
