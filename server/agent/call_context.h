@@ -19,6 +19,7 @@ namespace spikeserve {
 
 struct CallContext {
   const Credential* caller = nullptr;  // never null for a handler; outlives the request
+  bool is_datagram = false;            // the request came as one
   // The first decision was counted at the tenant's rate when the caller was admitted.
   bool has_paid = false;
   // Set for methods whose calls are recorded in the audit log.

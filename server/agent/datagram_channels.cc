@@ -37,6 +37,9 @@ class SessionDatagrams {
     return newest_->is_used() ? age > kKeyAge || newest_->is_worn() : age > kUnusedAge;
   }
 
+  bool carries_steps() const { return carries_steps_; }
+  void Note(bool is_datagram) { carries_steps_ = is_datagram; }
+
   // Keeps the key that the robot uses until it uses the new one.
   void Add(std::shared_ptr<DatagramKey> key) {
     if (newest_ != nullptr && newest_->is_used()) newest_.swap(used_);
@@ -53,6 +56,7 @@ class SessionDatagrams {
   const std::shared_ptr<DatagramChannels::Keys> keys_;
   std::shared_ptr<DatagramKey> used_;
   std::shared_ptr<DatagramKey> newest_;
+  bool carries_steps_ = false;  // the last one came as a datagram
 };
 
 bool DatagramKey::is_worn() const {
@@ -147,12 +151,20 @@ void DatagramChannels::Open(const std::shared_ptr<SessionEntry>& entry, const Cr
   if (channel.ok()) *response->mutable_datagrams() = *std::move(channel);
 }
 
-void DatagramChannels::Renew(const std::shared_ptr<SessionEntry>& entry, const Credential& caller,
+bool DatagramChannels::CarriesSteps(const SessionEntry& entry) {
+  entry.mutex.AssertHeld();
+  return entry.datagrams != nullptr && entry.datagrams->carries_steps();
+}
+
+void DatagramChannels::Renew(const std::shared_ptr<SessionEntry>& entry, const CallContext& context,
                              v1::ActResponse* response) {
   if (!entry->wants_datagrams) return;
   absl::MutexLock lock(&entry->mutex);
-  if (entry->datagrams != nullptr && !entry->datagrams->NeedsKey(clock_->Now())) return;
-  auto channel = Add(entry, caller);
+  if (entry->datagrams != nullptr) {
+    entry->datagrams->Note(context.is_datagram);
+    if (!entry->datagrams->NeedsKey(clock_->Now())) return;
+  }
+  auto channel = Add(entry, *context.caller);
   if (channel.ok()) *response->mutable_datagrams() = *std::move(channel);
 }
 

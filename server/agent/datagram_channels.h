@@ -28,6 +28,7 @@
 #include "core/datagram/sealed_channel.h"
 #include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
+#include "server/agent/call_context.h"
 #include "server/base/byte_budget.h"
 #include "server/base/socket_address.h"
 #include "spikeserve/v1/policy_service.pb.h"
@@ -125,11 +126,13 @@ class DatagramChannels {
   // fails: then there are no datagrams.
   void Open(const std::shared_ptr<SessionEntry>& entry, const Credential& caller,
             v1::OpenSessionResponse* response);
-  // As Open, in an answer, if the session wants datagrams and needs a key: it has none here, its
-  // key is old or worn or its token is not valid any more, or the robot has not used the one that
-  // it was given.
-  void Renew(const std::shared_ptr<SessionEntry>& entry, const Credential& caller,
+  // Notes how the request has come. As Open, in its answer, if the session wants datagrams and
+  // needs a key: it has none here, its key is old or worn or its token is not valid any more, or
+  // the robot has not used the one that it was given.
+  void Renew(const std::shared_ptr<SessionEntry>& entry, const CallContext& context,
              v1::ActResponse* response);
+  // Returns whether the session's last step came as a datagram. REQUIRES: the entry's lock is held.
+  static bool CarriesSteps(const SessionEntry& entry);
 
   // Returns the key with this id, or null.
   std::shared_ptr<DatagramKey> Find(uint64_t id) ABSL_LOCKS_EXCLUDED(keys_->mutex);

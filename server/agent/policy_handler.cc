@@ -49,7 +49,7 @@ absl::Status CheckMayPlay(const Credential& caller, SessionEntry& entry) {
 // Lets the answer to `act` bring a key for datagrams, if the session needs one.
 void RenewKey(DatagramChannels* datagrams, const std::shared_ptr<SessionEntry>& entry,
               DecisionRequest* act) {
-  if (datagrams != nullptr) datagrams->Renew(entry, *act->context->caller, act->response);
+  if (datagrams != nullptr) datagrams->Renew(entry, *act->context, act->response);
 }
 
 }  // namespace

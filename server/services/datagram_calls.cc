@@ -66,6 +66,7 @@ class DatagramCalls::Request final : public QueuedAct,
     }
     if (!status.ok()) return Answer(status);
     call_context().caller = &caller;
+    call_context().is_datagram = true;
     act().context = &call_context();
     act().request = &request;
     act().response = messages_.response();

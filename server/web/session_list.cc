@@ -22,6 +22,7 @@
 #include "core/session/session_id.h"
 #include "nlohmann/json.hpp"
 #include "server/admin/session_info.h"
+#include "server/agent/datagram_channels.h"
 #include "server/metrics/policy_metrics.h"
 
 namespace spikeserve {
@@ -426,6 +427,7 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
   json["observation"] = ObservationJson(session, entry.served->policy(), unusual_deviations);
   const auto& source = entry.agent.life().last_source();
   json["last_source"] = source.has_value() ? Json(ToString(*source)) : Json();
+  json["transport"] = DatagramChannels::CarriesSteps(entry) ? "datagrams" : "gRPC";
   const auto& verdict = session.wiring.verdict;
   json["wiring"] =
       verdict.has_value() ? Json(WiringText(entry.served->policy(), *verdict)) : Json();

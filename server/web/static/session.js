@@ -155,7 +155,7 @@ export class SessionView {
       {label: 'Return so far', value: fixed(session.episode_return),
        note: `step ${session.step}, no. ${session.episode}`},
       {label: 'Decisions', value: count(decisions),
-       note: `idle for ${duration(session.idle_seconds)}, last executed: ${session.last_source ?? NOTHING}`},
+       note: `idle for ${duration(session.idle_seconds)}, by ${session.transport}, last executed: ${session.last_source ?? NOTHING}`},
       {label: 'Spikes / decision', value: decisions ? fixed(Number(session.spikes) / decisions) : NOTHING,
        note: `${count(Number(session.spikes))} spikes`},
       {label: 'Time of a decision', value: si(counted ? seconds / counted : undefined, 's'), note: 'mean'},

@@ -7,7 +7,7 @@ import pytest
 from made_policies import add_wide
 from sealed_datagrams import Robot, chacha20, poly1305
 from security import OBSERVATION, TOKENS, code_of, service_with, until
-from serving import metric, refusal_at_start, running_server, series
+from serving import metric, page_of, refusal_at_start, running_server, series
 
 LISTEN = "--datagram_listen=127.0.0.1:0"
 
@@ -60,6 +60,17 @@ def test_a_datagram_is_a_step_of_the_session(server, robot):
     assert server.agent.Act(session_id=robot.session, step=3, observation=OBSERVATION).step == 3
     assert server.agent.EndEpisode(session_id=robot.session).steps == 4
     assert calls(server) == before + 3
+
+
+def test_the_page_of_a_session_says_how_its_steps_come(server, robot):
+    def transport():
+        return json.loads(page_of(server, f"/session.json?session={robot.session}"))["transport"]
+
+    assert transport() == "gRPC"
+    robot.act(0, step=0, observation=OBSERVATION)
+    assert transport() == "datagrams"
+    server.agent.Act(session_id=robot.session, step=1, observation=OBSERVATION)
+    assert transport() == "gRPC"
 
 
 def test_a_copy_is_answered_and_counts_once(server, robot):
