@@ -104,11 +104,14 @@ void Ledger::Take(SessionEntry& entry, bool is_closed, Pending* pending) const {
   const absl::Duration now = clock_.Now();
   SessionUsage& usage = entry.usage;
   const SessionJournal* const journal = entry.journal.get();
-  const bool is_stored = journal != nullptr && !journal->lost();
+  // Of ASYNC, all is answered at once. It counts even if another server has taken the session over
+  // before the store had it: whoever decides it again, the ledger takes the most of both.
+  const bool is_answered = journal != nullptr && !journal->is_sync();
+  const bool is_stored = journal != nullptr && (is_answered || !journal->lost());
   UsageTotals totals = usage.totals;
   if (is_stored) {
     const UsageTotals stored = StoredTotals(entry);
-    totals = is_closed ? usage.seen : stored;
+    totals = is_closed || is_answered ? usage.seen : stored;
   }
   UsageCounts added = CountsOf(entry, now);
   const UsageCounts counted = added;

@@ -1,11 +1,11 @@
 // The ledger: what each tenant, policy, version and label has used, by hour.
 //
 // Nothing is added to a decision. Now and then, a thread looks at the totals of the open sessions
-// and books what the session store has acknowledged, and the end of a session is booked before its
-// journal is removed. What a server that was killed had not booked follows from the journals it
-// left (FindOwnerless()). So decisions, spikes and joules by horowitz_45nm are exact for stored
-// sessions. The rest, and sessions that are not stored, lose what a crash takes: at most an
-// interval.
+// and books what was answered: of SYNC, what the session store has acknowledged. The end of a
+// session is booked before its journal is removed. What a server that was killed had not booked
+// follows from the journals it left (FindOwnerless()). So decisions, spikes and joules by
+// horowitz_45nm are exact for stored sessions, but for what a crash takes of ASYNC, which no client
+// sends again. The rest, and sessions that are not stored, lose at most an interval.
 //
 // Thread-safe, except BookAll() and Tick(), which one thread calls at a time.
 #pragma once

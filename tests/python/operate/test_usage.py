@@ -12,8 +12,10 @@ import grpc
 import gymnasium
 import pytest
 from random_policy import export_random
+from redis_servers import WITHOUT_REDIS, Redis, stopping
 from security import ADMIN, OBSERVATION, TOKENS, code_of, entry, fails_with, service_with, until
 from serving import DEPLOY, http_call, page_of, refusal_at_start, running_server, series
+from stored_sessions import replicas_on
 
 OFTEN = "--usage_interval=50ms"
 NEVER = "--usage_interval=1h"
@@ -52,6 +54,19 @@ def test_a_killed_server_had_booked_nothing_and_loses_nothing(tmp_path):
             usage = total(server.admin)
             assert (usage.decisions, usage.spikes) == (28, spikes)
     assert usage.sessions == 1  # what the journals do not have ended with the process
+
+
+@WITHOUT_REDIS
+def test_answers_count_that_a_take_over_overtakes():
+    """Of ASYNC, a former owner answers what the store then refuses, and what the new owner never sees."""
+    with stopping([Redis(password="")]) as [redis], replicas_on(redis, flags=[OFTEN]) as (first, second):
+        session = first.OpenSession(policy="cartpole", durability="ASYNC").session_id
+        steps = [{"step": t, "observation": OBSERVATION, "reward": 1.0} for t in range(3)]
+        until(lambda: code_of(second.Act, session_id=session, decision=0, **steps[0]) == grpc.StatusCode.OK)
+        beats = [step | {"executed": {"discrete": 0}} for step in steps[:2]]
+        first.Act(session_id=session, decision=2, history=beats, **steps[2])
+        second.CloseSession(session_id=session)
+        until(lambda: total(second.admin) is not None and total(second.admin).decisions == 3)
 
 
 @pytest.mark.parametrize("folder", [True, False])
