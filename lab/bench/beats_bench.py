@@ -36,7 +36,7 @@ def start_robots(site, case, player, seconds, folder, rival):
         address = site.start_openpi(rival, BENCH / "openpi_server.py")
         command = [str(rival), str(BENCH / "openpi_robot.py"), address, str(case.rate), str(seconds)]
     else:
-        flags = {"server": site.start_servers(case.store, case.prefix), "player": player, "robots": case.robots}
+        flags = {"server": site.start_servers(case.store, (*case.prefix, *case.server_prefix)), "player": player, "robots": case.robots}
         flags |= {"connections": case.connections, "rate": case.rate, "seconds": seconds}
         command = [str(folder / "robots"), *(f"--{name}={value}" for name, value in flags.items())]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
@@ -57,10 +57,20 @@ def play(case, player, seconds, folder, rival):
         if case.disturb is not None:
             time.sleep(seconds / 4)
             case.disturb(site)
+        used = -processor_seconds(site)
         output, _ = robots.communicate()
         assert robots.returncode == 0
-        figures = json.loads(output) | {"machine": machine(), "load": os.getloadavg()[0]}
+        used += processor_seconds(site)
+        figures = json.loads(output)
+        figures |= {"server_seconds": used / figures["beats"], "machine": machine(), "load": os.getloadavg()[0]}
         return {name: round(value, 6) if isinstance(value, float) else value for name, value in figures.items()}
+
+
+def processor_seconds(site):
+    """Returns what the servers have used. Of those that a case ends, the end shows nothing."""
+    texts = [pathlib.Path(f"/proc/{server.pid}/stat").read_text() for server in site.servers]
+    fields = [text.rpartition(")")[2].split() for text in texts]
+    return sum(int(each[11]) + int(each[12]) for each in fields) / os.sysconf("SC_CLK_TCK")
 
 
 def machine():

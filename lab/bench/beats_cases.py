@@ -29,6 +29,7 @@ class Case:
     seconds: float | None = None  # None: as the command line says
     on_request: bool = False  # only run if --rows names it
     prefix: tuple = ()  # of the commands of robots and servers
+    server_prefix: tuple = ()  # of the commands of servers
     players: tuple = PLAYERS
 
 
@@ -83,10 +84,19 @@ EVENTS = [
 ]
 HOST = "one host"
 # As for a controller in real time: no other program delays them, and no processor has to wake another one.
-REAL_TIME = ("taskset", "--cpu-list", "0", "chrt", "--fifo", "50")
+ONE_CORE = ("taskset", "--cpu-list", "0")
+REAL_TIME = (*ONE_CORE, "chrt", "--fifo", "50")
 FLEETS = [
-    Case(f"1 robot, 1000 Hz, {HOST}", None, rate=1000, players=("pilot",)),
+    Case(f"1 robot, 1000 Hz, {HOST}", None, rate=1000, players=("pilot", "datagram")),
     Case(f"64 robots, 100 Hz, {HOST}", None, robots=64, connections=64, rate=100, players=("pilot",)),
+    Case(
+        f"64 robots, 50 Hz, {HOST}, server on one core",
+        None,
+        robots=64,
+        connections=64,
+        players=("pilot", "datagram"),
+        server_prefix=ONE_CORE,
+    ),
     Case("64 robots, 100 Hz, 50 ms, 1% lost", loss=0.01, robots=64, connections=64, rate=100, players=("pilot",)),
     Case(f"512 robots, 50 Hz, 16 connections, {HOST}", None, robots=512, connections=16, players=("pilot",)),
     *(

@@ -63,6 +63,10 @@ class OpenpiServer:
         self.process = None
         self.address = f"ws://{SERVER}:{OPENPI_PORT}"
 
+    @property
+    def pid(self):
+        return self.process.pid
+
     def start(self):
         environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
         self.process = subprocess.Popen(self._command, stdout=subprocess.PIPE, text=True, env=environment)

@@ -17,7 +17,7 @@ HEADER = [
 ]
 FLEET_HEADER = [
     *("robots", "without fresh action", "held", "safe", "no action", "stale", "doubled", "undefined"),
-    *("age p50", "p99", "p99.9", "longest without fresh", "beats played"),
+    *("age p50", "p99", "p99.9", "longest without fresh", "beats played", "server, a beat"),
 ]
 
 
@@ -62,9 +62,13 @@ def case_table(cases, finished, names=NAMES):
 def fleet_table(finished):
     rows = []
     for case in FLEETS:
-        if (row := finished.get(f"{case.name}: pilot")) is not None:
+        for player in case.players:
+            if (row := finished.get(f"{case.name}: {player}")) is None:
+                continue
+            name = case.name if player == "pilot" else f"{case.name}, datagrams"
             rate = share(row | {"beats": case.robots * case.rate * row["seconds"], "none": 0}, row["beats"])
-            rows.append([case.name, *shares(row, ("held", "safe", "none")), *counts(row), *times(row), rate])
+            cost = f"{1e6 * row['server_seconds']:.0f} µs" if "server_seconds" in row else ""
+            rows.append([name, *shares(row, ("held", "safe", "none")), *counts(row), *times(row), rate, cost])
     return table(FLEET_HEADER, rows)
 
 

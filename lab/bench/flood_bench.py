@@ -11,8 +11,9 @@ cores that the server used. The kinds of flood:
     rude_unary   the same without waiting, with one call for each request
     oversized    requests of 5 MB, which gRPC rejects
     wrong_token  calls with a token that the server does not know
+    datagrams    datagrams that are replayed, forged, cut off, or name a key that does not exist, in turn
 
-The last two kinds need grpcio.
+The last three kinds need grpcio.
 
     build/venv/bin/python lab/bench/flood_bench.py --bin=build/release/bin --policies=deploy/policies
 """
@@ -20,6 +21,7 @@ The last two kinds need grpcio.
 import argparse
 import contextlib
 import hashlib
+import itertools
 import json
 import os
 import pathlib
@@ -29,6 +31,7 @@ import sys
 import tempfile
 import threading
 import time
+import types
 
 FIGURES = ("decisions_per_second", "p50_seconds", "p99_seconds", "server_cores")
 SPIKELOAD = {
@@ -37,7 +40,7 @@ SPIKELOAD = {
     "rude": ["--mode=stream", "--pause_after_error=0s"],
     "rude_unary": ["--mode=unary", "--pause_after_error=0s"],
 }
-HAMMER = {"oversized": ("neighbour", 5_000_000), "wrong_token": ("wrong", 100)}
+HAMMER = {"oversized": ("neighbour", 5_000_000), "wrong_token": ("wrong", 100), "datagrams": ("flood", 0)}
 CALLS_UNDER_WAY = {"oversized": 4, "wrong_token": 64}
 
 
@@ -60,6 +63,8 @@ def running_server(arguments):
                 f"--tokens={tokens}",
                 "--listen=127.0.0.1:0",
                 "--http_listen=",
+                "--datagram_listen=127.0.0.1:0",
+                "--reflection_v1alpha",  # for the kind datagrams
             ],
             stdout=subprocess.PIPE,
             text=True,
@@ -107,6 +112,8 @@ def hammer(arguments):
     """Makes concurrent calls that the server rejects. Prints their number by status code as JSON."""
     import grpc
 
+    if arguments.hammer == "datagrams":
+        return print(json.dumps({"errors": throw_datagrams(arguments)}))
     token, size = HAMMER[arguments.hammer]
     metadata = (("authorization", f"Bearer {token}"),)
     # The wire format of an ActRequest whose field 1, session_id, has a length of four bytes.
@@ -134,6 +141,29 @@ def hammer(arguments):
     for caller in callers:
         caller.join()
     print(json.dumps({"decisions": 0, "errors": sum(codes.values()), "codes": codes}))
+
+
+def throw_datagrams(arguments):
+    """Sends datagrams that the server drops. Returns their number."""
+    import grpc
+
+    sys.path.append(str(pathlib.Path(__file__).parents[2] / "tests/python"))
+    from sealed_datagrams import Robot
+    from security import service_with
+
+    addresses = types.SimpleNamespace(grpc=arguments.address)
+    with service_with(addresses, "flood") as agent, grpc.insecure_channel(arguments.address) as channel:
+        opened = agent.OpenSession(policy="cartpole", datagrams=True)
+        robot = Robot(types.SimpleNamespace(channel=channel), opened)
+        taken = robot.sealed(0, observation=[0.0] * 4)
+        robot.send(taken)
+        ends = time.monotonic() + arguments.seconds
+        for sent in itertools.count(step=4):
+            if time.monotonic() > ends:
+                return sent
+            forged = taken[:9] + (sent + 1).to_bytes(8, "big") + taken[17:]
+            for datagram in (taken, forged, taken[:20], taken[:1] + os.urandom(8) + taken[9:]):
+                robot.send(datagram)
 
 
 def cpu_seconds(pid):
@@ -207,6 +237,7 @@ def main():
             flooded = arguments.head_start + arguments.seconds + 1
             refused = [f["errors"] / flooded for f in floods[kind]]
             result[kind]["refused_per_second"] = statistics.median(refused)
+            result[kind]["refused"] = sum(f["errors"] for f in floods[kind])
     print(json.dumps(result, indent=2))
     return 0
 
