@@ -45,6 +45,7 @@ REFUSED = [
     ({"pod": {"user": 0}}, "pod.user"),
     ({"drain": {"noticeSeconds": 0}}, "drain.noticeSeconds"),
     ({"drain": {"timeoutSeconds": "30s"}}, "drain.timeoutSeconds"),
+    ({"datagrams": {"hostPort": 70000}}, "datagrams.hostPort"),
     ({"maxConnectionAge": "never"}, "maxConnectionAge"),
     ({"flags": {"max_streems": 5}}, "flags.max_streems"),
     ({"flags": {"listen": "0.0.0.0:1"}}, "flags.listen"),  # a value of its own

@@ -154,7 +154,9 @@ def container(case):
 
 
 def environment(case):
-    return {variable["name"]: variable["value"] for variable in container(case)["env"]}
+    """Returns the variables with this machine as the node."""
+    given = {variable["name"]: variable.get("value", "127.0.0.1") for variable in container(case)["env"]}
+    return {name: value.replace("$(NODE_IP)", given.get("NODE_IP", "")) for name, value in given.items()}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -226,6 +228,7 @@ class Pod:
         """Returns the variables as flags, with free ports and this machine's policies."""
         here = {"SPIKESERVE_LISTEN": "127.0.0.1:0", "SPIKESERVE_HTTP_LISTEN": "127.0.0.1:0"}
         here["SPIKESERVE_POLICIES"] = str(SHIPPED_POLICIES)
+        here |= {name: "127.0.0.1:0" for name in self._variables if name == "SPIKESERVE_DATAGRAM_LISTEN"}
         variables = self._variables | here
         return [
             f"--{name.removeprefix('SPIKESERVE_').lower()}={value}"

@@ -2,6 +2,11 @@
 {{- define "spikeserve.environment" -}}
 - {name: SPIKESERVE_LISTEN, value: "0.0.0.0:50051"}
 - {name: SPIKESERVE_HTTP_LISTEN, value: "0.0.0.0:9464"}
+{{- with .Values.datagrams.hostPort }}
+- {name: NODE_IP, valueFrom: {fieldRef: {fieldPath: status.hostIP}}}
+- {name: SPIKESERVE_DATAGRAM_LISTEN, value: "0.0.0.0:50052"}
+- {name: SPIKESERVE_DATAGRAM_ADVERTISE, value: "$(NODE_IP):{{ int64 . }}"}
+{{- end }}
 - {name: SPIKESERVE_DRAIN_TIMEOUT, value: "{{ .Values.drain.timeoutSeconds }}s"}
 - {name: SPIKESERVE_SESSION_TTL, value: {{ .Values.sessions.ttl | quote }}}
 - {name: SPIKESERVE_MAX_SESSIONS, value: "{{ int64 .Values.sessions.max }}"}

@@ -60,6 +60,9 @@ spec:
       ports:
         - {name: grpc, containerPort: 50051}
         - {name: http, containerPort: 9464}
+        {{- with .Values.datagrams.hostPort }}
+        - {name: datagrams, containerPort: 50052, hostPort: {{ int64 . }}, protocol: UDP}
+        {{- end }}
       # Ready: has sessions to give. A server that an operator drains, or whose Redis is away at the start, is alive.
       readinessProbe:
         exec: {command: [/usr/bin/spikectl, health]}
