@@ -3,11 +3,16 @@
 #include <cmath>
 #include <cstdio>
 #include <memory>
+#include <numeric>
 #include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
+#include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "core/action/step_source.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/dataset/recordings.h"
@@ -65,10 +70,34 @@ std::string OverlapText(const OffPolicyEvaluation& evaluation) {
   return text;
 }
 
+// Returns the numbers of steps that others than the policy have chosen, by who.
+ordered_json OtherSteps(const RecordedDecisions& decisions) {
+  ordered_json others = ordered_json::object();
+  for (const auto& [kind, name] : EnumNames(SourceKind())) {
+    const size_t steps = decisions.steps[static_cast<size_t>(kind)];
+    if (kind != SourceKind::kPolicy && steps > 0) others[std::string(name)] = steps;
+  }
+  return others;
+}
+
+std::string OtherStepsText(const RecordedDecisions& decisions) {
+  const ordered_json others = OtherSteps(decisions);
+  std::vector<std::string> parts;
+  for (const auto& [name, steps] : others.items()) {
+    parts.push_back(absl::StrCat(name, " ", steps.get<size_t>()));
+  }
+  if (parts.empty()) return "";
+  return absl::StrFormat(
+      "of %d steps others have chosen: %s; the estimate is for a version that meets them, too\n",
+      std::accumulate(decisions.steps.begin(), decisions.steps.end(), size_t{0}),
+      absl::StrJoin(parts, ", "));
+}
+
 std::string ToText(const RecordedDecisions& decisions, const OffPolicyEvaluation& evaluation) {
   std::string text =
       absl::StrFormat("%s/%d played %d episodes: mean return %.4g\n", decisions.policy,
                       decisions.version, evaluation.episodes, evaluation.recorded_return);
+  text += OtherStepsText(decisions);
   const std::pair<const char*, const OffPolicyEstimate*> estimates[] = {
       {"doubly robust", &evaluation.doubly_robust},
       {"importance sampling", &evaluation.importance_sampling}};
@@ -112,6 +141,7 @@ ordered_json ToJson(const RecordedDecisions& decisions, const std::string& sha25
           {"policy", decisions.policy},
           {"recorded_version", decisions.version},
           {"units", evaluation.units},
+          {"other_steps", OtherSteps(decisions)},
           {"importance_sampling", ToJson(evaluation.importance_sampling)},
           {"weight_ends", kWeights},
           {"episodes_by_weight", CountWeights(evaluation)},

@@ -69,6 +69,15 @@ void DescribeBox(absl::Span<const float> logits, double deviation, Row descripti
   }
 }
 
+// Returns whether the policy's answer decided what happened at `step`: it was executed, or a filter
+// of the robot made an action of it. The neutral action of a server that refuses a wiring is the
+// answer itself.
+bool IsPolicys(const Episode& episode, int step) {
+  const SourceKind kind = episode.source(step).kind;
+  if (kind == SourceKind::kPolicy || kind == SourceKind::kUnknown) return true;
+  return kind == SourceKind::kSafetyLayer && episode.actions[step] != episode.answered(step);
+}
+
 // Lets `engine` decide one episode again.
 class Replay {
  public:
@@ -113,8 +122,12 @@ class Replay {
       }
       state[static_cast<Index>(size)] = static_cast<double>(t);
       state[static_cast<Index>(size) + 1] = return_to_go;
-      policy.action_space.is_discrete() ? CompareDiscrete(t, choice) : CompareBox(t, choice);
       policy.action_space.Encode(episode_.actions[t], absl::MakeSpan(encoded));
+      if (!IsPolicys(episode_, static_cast<int>(t))) {
+        TakeOthers(t, encoded);
+      } else {
+        policy.action_space.is_discrete() ? CompareDiscrete(t, choice) : CompareBox(t, choice);
+      }
       engine_.AppendAction(*context, encoded);
     }
     return std::move(result_);
@@ -152,6 +165,20 @@ class Replay {
           LogNormal(sample, static_cast<double>(choice.logits[i]), evaluated_) -
           LogNormal(sample, mean, recorded_);
     }
+  }
+
+  // Both policies meet the executed action, whatever they would have done.
+  void TakeOthers(size_t t, absl::Span<const float> encoded) {
+    const bool is_discrete = dataset_.action_space.is_discrete();
+    auto taken = result_.taken.row(static_cast<Index>(t));
+    if (!is_discrete) taken[0] = 1.0;
+    for (size_t i = 0; i < encoded.size(); ++i) {
+      const auto action = static_cast<double>(encoded[i]);
+      taken[static_cast<Index>(is_discrete ? i : 1 + 2 * i)] = action;
+      if (!is_discrete) taken[static_cast<Index>(2 + 2 * i)] = action * action;
+    }
+    result_.recorded.row(static_cast<Index>(t)) = taken;
+    result_.evaluated.row(static_cast<Index>(t)) = taken;
   }
 
   const Dataset& dataset_;
@@ -200,6 +227,9 @@ absl::StatusOr<RecordedDecisions> DecideRecorded(const std::vector<Dataset>& rec
                        served.seed != before->seed);
       seeds.push_back(served.seed);
       before = &served;
+      for (int t = 0; t < episode.steps(); ++t) {
+        ++decisions.steps[static_cast<size_t>(episode.source(t).kind)];
+      }
       decisions.episodes.push_back(Replay(*engine, dataset, episode, conditions).Run());
     }
   }

@@ -4,6 +4,8 @@
 // Pure functions; safe to call from many threads.
 #pragma once
 
+#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -11,6 +13,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "core/action/step_source.h"
 #include "core/dataset/dataset.h"
 #include "core/model/policy.h"
 #include "train/evaluation/off_policy.h"
@@ -27,6 +30,10 @@ struct RecordedDecisions {
   std::string policy;  // that played the episodes
   int64_t version = 0;
   std::string sha256;  // of its file; empty: unknown
+  // Steps by who chose their actions. Only the policy's own answers have a probability. What others
+  // have chosen belongs to the task, which both versions would have met: it has the ratio 1. So
+  // does a filter of the robot that changes an answer, which keeps the answer's ratio.
+  std::array<size_t, kSourceKinds> steps = {};
   // Each session is a unit; if there are fewer than kFewestUnits, each episode. Sessions with equal
   // seeds draw equal random numbers, so they are one unit.
   std::vector<OffPolicyEpisode> episodes;

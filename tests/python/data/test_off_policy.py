@@ -57,6 +57,66 @@ def recordings(policies, tmp_path_factory):
     return top
 
 
+# Who chose the actions of some steps, which are those of CartPole.
+OTHERS = {3: ("operator", 0), 4: ("held", 1), 5: ("safe", 0), 6: ("safety_layer", 1), 7: ("local", 1)}
+
+
+@pytest.fixture(scope="module")
+def shared_control(policies, tmp_path_factory):
+    """Returns a folder with recordings of sessions in which others chose some actions."""
+    folder = tmp_path_factory.mktemp("shared_control")
+    with (
+        running_server(policies, [f"--record_dir={folder}"]) as server,
+        spikeserve.Client(server.grpc) as client,
+        gymnasium.make("CartPole-v1", max_episode_steps=STEPS) as task,
+    ):
+        for seed in range(EPISODES):
+            options = spikeserve.SessionOptions(seed=seed, version=1, record=True, sample=True)
+            with client.open_session("cartpole", options) as session:
+                observation, _ = task.reset(seed=seed)
+                reward, executed, is_over = None, None, False
+                for step in range(STEPS):
+                    action = session.act(observation, reward, executed_action=executed).action
+                    source, chosen = OTHERS.get(step, (None, action))
+                    executed = source and spikeserve.Executed(chosen, source)
+                    observation, reward, terminated, truncated, _ = task.step(chosen)
+                    is_over = terminated or truncated
+                    if is_over:
+                        break
+                session.end_episode(reward, terminated=terminated, truncated=truncated)
+    return folder
+
+
+def test_steps_that_others_chose_are_not_weighed(policies, shared_control):
+    """A filter changes what the policy has answered; what others choose, the new version would have met, too."""
+    temperature = 1.2
+    logs = []
+    others = dict.fromkeys((source for source, _ in OTHERS.values()), 0)
+    for path in shared_control.rglob("*.cbor"):
+        episode = cbor2.loads(path.read_bytes())["episodes"][0]
+        served = episode["served"]
+        recorded = np.array(served["probabilities"], float).reshape(-1, 2)
+        evaluated = recorded ** (1 / temperature)
+        evaluated /= evaluated.sum(axis=1, keepdims=True)
+        total = 0.0
+        for step, answered in enumerate(served.get("answered_actions", episode["actions"])):
+            source, chosen = OTHERS.get(step, ("policy", answered))
+            assert "sources" not in served or served["sources"][step] == source
+            if source != "policy":
+                others[source] += 1
+            if source == "policy" or (source == "safety_layer" and chosen != answered):
+                total += np.log(evaluated[step, answered] / recorded[step, answered])
+        logs.append(total)
+    report = report_of(shared_control, policies / "cartpole/1", f"--temperature={temperature}")
+    weights = np.exp(logs)
+    assert report["effective_episodes"] == pytest.approx(weights.sum() ** 2 / (weights**2).sum(), rel=1e-5)
+    assert report["other_steps"] == others
+    text = ope(shared_control, policies / "cartpole/1").stdout
+    assert f"others have chosen: operator {others['operator']}" in text
+    same = report_of(shared_control, policies / "cartpole/1")
+    assert same["difference"] == pytest.approx(0, abs=1e-4 * same["recorded_return"])
+
+
 def ope(recordings, policy, *flags, **options):
     return run("spiketrain", "ope", f"--recordings={recordings}", f"--policy={policy}/policy.safetensors", *flags, **options)
 
