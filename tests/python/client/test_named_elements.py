@@ -101,6 +101,9 @@ def test_a_dict_goes_by_its_names(client):
     [
         ({"observation": ("x", *NAMES[1:])}, r'observation_names\[0\]: expected "cart_position", received "x"'),
         ({"observation": NAMES[:2]}, "observation_names: expected 4 names"),
+        ({"observation": (NAMES[0], *NAMES[:3])}, r'observation_names\[1\]: expected "cart_velocity"'),
+        ({"observation": NAMES, "observation_units": ("", "N", "", "")}, 'expected "m/s", received "N"'),
+        ({"observation": NAMES, "observation_units": ("m",)}, "observation_units: expected one per name"),
         ({"action": ("left", "right")}, r'action_names\[0\]: expected "push_left", received "left"'),
         ({"rate_hz": 30.0}, "rate_hz: expected 50 within 10 %, received 30"),
         (

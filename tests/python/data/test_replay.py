@@ -113,7 +113,7 @@ def test_only_sessions_that_ask_are_recorded_and_counted(policies, recordings):
         until(lambda: sum(series(server, "spikeserve_recorded_episodes_total", outcome="written")) == 1)
         assert metric(server, "spikeserve_recorded_episodes_total") == 1
     [episode] = episodes_of(recordings)
-    assert len(episode["actions"]) == 1
+    assert (len(episode["actions"]), episode["terminated"], episode["truncated"]) == (1, False, True)
     assert [math.isnan(number) for number in episode["observations"]] == [False] * 4 + [True] * 4  # the last one is unknown
 
 

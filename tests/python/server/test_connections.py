@@ -6,10 +6,11 @@ import pathlib
 import socket
 import subprocess
 import sys
+import time
 
 import grpc
 import pytest
-from security import OBSERVATION, POLICY, code_of, service_with, until
+from security import OBSERVATION, POLICY, code_of, service_with, tls_flags, until
 from serving import metric, running_server
 
 from tests.attacks import frames
@@ -195,6 +196,49 @@ def test_a_silent_client_with_an_open_call_is_asked_for_a_sign_of_life(tokens):
         with open_stream(addresses.grpc) as dead:
             kinds = [kind for kind, _, _ in read_frames(dead)]
             assert kinds.count(frames.PING) == 1
+
+
+def test_an_old_connection_is_asked_to_go(tokens):
+    with (
+        running_server(flags=[f"--tokens={tokens}", "--max_connection_age=1s"]) as addresses,
+        open_stream(addresses.grpc) as old,
+    ):
+        old.settimeout(10)  # before the keepalive ends it
+        assert frames.GOAWAY in (kind for kind, _, _ in read_frames(old))
+
+
+def connect(address, sent):
+    host, _, port = address.rpartition(":")
+    connection = socket.create_connection((host, int(port)), timeout=30)
+    connection.sendall(sent)
+    return connection
+
+
+def test_a_connection_without_a_call_ends():
+    with (
+        running_server(flags=["--first_request_timeout=1s"]) as addresses,
+        connect(addresses.grpc, frames.PREFACE + frames.settings()) as silent,
+    ):
+        assert [kind for kind, _, _ in read_frames(silent)][-1] == frames.GOAWAY
+
+
+def test_a_handshake_that_does_not_end_is_given_up(certificates):
+    flags = tls_flags(certificates, "--first_request_timeout=1s")
+    with running_server(flags=flags) as addresses, connect(addresses.grpc, b"\x16") as silent:
+        assert silent.recv(1) == b""
+
+
+@pytest.mark.parametrize(("piece", "pause"), [(1, 0.05), (1 << 16, 0)])
+def test_a_client_that_has_ended_its_connection_is_read_a_second_or_a_megabyte(server, piece, pause):
+    end = frames.frame(frames.GOAWAY, bytes(8))
+    with connect(server.grpc, frames.PREFACE + frames.settings() + end) as ended:
+        assert list(read_frames(ended))
+        start, sent = time.monotonic(), 0
+        with pytest.raises(ConnectionError):
+            while sent < 1 << 26 and time.monotonic() < start + 20:
+                sent += ended.send(bytes(piece))
+                time.sleep(pause)
+        assert pause == 0 or time.monotonic() > start + 0.5
 
 
 PREFIX = "fd00:5:1:4::"

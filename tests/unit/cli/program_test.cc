@@ -117,16 +117,6 @@ class ProgramTest : public DirectoryTest {
   std::map<std::string, std::string> environment_;
 };
 
-TEST_F(ProgramTest, WithoutFlagsTheDefaultsHold) {
-  const Outcome outcome = Run({"fly"});
-  EXPECT_EQ(outcome.exit_status, 0);
-  EXPECT_EQ(outcome.errors, "");
-  EXPECT_EQ(outcome.action, "fly");
-  EXPECT_EQ(flags_.height, 100);
-  EXPECT_EQ(flags_.speed, std::nullopt);
-  EXPECT_THAT(flags_.places, ElementsAre("here"));
-}
-
 TEST_F(ProgramTest, AValueFollowsAnEqualsSignOrABlank) {
   EXPECT_EQ(Run({"fly", "--height=5", "--speed", "-1.5", "--wait=1.5m", "--fast"}).errors, "");
   EXPECT_EQ(flags_.height, 5);
@@ -135,11 +125,6 @@ TEST_F(ProgramTest, AValueFollowsAnEqualsSignOrABlank) {
   EXPECT_TRUE(flags_.fast);
   EXPECT_EQ(Run({"fly", "--fast", "--fast=false"}).errors, "");
   EXPECT_FALSE(flags_.fast);
-}
-
-TEST_F(ProgramTest, TheLastValueCounts) {
-  Run({"fly", "--height=5", "--height=6"});
-  EXPECT_EQ(flags_.height, 6);
 }
 
 TEST_F(ProgramTest, AnEmptyValueIsAValue) {

@@ -4,6 +4,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "spikeserve/status.h"
+#include "spikeserve/unacknowledged.h"
 #include "tests/support/fake_policy_service.h"
 
 namespace spikeserve {
@@ -150,6 +151,80 @@ TEST_F(ClientTest, ClosingTwiceBecauseOfALostReplyIsOk) {
   EXPECT_TRUE(client_->CloseSession(id).ok());
   EXPECT_EQ(fake_.sessions(), 0);
   EXPECT_TRUE(absl::IsNotFound(client_->CloseSession(id)));
+}
+
+TEST(StatusTest, KeepsCodeAndMessage) {
+  EXPECT_TRUE(StatusFromGrpc(grpc::Status::OK).ok());
+  EXPECT_EQ(StatusFromGrpc({grpc::StatusCode::NOT_FOUND, "session_id: no such session"}),
+            absl::NotFoundError("session_id: no such session"));
+  EXPECT_EQ(StatusFromGrpc({grpc::StatusCode::UNAUTHENTICATED, "who?"}),
+            absl::UnauthenticatedError("who?"));
+  EXPECT_EQ(StatusFromCode(8, "full"), absl::ResourceExhaustedError("full"));
+}
+
+TEST(StatusTest, UnknownCodesStayErrors) {
+  EXPECT_EQ(StatusFromCode(17, "new"), absl::UnknownError("status code 17: new"));
+  EXPECT_EQ(StatusFromCode(-1, "odd"), absl::UnknownError("status code -1: odd"));
+}
+
+TEST(StatusTest, AResetByAProxyIsUnavailable) {
+  const std::string reset = "Received RST_STREAM with error code 2";
+  EXPECT_EQ(StatusFromGrpc({grpc::StatusCode::INTERNAL, reset}), absl::UnavailableError(reset));
+  EXPECT_TRUE(absl::IsInternal(StatusFromGrpc({grpc::StatusCode::INTERNAL, "a bug"})));
+}
+
+TEST(StatusTest, KeepsTheExpectedDecision) {
+  const absl::Status status = StatusFromCode(9, "decision: expected 7, received 9", {}, 7);
+  EXPECT_EQ(ExpectedDecision(status), 7u);
+  EXPECT_EQ(ExpectedDecision(absl::FailedPreconditionError("step")), std::nullopt);
+}
+
+TEST(StatusTest, SaysWhichAnswerDiverged) {
+  const absl::Status status = DivergedError("mine", 12);
+  EXPECT_TRUE(absl::IsDataLoss(status));
+  EXPECT_EQ(DivergedAt(status), 12u);
+  EXPECT_EQ(DivergedAt(absl::DataLossError("other")), std::nullopt);
+}
+
+v1::ActResponse Answer(uint64_t durable_decision) {
+  v1::ActResponse answer;
+  answer.set_durable_decision(durable_decision);
+  return answer;
+}
+
+// Redis may lose what it has acknowledged.
+TEST(UnacknowledgedTest, KeepsAlsoWhatTheStoreHas) {
+  Unacknowledged unacknowledged;
+  EXPECT_FALSE(unacknowledged.Covers(0));
+  for (uint64_t i = 0; i < 12; ++i) unacknowledged.Add(i, v1::ActRequest(), Answer(i + 1));
+  unacknowledged.Add(12, v1::EndEpisodeRequest(), v1::EndEpisodeResponse());
+  EXPECT_EQ(unacknowledged.size(), 13u);
+  EXPECT_TRUE(unacknowledged.Covers(0));
+  EXPECT_TRUE(unacknowledged.Covers(12));
+  EXPECT_FALSE(unacknowledged.Covers(13));
+}
+
+TEST(UnacknowledgedTest, KeepsAtMost256Decisions) {
+  Unacknowledged unacknowledged;
+  for (uint64_t i = 0; i < 1000; ++i) unacknowledged.Add(i, v1::ActRequest(), Answer(0));
+  EXPECT_EQ(unacknowledged.size(), 256u);
+}
+
+TEST(UnacknowledgedTest, AnAnswerThatChangesIsAnErrorOnce) {
+  FakePolicyService fake;
+  const auto client = *Client::Create(fake.channel());
+  v1::ActRequest request;
+  request.set_session_id(client->OpenSession({})->session_id());
+  auto answer = *client->Act(request);
+  answer.mutable_stats()->set_compute_seconds(1.0);  // may differ
+  Unacknowledged unacknowledged;
+  unacknowledged.Add(0, request, answer);
+  EXPECT_TRUE(unacknowledged.SendAgain(0, client.get(), nullptr).ok());
+  answer.mutable_action()->set_discrete(1 - answer.action().discrete());
+  unacknowledged.Add(0, request, answer);
+  const absl::Status diverged = unacknowledged.SendLastAgain(client.get(), nullptr);
+  EXPECT_EQ(DivergedAt(diverged), 0u) << diverged;
+  EXPECT_TRUE(unacknowledged.SendLastAgain(client.get(), nullptr).ok());
 }
 
 }  // namespace

@@ -46,14 +46,6 @@ void ExpectNear(const Eigen::VectorXf& actual, const Eigen::VectorXd& expected) 
   }
 }
 
-TEST(FleetHeadTest, StartsAsThePolicys) {
-  const auto policy = TestPolicy();
-  const FleetHead fleet(policy);
-  EXPECT_EQ(fleet.Read()->head.weight.values, policy->weights.head.weight.values);
-  EXPECT_EQ(fleet.Read()->head.bias.values, policy->weights.head.bias.values);
-  EXPECT_EQ(fleet.Read()->drift, 0.0);
-}
-
 TEST(FleetHeadTest, ASnapshotNeverChanges) {
   FleetHead fleet(TestPolicy());
   const auto before = fleet.Read();
@@ -103,17 +95,6 @@ TEST(FleetHeadTest, NonFiniteContributionsAreRefused) {
   EXPECT_EQ(Merge(fleet, broken, 10.0).update, UpdateOutcome::kNonFinite);
   EXPECT_EQ(fleet.Read()->delta, DeltaOf(1));
   EXPECT_EQ(fleet.Read()->rejected, 1);
-}
-
-TEST(FleetHeadTest, AnOperatorPutsThePolicysHeadBackBitForBit) {
-  const auto policy = TestPolicy();
-  FleetHead fleet(policy);
-  Merge(fleet, DeltaOf(1), 10.0);
-  EXPECT_GT(fleet.Rollback()->drift, 0.0);
-  EXPECT_EQ(fleet.Read()->head.weight.values, policy->weights.head.weight.values);
-  EXPECT_EQ(fleet.Read()->drift, 0.0);
-  EXPECT_EQ(fleet.Read()->updates, 0);
-  EXPECT_EQ(fleet.Read()->rollbacks, 1);
 }
 
 TEST(FleetHeadTest, TheGuardPutsTheLastGoodHeadBack) {

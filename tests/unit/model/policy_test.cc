@@ -116,15 +116,6 @@ constexpr char kText[] =
   {"name": "angle", "unit": "rad", "frame": "upright"}, "rate"],
   "action": ["left", "right"], "rate_hz": 50, "rate_tolerance": 0.2})";
 
-std::string Refusal(const std::vector<std::string>& names, const std::vector<std::string>& units,
-                    bool in_any_order = false) {
-  const Features features = *ParseFeatures(kText);
-  return std::string(CheckNames(features.observation,
-                                {.field = "observation", .names = names, .units = units},
-                                in_any_order)
-                         .message());
-}
-
 TEST(FeaturesTest, AFileKeepsThemAndTheModelOfTheObservations) {
   Policy policy = SmallPolicy();
   const std::string plain = *FormatPolicyFile(policy);
@@ -161,32 +152,7 @@ TEST(FeaturesTest, RefusesWhatDoesNotFitThePolicy) {
   EXPECT_THAT(refused(R"({"observations": []})"), HasSubstr("observations"));
 }
 
-TEST(FeaturesTest, NamesTheFirstDifferenceAndThePermutation) {
-  EXPECT_EQ(Refusal({"x", "v", "angle", "rate"}, {}), "");
-  EXPECT_EQ(Refusal({}, {}), "");
-  EXPECT_EQ(
-      Refusal({"x", "angle", "v", "rate"}, {}),
-      "observation_names[1]: expected \"v\", received \"angle\"; the policy's order is [0, 2, "
-      "1, 3] of the received elements");
-  EXPECT_EQ(Refusal({"x", "angle", "v", "rate"}, {}, /*in_any_order=*/true), "");
-  for (const bool in_any_order : {false, true}) {
-    EXPECT_EQ(Refusal({"x", "v", "angle", "speed"}, {}, in_any_order),
-              "observation_names[3]: expected \"rate\", received \"speed\"; the policy has x, v, "
-              "angle, rate");
-    EXPECT_THAT(Refusal({"x", "x", "angle", "rate"}, {}, in_any_order),
-                HasSubstr("expected \"v\""));
-    EXPECT_THAT(Refusal({"x", "v"}, {}, in_any_order), HasSubstr("expected 4 names"));
-  }
-}
-
-TEST(FeaturesTest, NamesUnitsThatCanBeConverted) {
-  EXPECT_EQ(Refusal({"x", "v", "angle", "rate"}, {"", "m/s", "rad", ""}), "");
-  EXPECT_EQ(Refusal({"angle", "v", "x", "rate"}, {"deg", "", "", ""}, /*in_any_order=*/true),
-            "observation_units[0] (angle): expected \"rad\", received \"deg\"; multiply by "
-            "0.0174533 to convert");
-  EXPECT_EQ(Refusal({"x", "v", "angle", "rate"}, {"", "N", "", ""}),
-            "observation_units[1] (v): expected \"m/s\", received \"N\"");
-  EXPECT_THAT(Refusal({"x", "v", "angle", "rate"}, {"m"}), HasSubstr("expected one per name"));
+TEST(FeaturesTest, UnitsAreConverted) {
   EXPECT_DOUBLE_EQ(*UnitFactor("km/h", "m/s"), 1000.0 / 3600.0);
   EXPECT_DOUBLE_EQ(*UnitFactor("kN.m", "N.m"), 1000.0);
   EXPECT_DOUBLE_EQ(*UnitFactor("cm/s2", "m/s2"), 0.01);

@@ -28,8 +28,6 @@ class SpikeInputTest : public testing::Test {
 
   const struct Coder& Coder() const { return policy_.weights.layers[0].coder; }
 
-  // Returns whether coder neuron j fires at `tick`, from 1 to T.
-  bool Fires(int j, int tick) const { return Period(j) > 0 && tick % Period(j) == 0; }
   int Period(int j) const {
     return Lif().Period(x_[j] * Coder().gain.values[j] + Coder().bias.values[j], config_.ticks);
   }
@@ -76,25 +74,6 @@ TEST_F(SpikeInputTest, CurrentsAddUpInTheCanonicalOrder) {
       ASSERT_EQ(current, Current(key, i, tick)) << "tick " << tick << ", output " << i;
     }
   }
-}
-
-TEST_F(SpikeInputTest, CountsSpikesAndTheSynapsesTheyMeet) {
-  std::vector<float> rates;
-  input_.Rates(&rates);
-  uint64_t total = 0, products = 0;
-  std::vector<uint32_t> nonzero(config_.attention_inputs());
-  for (size_t j = 0; j < nonzero.size(); ++j) nonzero[j] = static_cast<uint32_t>(j + 1);
-  for (int j = 0; j < config_.hidden_size; ++j) {
-    int spikes = 0;
-    for (int tick = 1; tick <= config_.ticks; ++tick) spikes += Fires(j, tick);
-    EXPECT_EQ(rates[j], static_cast<float>(spikes) / static_cast<float>(config_.ticks))
-        << "neuron " << j;
-    total += spikes;
-    products += static_cast<uint64_t>(spikes) * nonzero[j];
-  }
-  EXPECT_EQ(input_.total(), total);
-  EXPECT_EQ(input_.Products(nonzero, nullptr), products);
-  EXPECT_GT(input_.Products(nonzero, &phase_), products);
 }
 
 }  // namespace

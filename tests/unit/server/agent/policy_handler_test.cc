@@ -43,45 +43,6 @@ TEST_F(PolicyHandlerTest, AnswersDoNotDependOnDeferredWork) {
   }
 }
 
-// A request without beats of its own that comes in the same turn as a long history waits for it.
-TEST_F(PolicyHandlerTest, ARequestBehindALongHistoryIsAnswered) {
-  constexpr int64_t kBeats = 2 * kPastStepsPerGroup + 1;
-  const std::string session = MustOpen();
-  v1::ActResponse answer;
-  DeferredWork deferred;
-  ASSERT_TRUE(Decide(MakeRequest(MustOpen(), 0), &answer, &deferred).ok());
-  v1::ActRequest requests[] = {MakeRequest(session, kBeats), MakeRequest(session, kBeats + 1)};
-  requests[0].set_decision(kBeats);
-  for (int64_t step = 0; step < kBeats; ++step) {
-    v1::Beat& beat = *requests[0].add_history();
-    beat.set_step(step);
-    for (const float value : ObservationAt(step)) beat.add_observation(value);
-    *beat.mutable_executed() = answer.action();
-  }
-  CallContext context{.caller = caller_.get(), .deferred = &deferred};
-  v1::ActResponse responses[2];
-  DecisionRequest acts[2];
-  for (int i = 0; i < 2; ++i) {
-    acts[i].context = &context;
-    acts[i].request = &requests[i];
-    acts[i].response = &responses[i];
-  }
-  std::vector<DecisionRequest*> waiting = {&acts[0], &acts[1]};
-  const auto decide = [&] {
-    handler_.ActMany(waiting, &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {});
-    std::erase_if(waiting, [](const DecisionRequest* act) { return act->is_answered(); });
-  };
-  decide();
-  EXPECT_EQ(waiting.size(), 2u);
-  decide();
-  decide();
-  for (const DecisionRequest& act : acts) {
-    EXPECT_TRUE(act.is_answered());
-    EXPECT_TRUE(act.status.ok()) << act.status;
-    EXPECT_EQ(act.response->step(), act.request->step());
-  }
-}
-
 // The beats that one turn appends are bounded, whatever the number of sessions that have some.
 TEST_F(PolicyHandlerTest, HistoriesOfManySessionsShareATurn) {
   constexpr int kSessions = 12;
@@ -255,23 +216,6 @@ TEST_F(PolicyHandlerTest, ABatchEqualsOneAfterTheOther) {
   }
 }
 
-TEST_F(PolicyHandlerTest, ABatchSaysWhetherAnItemWasOverTheLimit) {
-  v1::ActBatchRequest batch;
-  for (int64_t step = 0; step < 2; ++step) *batch.add_requests() = MakeRequest(MustOpen(), step);
-  const auto over_the_limit = [&] {
-    v1::ActBatchResponse answers;
-    DeferredWork deferred;
-    ActBatch(batch, &answers, &deferred);
-    return absl::c_count_if(answers.results(), [](const v1::ActResult& result) {
-      return result.code() == static_cast<int>(absl::StatusCode::kResourceExhausted);
-    });
-  };
-  EXPECT_EQ(over_the_limit(), 0) << "a wrong step is not a limit";
-  caller_->tenant()->SetLimits(
-      {.max_sessions = {}, .decisions_per_second = 1.0, .calls_per_second = {}, .budgets = {}});
-  EXPECT_EQ(over_the_limit(), 1);
-}
-
 // Each batch holds the locks of many sessions, and the two batches name them in opposite order.
 // They must not deadlock.
 TEST_F(PolicyHandlerTest, BatchesOfTheSameSessionsDoNotWaitForEachOther) {
@@ -295,27 +239,6 @@ TEST_F(PolicyHandlerTest, BatchesOfTheSameSessionsDoNotWaitForEachOther) {
   std::thread other([&] { keep_asking(backward); });
   keep_asking(forward);
   other.join();
-}
-
-TEST_F(PolicyHandlerTest, OpenSessionsAreCountedByPolicy) {
-  const std::string session = MustOpen();
-  MustOpen();
-  const std::string gauge = "spikeserve_sessions{policy=\"small\",version=\"1\"} ";
-  EXPECT_THAT(registry_.metrics().ToText(), ::testing::HasSubstr(gauge + "2\n"));
-  v1::CloseSessionRequest close;
-  close.set_session_id(session);
-  v1::CloseSessionResponse closed;
-  CallContext context{.caller = caller_.get()};
-  ASSERT_TRUE(handler_.CloseSession(context, close, &closed).ok());
-  EXPECT_THAT(registry_.metrics().ToText(), ::testing::HasSubstr(gauge + "1\n"));
-}
-
-TEST_F(PolicyHandlerTest, LongNamesAreCutInMessages) {
-  v1::ActResponse response;
-  DeferredWork deferred;
-  const auto status = Decide(MakeRequest(std::string(100'000, 'x'), 0), &response, &deferred);
-  EXPECT_EQ(status.code(), absl::StatusCode::kNotFound);
-  EXPECT_LT(status.message().size(), 200u);
 }
 
 }  // namespace

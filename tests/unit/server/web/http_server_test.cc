@@ -82,16 +82,6 @@ std::unique_ptr<HttpServer> StartFeeding(const Clock& clock, size_t size, int mo
 
 constexpr int kEndless = 1 << 30;
 
-TEST(HttpServerTest, AFeedIsSentUntilItEnds) {
-  const SteadyClock clock;
-  Pieces::Seen seen;
-  const auto server = StartFeeding(clock, 10, 3, &seen);
-  const std::string received = ReadAtLeast(Ask(*server), kEndless);
-  EXPECT_EQ(received.find("Content-Length"), received.npos);
-  EXPECT_EQ(received.substr(received.find("\r\n\r\n") + 4), "begin\n" + std::string(30, 'x'));
-  seen.gone.WaitForNotification();
-}
-
 // A slow client makes no queue: the next piece is not made before it has taken the last one.
 TEST(HttpServerTest, AFeedWaitsForItsClient) {
   const SteadyClock clock;
