@@ -64,7 +64,6 @@ test-arm64: setup
 	cmake --build build/arm64
 	python3 tests/arm64/suite.py
 	python3 tests/arm64/packages.py
-	python3 tests/arm64/image.py
 	cmake --preset release --log-level=WARNING
 	cmake --build build/release --target spikeserve_python_engine_stub
 	build/venv/bin/python tests/arm64/wheel.py build/release/python/spikeserve_engine/_engine.pyi

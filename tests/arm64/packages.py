@@ -1,14 +1,19 @@
 """Makes the arm64 packages of a finished build, installs them into a Debian for arm64 and plays CartPole with what they installed.
 
-apt and the scripts of the packages run under qemu. Fails if a package is of another architecture or the return is below 500.0.
+Then makes the image of deploy/image of them, and plays with what it has. apt, the scripts of the packages, buildah and what it
+runs are emulated by qemu. Fails if a package is of another architecture, the image has 120 MB or more, or the return is below
+500.0.
 """
 
+import pathlib
+import shutil
 import subprocess
 import sys
 import tempfile
 
 import short
 
+MOST_BYTES = 120e6  # of the image, as test_image.py
 NAMES = ("spikeserve_*_arm64.deb", "spikeserve-tools_*_arm64.deb")
 
 
@@ -31,15 +36,55 @@ def play_inside(root, user="root"):
     return short.play([*inside, "/usr/bin/spikeserve"], run, "/usr/share/spikeserve/policies")
 
 
-def main():
-    packages = make_packages()
+def make_image(folder, base, packages):
+    """Returns the folder of the files of the image of deploy/image."""
+    storage = ["--storage-driver", "vfs", "--root", folder / "root", "--runroot", folder / "run"]
+
+    def buildah(*arguments):
+        command = [short.EMULATE, "buildah", *storage, *arguments]
+        return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.strip()
+
+    container = buildah("from", "--arch", "arm64", "scratch")
+    buildah("add", "-q", container, base, "/")
+    buildah("commit", "-q", "--rm", container, "localhost/base")
+    context = folder / "context"
+    shutil.copytree(short.ROOT / "deploy/image", context / "deploy/image")
+    (context / "dist").mkdir()
+    for package in packages:
+        shutil.copy(package, context / "dist")
+    buildah(
+        *("bud", "--arch", "arm64", "--isolation", "chroot", "-t", "localhost/spikeserve"),
+        *("--build-arg", "BASE=localhost/base", "--build-arg", "SOURCE=packages"),
+        *("-f", context / "deploy/image/Dockerfile", context),
+    )
+    return pathlib.Path(buildah("mount", buildah("from", "--arch", "arm64", "localhost/spikeserve")))
+
+
+def installed_plays(packages):
+    """Returns whether CartPole is solved in a Debian with the packages."""
     with tempfile.TemporaryDirectory() as folder:
         root = f"{folder}/root"
         copies = " ".join(f"/tmp/{package.name}" for package in packages)
         install = f'chroot "$1" apt-get install -y -qq --no-install-recommends {copies}'
         copy_in = f"--customize-hook=copy-in {' '.join(map(str, packages))} /tmp"
         make_debian(root, copy_in, f"--customize-hook={install}")
-        return 0 if play_inside(root) else 1
+        return play_inside(root)
+
+
+def image_plays(packages):
+    """Returns whether CartPole is solved in the image, and that is small."""
+    with tempfile.TemporaryDirectory() as folder:
+        base = pathlib.Path(folder, "base.tar")
+        make_debian(base)
+        files = make_image(pathlib.Path(folder), base, packages)
+        size = sum(path.lstat().st_size for path in files.rglob("*") if path.is_file() and not path.is_symlink())
+        print(f"image: {size / 1e6:.1f} MB", flush=True)
+        return size < MOST_BYTES and play_inside(files, "10001:10001")
+
+
+def main():
+    packages = make_packages()
+    return 0 if installed_plays(packages) and image_plays(packages) else 1
 
 
 if __name__ == "__main__":

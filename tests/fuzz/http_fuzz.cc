@@ -9,7 +9,6 @@
 #include "server/web/http_connection.h"
 #include "tests/fuzz/fuzz_target.h"
 #include "tests/fuzz/memory_socket.h"
-#include "tests/fuzz/one_client.h"
 #include "tests/support/fake_clock.h"
 
 namespace spikeserve {

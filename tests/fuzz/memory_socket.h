@@ -1,11 +1,14 @@
-// A socket whose client is an input: it hands out the bytes in pieces and takes every answer.
+// A socket whose client is an input: it hands out the bytes in pieces and takes every answer. The
+// client of a fuzz target that has one connection.
 #pragma once
 
 #include <sys/eventfd.h>
 
 #include <algorithm>
+#include <cstdint>
 #include <string>
 
+#include "server/transport/connection_table.h"
 #include "server/transport/socket.h"
 
 namespace spikeserve {
@@ -44,6 +47,16 @@ class MemorySocket final : public Socket {
   const size_t piece_;
   std::string& answer_;
   bool pauses_ = false;  // at the next read
+};
+
+inline ClientOrigin OneClient() {
+  return {.address = "192.0.2.1", .host = "192.0.2.1", .network = "192.0.2.0/24"};
+}
+
+// Closes nothing, because no other connection needs the place.
+class NoCloser final : public ConnectionCloser {
+ public:
+  void CloseSoon(uint64_t /*number*/) override {}
 };
 
 }  // namespace spikeserve

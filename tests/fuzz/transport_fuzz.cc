@@ -7,7 +7,6 @@
 #include "server/transport/connection.h"
 #include "tests/fuzz/fuzz_target.h"
 #include "tests/fuzz/memory_socket.h"
-#include "tests/fuzz/one_client.h"
 #include "tests/support/fake_clock.h"
 
 namespace spikeserve {

@@ -5,8 +5,8 @@ import json
 import gymnasium
 import numpy as np
 import pytest
-from dense_engine import DenseEngine
 from integer_engine import IntegerEngine
+from operation_count import DenseEngine
 from policy_file import read_policy
 from random_policy import export_random
 from serving import SHIPPED_POLICIES, run, running_server

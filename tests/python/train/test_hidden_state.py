@@ -5,7 +5,6 @@ In a small form; test_imitate.py has the long one.
 
 import json
 import os
-import pathlib
 import re
 import subprocess
 import sys
@@ -274,10 +273,23 @@ def test_environments_in_the_place_of_ids_are_refused():
         EnvironmentFactory(Parallel())
 
 
+# With a second argument, presses Ctrl-C when the training begins.
+INTERRUPTED = """
+import signal, sys
+from spikeserve.__main__ import main
+from spikeserve.imitation import training
+if len(sys.argv) > 2:
+    training.Spiketrain.train = lambda *_: signal.raise_signal(signal.SIGINT)
+SMALL = "--environments=3 --steps=300 --hidden-size=16 --batch=2 --iterations=2 --rounds=0 --silence= --episodes=2"
+FLAGS = [*SMALL.split(), "--selection-episodes=2", "--train-flags=--heads=2"]
+sys.argv = ["spikeserve", "imitate", "hidden_state:Spring-v0", "--expert=hidden_state:hold", f"--out={sys.argv[1]}", *FLAGS]
+sys.exit(main())
+"""
+
+
 def test_an_interrupted_run_continues(tmp_path):
     """SIGINT ends the program with one line; the same command continues."""
-    program = pathlib.Path(__file__).with_name("interrupted_imitation.py")
-    command = [sys.executable, str(program), str(tmp_path / "run")]
+    command = [sys.executable, "-c", INTERRUPTED, str(tmp_path / "run")]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     first = run(*command, "interrupt", status=130, env=environment)
     assert first.stderr.endswith("spikeserve imitate: interrupted; the same command continues\n")
