@@ -10,6 +10,7 @@
 # | tests   | programs that tests run: Redis, Prometheus, shells                                                |
 # | full    | programs that only `make test-all` runs: a browser, proxies, Go, Rust, a virtual machine            |
 # | chips   | snnTorch, NeuroBench and NIR, in BUILD_DIR/chips                                                    |
+# | hubs    | libraries of Hugging Face, OCI and S3, with local ones of these, in BUILD_DIR/hubs                 |
 # | interop | clients of gRPC in other languages, in BUILD_DIR/interop                                            |
 # | arm64   | cross compiler, emulator, and what makes the arm64 libraries of deploy/arm64_root.sh                |
 # | release | checks of packages, images, charts and pages: lintian, buildah, and BUILD_DIR/release-tools/venv    |
@@ -22,7 +23,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 build_dir=${1:-build}
 shift || true
-usual_parts=(server build clang tests full chips interop arm64 release)
+usual_parts=(server build clang tests full chips hubs interop arm64 release)
 all_parts=("${usual_parts[@]}" chart collector ros microcontrollers playground)
 
 packages_server=(
@@ -41,6 +42,7 @@ packages_clang=(clang libclang-rt-dev clang-format clang-tidy)
 packages_tests=(prometheus redis-server mandoc zsh fish lmdb-utils iproute2)
 packages_full=(haproxy nghttp2-client nginx chromium chromium-driver golang-go rustc cargo user-mode-linux e2fsprogs spin)
 packages_chips=(python3-torch)  # Debian's PyTorch, which has no CUDA
+packages_hubs=(docker-registry)
 packages_interop=(golang-go)
 packages_arm64=(g++-aarch64-linux-gnu qemu-user-static mmdebstrap)
 packages_release=(lintian debootstrap buildah uidmap qemu-user-static etcd-server golang-go)
@@ -106,6 +108,7 @@ for part in "$@"; do
     build) install_venv "$build_dir/venv" tests/python/requirements.txt ;;
     chips) tests/chips/install.sh "$build_dir" ;;
     release) install_venv "$build_dir/release-tools/venv" deploy/release/requirements.txt ;;
+    hubs) install_venv "$build_dir/hubs/venv" tests/hubs/requirements.txt ;;
     interop) tests/interop/install.sh "$build_dir" ;;
     chart) tests/kubernetes/install.sh "$build_dir" ;;
     collector) tests/tracing/install.sh "$build_dir" ;;

@@ -124,7 +124,7 @@ void AddAdvancedFlags(Command program, ServerOptions* options) {
       .Add("default_version", EnumKind<DefaultRule>(), &options->default_version,
            "What loading a version does to the default")
       .Add("trusted_keys", "FILE", &options->trusted_keys,
-           "PEM Ed25519 public keys; unsigned policies are refused")
+           "PEM public keys; unsigned policies are refused")
       .Add("signing_key", "FILE", &options->signing_key,
            "PEM Ed25519 private key that signs promoted policies")
       .AddSwitch("share_heads_across_tenants", &options->share_heads_across_tenants,

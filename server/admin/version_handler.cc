@@ -12,6 +12,7 @@
 #include "core/digest/sha256.h"
 #include "server/admin/traffic.h"
 #include "server/base/log.h"
+#include "server/policies/signature_bundle.h"
 
 namespace spikeserve {
 namespace {
@@ -23,8 +24,8 @@ absl::StatusOr<NewVersion> FromProto(const v1::PushPolicyRequest& request) {
     return absl::InvalidArgumentError(
         absl::StrCat("version: expected at least 0, received ", request.version()));
   }
-  if (!request.signature().empty() && request.signature().size() != kSignatureBytes) {
-    return absl::InvalidArgumentError(absl::StrCat("signature: expected none or ", kSignatureBytes,
+  if (request.signature().size() > kMostBundleBytes) {
+    return absl::InvalidArgumentError(absl::StrCat("signature: expected at most ", kMostBundleBytes,
                                                    " bytes, received ",
                                                    request.signature().size()));
   }
@@ -87,7 +88,7 @@ v1::PushPolicyRequest WithoutData(const v1::PushPolicyRequest& request) {
   header.set_policy(request.policy());
   header.set_version(request.version());
   header.set_sha256(request.sha256());
-  header.set_signature(request.signature());
+  if (request.signature().size() <= kSignatureBytes) header.set_signature(request.signature());
   header.set_make_default(request.make_default());
   header.set_tenant(request.tenant());
   return header;

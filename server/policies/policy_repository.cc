@@ -183,8 +183,10 @@ absl::StatusOr<std::shared_ptr<const Engine>> TryVersion(const PolicyVersion& ve
                                                          const VersionFiles& files,
                                                          const PolicySignatures* signatures) {
   if (signatures != nullptr) {
-    const auto statement = StatementOf(version.policy, version.version, Sha256Of(files.policy));
-    RETURN_IF_ERROR(signatures->Verify(files.signature, {statement, files.policy}));
+    RETURN_IF_ERROR(signatures->Verify(files.signature, {.policy = version.policy,
+                                                         .version = version.version,
+                                                         .sha256 = Sha256Of(files.policy),
+                                                         .content = files.policy}));
   }
   ASSIGN_OR_RETURN(auto policy, ParsePolicyFile(files.policy));
   std::shared_ptr<const Engine> engine = MakeEngine(std::move(policy));

@@ -19,6 +19,7 @@
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/model/safetensors.h"
+#include "server/policies/signature_bundle.h"
 
 namespace spikeserve {
 namespace {
@@ -61,10 +62,23 @@ absl::StatusOr<std::vector<PemBlock>> ParsePem(absl::string_view text) {
   return blocks;
 }
 
-absl::Status CheckEd25519(const Key& key) {
+bool IsEd25519(const Key& key) { return EVP_PKEY_get_id(key.get()) == EVP_PKEY_ED25519; }
+
+// Returns the digest that model signing uses with a key on a curve; null: it does not use the
+// curve.
+const EVP_MD* DigestOf(const Key& key) {
+  char curve[64] = {};
+  EVP_PKEY_get_group_name(key.get(), curve, sizeof(curve), nullptr);
+  const absl::string_view name = curve;
+  if (name == SN_X9_62_prime256v1) return EVP_sha256();
+  if (name == SN_secp384r1) return EVP_sha384();
+  return name == SN_secp521r1 ? EVP_sha512() : nullptr;
+}
+
+absl::Status CheckKey(const Key& key, bool may_be_on_curve) {
   ERR_clear_error();
   if (key == nullptr) return KeyError("an Ed25519 key", "a block that is no key");
-  if (EVP_PKEY_get_id(key.get()) == EVP_PKEY_ED25519) return absl::OkStatus();
+  if (IsEd25519(key) || (may_be_on_curve && DigestOf(key) != nullptr)) return absl::OkStatus();
   const char* const type = EVP_PKEY_get0_type_name(key.get());
   return KeyError("an Ed25519 key", absl::StrCat("a key of type ", type == nullptr ? "?" : type));
 }
@@ -82,7 +96,8 @@ absl::StatusOr<std::vector<Key>> ReadPublicKeys(const std::string& path) {
     }
     const unsigned char* der = Data(block.der);
     const Key key(d2i_PUBKEY(nullptr, &der, static_cast<long>(block.der.size())), &EVP_PKEY_free);
-    if (auto status = CheckEd25519(key); !status.ok()) return Annotate(status, path);
+    if (auto status = CheckKey(key, /*may_be_on_curve=*/true); !status.ok())
+      return Annotate(status, path);
     keys.push_back(key);
   }
   if (keys.empty()) return Annotate(KeyError("Ed25519 public keys in PEM", "none"), path);
@@ -103,7 +118,8 @@ absl::StatusOr<Key> ReadPrivateKey(const std::string& path) {
   const std::string& bytes = blocks->front().der;
   const unsigned char* der = Data(bytes);
   const Key key(d2i_AutoPrivateKey(nullptr, &der, static_cast<long>(bytes.size())), &EVP_PKEY_free);
-  if (auto status = CheckEd25519(key); !status.ok()) return Annotate(status, path);
+  if (auto status = CheckKey(key, /*may_be_on_curve=*/false); !status.ok())
+    return Annotate(status, path);
   return key;
 }
 
@@ -111,7 +127,8 @@ bool IsSignedBy(const Key& key, absl::string_view signature, absl::string_view t
   const std::unique_ptr<EVP_MD_CTX, decltype(&EVP_MD_CTX_free)> context(EVP_MD_CTX_new(),
                                                                         &EVP_MD_CTX_free);
   const bool valid =
-      EVP_DigestVerifyInit(context.get(), nullptr, nullptr, nullptr, key.get()) == 1 &&
+      EVP_DigestVerifyInit(context.get(), nullptr, IsEd25519(key) ? nullptr : DigestOf(key),
+                           nullptr, key.get()) == 1 &&
       EVP_DigestVerify(context.get(), Data(signature), signature.size(), Data(text), text.size()) ==
           1;
   ERR_clear_error();
@@ -125,7 +142,7 @@ absl::StatusOr<std::string> ReadSignature(const std::string& path) {
   if (fd < 0 && errno == ENOENT) return std::string();
   if (fd < 0) return absl::InvalidArgumentError(absl::StrCat(path, ": ", std::strerror(errno)));
   struct stat file = {};
-  std::string bytes(kSignatureBytes + 1, '\0');
+  std::string bytes(kMostBundleBytes + 1, '\0');
   const bool is_file = fstat(fd, &file) == 0 && S_ISREG(file.st_mode);
   const ssize_t length = is_file ? read(fd, bytes.data(), bytes.size()) : -1;
   close(fd);
@@ -162,10 +179,13 @@ absl::StatusOr<std::shared_ptr<const PolicySignatures>> PolicySignatures::Read(
 }
 
 absl::Status PolicySignatures::Verify(absl::string_view signature,
-                                      std::initializer_list<absl::string_view> texts) const {
+                                      const SignedVersion& signed_version) const {
   if (signature.empty()) {
     return absl::InvalidArgumentError(
         "expected a signature in policy.safetensors.sig, because of --trusted_keys, received none");
+  }
+  if (signature.size() > kSignatureBytes && signature.front() == '{') {
+    return Annotate(VerifyBundle(signature, signed_version), "policy.safetensors.sig");
   }
   if (signature.size() != kSignatureBytes) {
     const std::string received =
@@ -174,14 +194,45 @@ absl::Status PolicySignatures::Verify(absl::string_view signature,
         absl::StrCat("policy.safetensors.sig: expected the ", kSignatureBytes,
                      " bytes of an Ed25519 signature, received ", received));
   }
+  const std::string statement = StatementOf(signed_version);
   const bool valid = std::any_of(trusted_.begin(), trusted_.end(), [&](const Key& key) {
-    return std::any_of(texts.begin(), texts.end(),
-                       [&](absl::string_view text) { return IsSignedBy(key, signature, text); });
+    if (!IsEd25519(key)) return false;
+    return IsSignedBy(key, signature, statement) ||
+           (!signed_version.content.empty() && IsSignedBy(key, signature, signed_version.content));
   });
   if (valid) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat(
       "policy.safetensors.sig: expected the signature of this policy file by one of the ",
       trusted_.size(), " keys of --trusted_keys, received one of another file or key"));
+}
+
+absl::Status PolicySignatures::VerifyBundle(absl::string_view bytes,
+                                            const SignedVersion& signed_version) const {
+  if (bytes.size() > kMostBundleBytes) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("expected at most ", kMostBundleBytes, " bytes, received more"));
+  }
+  ASSIGN_OR_RETURN(const SignatureBundle bundle, ParseBundle(bytes));
+  const bool valid = std::any_of(trusted_.begin(), trusted_.end(), [&](const Key& key) {
+    return IsSignedBy(key, bundle.signature, bundle.signed_text);
+  });
+  if (!valid) {
+    return absl::InvalidArgumentError(absl::StrCat("expected a bundle by one of the ",
+                                                   trusted_.size(),
+                                                   " keys of --trusted_keys, received another"));
+  }
+  ASSIGN_OR_RETURN(const auto files, FilesOf(bundle));
+  const std::string path =
+      absl::StrCat(signed_version.policy, "/", signed_version.version, "/policy.safetensors");
+  const bool is_signed = std::any_of(files.begin(), files.end(), [&](const auto& file) {
+    const bool has_name = !signed_version.content.empty() &&
+                          (file.first == "." || file.first == "policy.safetensors");
+    return file.second == signed_version.sha256 && (has_name || file.first == path);
+  });
+  if (is_signed) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      "expected a bundle with SHA-256 ", signed_version.sha256, " of ", path,
+      signed_version.content.empty() ? "" : " or of one file", ", received one of other files"));
 }
 
 absl::Status PolicySignatures::CheckCanSign() const {
@@ -212,8 +263,9 @@ std::string SignaturePath(const std::string& policy_path) {
   return absl::StrCat(policy_path, ".sig");
 }
 
-std::string StatementOf(absl::string_view policy, int64_t version, absl::string_view sha256) {
-  return absl::StrCat("spikeserve policy ", policy, " ", version, " ", sha256, "\n");
+std::string StatementOf(const SignedVersion& signed_version) {
+  return absl::StrCat("spikeserve policy ", signed_version.policy, " ", signed_version.version, " ",
+                      signed_version.sha256, "\n");
 }
 
 absl::StatusOr<VersionFiles> ReadVersionFiles(const std::string& policy_path, bool with_signature) {

@@ -8,12 +8,14 @@
 //   openssl pkeyutl -sign -rawin -inkey private.pem -in policy.safetensors -out
 //     policy.safetensors.sig
 //
+// Or it is a bundle of model signing, by a key on a curve of NIST: of the file, or of the policy
+// directory, which also names the policy and the version.
+//
 // Immutable and thread-safe.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
-#include <initializer_list>
 #include <memory>
 #include <string>
 #include <utility>
@@ -36,20 +38,28 @@ struct VersionFiles {
   bool pushed = false;    // see version_writer.h
 };
 
+// What a signature is for.
+struct SignedVersion {
+  std::string policy;  // name
+  int64_t version = 0;
+  std::string sha256;              // of the content
+  absl::string_view content = {};  // empty: the signature has to name the policy and the version
+};
+
 // Returns the text whose signature holds for one version of one policy alone.
-std::string StatementOf(absl::string_view policy, int64_t version, absl::string_view sha256);
+std::string StatementOf(const SignedVersion& signed_version);
 
 class PolicySignatures {
  public:
-  // Reads the file `trusted_keys`, which holds one or more Ed25519 public keys in PEM, and, unless
-  // its path is empty, the file `signing_key`, which holds the private key of one of them. Returns
-  // INVALID_ARGUMENT, which names the flag and the file, for anything else.
+  // Reads the file `trusted_keys`, which holds one or more public keys in PEM, Ed25519 or on the
+  // curves P-256, P-384 and P-521, and, unless its path is empty, the file `signing_key`, which
+  // holds the private key of an Ed25519 key of them. Returns INVALID_ARGUMENT, which names the flag
+  // and the file, for anything else.
   static absl::StatusOr<std::shared_ptr<const PolicySignatures>> Read(
       const std::string& trusted_keys, const std::string& signing_key);
 
-  // Returns INVALID_ARGUMENT unless one of the trusted keys has made `signature` of one of `texts`.
-  absl::Status Verify(absl::string_view signature,
-                      std::initializer_list<absl::string_view> texts) const;
+  // Returns INVALID_ARGUMENT unless one of the trusted keys has made `signature` of the version.
+  absl::Status Verify(absl::string_view signature, const SignedVersion& signed_version) const;
 
   // Returns FAILED_PRECONDITION without a signing key.
   absl::Status CheckCanSign() const;
@@ -59,6 +69,8 @@ class PolicySignatures {
 
  private:
   using Key = std::shared_ptr<evp_pkey_st>;
+
+  absl::Status VerifyBundle(absl::string_view bytes, const SignedVersion& signed_version) const;
 
   PolicySignatures(std::vector<Key> trusted, Key signing)
       : trusted_(std::move(trusted)), signing_(std::move(signing)) {}

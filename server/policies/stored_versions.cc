@@ -10,7 +10,9 @@
 
 #include "absl/algorithm/container.h"
 #include "absl/status/status.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "core/base/file.h"
 #include "core/base/json.h"
@@ -35,19 +37,21 @@ absl::Status CheckSha256(absl::string_view bytes, absl::string_view expected) {
       absl::StrCat("expected SHA-256 ", expected, ", received ", received));
 }
 
-// The name of the shared file of a pushed version, which holds the length of the signature in one
-// byte, the signature, and the policy file.
+// The name of the shared file of a pushed version, which holds the length of the signature in
+// decimal, a space, the signature, and the policy file.
 std::string PushedName(const PolicyVersion& version, const std::string& sha256) {
   return absl::StrCat(sha256, ".", version.policy, ".", version.version);
 }
 
 absl::StatusOr<VersionFiles> ParsePushed(absl::string_view bytes) {
-  const size_t length = bytes.empty() ? 0 : static_cast<unsigned char>(bytes.front());
-  if (bytes.size() < 1 + length || length > kSignatureBytes) {
+  const std::pair<absl::string_view, absl::string_view> parts =
+      absl::StrSplit(bytes, absl::MaxSplits(' ', 1));
+  size_t length = 0;
+  if (!absl::SimpleAtoi(parts.first, &length) || length > parts.second.size()) {
     return absl::InvalidArgumentError("expected a signature and a policy, received other bytes");
   }
-  return VersionFiles{.policy = std::string(bytes.substr(1 + length)),
-                      .signature = std::string(bytes.substr(1, length)),
+  return VersionFiles{.policy = std::string(parts.second.substr(length)),
+                      .signature = std::string(parts.second.substr(0, length)),
                       .pushed = true};
 }
 
@@ -108,8 +112,8 @@ absl::StatusOr<VersionFiles> PolicyRegistry::FetchFiles(const PolicyVersion& ver
   }
   RETURN_IF_ERROR(CheckSha256(files.policy, sha256));
   if (options_.signatures == nullptr) return files;
-  const auto statement = StatementOf(version.policy, version.version, sha256);
-  auto status = options_.signatures->Verify(files.signature, {statement, files.policy});
+  auto status = options_.signatures->Verify(
+      files.signature, {version.policy, version.version, sha256, files.policy});
   if (!status.ok()) return Annotate(status, "promoted version in the session store");
   return files;
 }
@@ -119,8 +123,7 @@ absl::Status PolicyRegistry::PutFiles(const PolicyVersion& version, const Versio
   if (files.pushed) {
     return options_.shared->PutFile(
         PushedName(version, sha256),
-        absl::StrCat(std::string(1, static_cast<char>(files.signature.size())), files.signature,
-                     files.policy));
+        absl::StrCat(files.signature.size(), " ", files.signature, files.policy));
   }
   if (!files.signature.empty()) {
     RETURN_IF_ERROR(options_.shared->PutFile(SignaturePath(sha256), files.signature));
@@ -153,12 +156,10 @@ absl::Status PolicyRegistry::CheckPushed(const NewVersion& added) const {
   }
   const PolicyVersion version = {.policy = added.policy, .version = added.version};
   if (options_.signatures != nullptr) {
-    const auto statement =
-        StatementOf(version.policy, version.version, Sha256Of(added.files.policy));
-    if (auto status = options_.signatures->Verify(added.files.signature, {statement});
-        !status.ok()) {
-      return Annotate(status,
-                      absl::StrCat("signature of \"", absl::StripSuffix(statement, "\n"), "\""));
+    const SignedVersion named = {version.policy, version.version, Sha256Of(added.files.policy)};
+    if (auto status = options_.signatures->Verify(added.files.signature, named); !status.ok()) {
+      return Annotate(status, absl::StrCat("signature of \"",
+                                           absl::StripSuffix(StatementOf(named), "\n"), "\""));
     }
   }
   return Annotate(TryVersion(version, added.files, /*signatures=*/nullptr).status(), "data");

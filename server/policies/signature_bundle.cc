@@ -1,0 +1,69 @@
+#include "server/policies/signature_bundle.h"
+
+#include "absl/status/status.h"
+#include "absl/strings/escaping.h"
+#include "absl/strings/str_cat.h"
+#include "core/base/json.h"
+#include "core/base/status_macros.h"
+#include "nlohmann/json.hpp"
+
+namespace spikeserve {
+namespace {
+
+using nlohmann::json;
+
+constexpr char kPayloadType[] = "application/vnd.in-toto+json";
+constexpr char kPredicateType[] = "https://model_signing/signature/v1.0";
+
+// Returns the text at `path`, a JSON pointer, or an empty one if there is none.
+std::string TextAt(const json& value, const char* path) {
+  const json::json_pointer pointer(path);
+  if (!value.contains(pointer) || !value.at(pointer).is_string()) return "";
+  return value.at(pointer).get<std::string>();
+}
+
+absl::StatusOr<std::string> Base64At(const json& value, const char* path) {
+  std::string bytes;
+  const std::string text = TextAt(value, path);
+  if (!text.empty() && absl::Base64Unescape(text, &bytes)) return bytes;
+  return absl::InvalidArgumentError(absl::StrCat("bundle", path, ": expected base64"));
+}
+
+absl::Status CheckText(const json& value, const char* path, absl::string_view expected) {
+  const std::string received = TextAt(value, path);
+  if (received == expected) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("bundle", path, ": expected ", expected, ", received ", Quoted(received)));
+}
+
+}  // namespace
+
+absl::StatusOr<SignatureBundle> ParseBundle(absl::string_view bytes) {
+  ASSIGN_OR_RETURN(const json value, ParseJsonObject("bundle", bytes));
+  RETURN_IF_ERROR(CheckText(value, "/dsseEnvelope/payloadType", kPayloadType));
+  if (value.contains(json::json_pointer("/dsseEnvelope/signatures/1"))) {
+    return absl::InvalidArgumentError(
+        "bundle/dsseEnvelope/signatures: expected one, received more");
+  }
+  SignatureBundle bundle;
+  ASSIGN_OR_RETURN(bundle.statement, Base64At(value, "/dsseEnvelope/payload"));
+  ASSIGN_OR_RETURN(bundle.signature, Base64At(value, "/dsseEnvelope/signatures/0/sig"));
+  bundle.signed_text = absl::StrCat("DSSEv1 ", sizeof(kPayloadType) - 1, " ", kPayloadType, " ",
+                                    bundle.statement.size(), " ", bundle.statement);
+  return bundle;
+}
+
+absl::StatusOr<std::map<std::string, std::string>> FilesOf(const SignatureBundle& bundle) {
+  ASSIGN_OR_RETURN(const json statement, ParseJsonObject("bundle", bundle.statement));
+  RETURN_IF_ERROR(CheckText(statement, "/predicateType", kPredicateType));
+  RETURN_IF_ERROR(CheckText(statement, "/predicate/serialization/method", "files"));
+  const json resources = statement["predicate"].value("resources", json::array());
+  std::map<std::string, std::string> files;
+  for (const json& resource : resources) {
+    RETURN_IF_ERROR(CheckText(resource, "/algorithm", "sha256"));
+    files[TextAt(resource, "/name")] = TextAt(resource, "/digest");
+  }
+  return files;
+}
+
+}  // namespace spikeserve
