@@ -1,98 +1,22 @@
 #include "server/usage/usage_rows.h"
 
-#include <zlib.h>
-
 #include <cmath>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_split.h"
-#include "core/base/status_macros.h"
 
 namespace spikeserve {
 namespace {
 
 constexpr char kEnd = '\xff';  // not in UTF-8
 constexpr char kOther[] = "other";
-constexpr char kVersion = 1;  // of the packed form
-
 constexpr size_t kMostName = 150;  // bytes, so that a key of LMDB holds all parts
 
 constexpr absl::Duration kAfterHour = absl::Minutes(5);
 constexpr absl::Duration kHoursKept = absl::Hours(24 * 35);
 constexpr int kMonthsOfDays = 13;
-
-// The most bytes that a part of rows has when it is not compressed.
-constexpr uint64_t kMostUnpacked = uint64_t{1} << 30;
-
-// What is rounded away is less than one of this many parts of a unit.
-double ScaleOf(size_t field) {
-  switch (static_cast<UsageField>(field)) {
-    case UsageField::kHorowitz45nm:
-    case UsageField::kInt45nm:
-    case UsageField::kIntSram45nm:
-      return 1e10;
-    case UsageField::kSessionSeconds:
-      return 1e3;
-    default:
-      return 1.0;
-  }
-}
-
-void PutVarint(uint64_t value, std::string* out) {
-  for (; value >= 128; value >>= 7) out->push_back(static_cast<char>(value | 128));
-  out->push_back(static_cast<char>(value));
-}
-
-// Small numbers of both signs become small ones.
-uint64_t Zigzag(int64_t value) {
-  return static_cast<uint64_t>(value) << 1 ^ static_cast<uint64_t>(value >> 63);
-}
-int64_t Unzigzag(uint64_t value) { return static_cast<int64_t>(value >> 1 ^ (~(value & 1) + 1)); }
-
-class Reader {
- public:
-  explicit Reader(absl::string_view bytes) : rest_(bytes) {}
-
-  bool ok() const { return ok_; }
-  bool at_end() const { return rest_.empty(); }
-  uint8_t Byte() {
-    if (rest_.empty()) {
-      ok_ = false;
-      return 0;
-    }
-    const auto byte = static_cast<uint8_t>(rest_[0]);
-    rest_.remove_prefix(1);
-    return byte;
-  }
-  uint64_t Varint() {
-    uint64_t value = 0;
-    for (int shift = 0; shift < 64 && !rest_.empty(); shift += 7) {
-      const uint8_t byte = Byte();
-      value |= uint64_t{byte & 127U} << shift;
-      if (byte < 128) return value;
-    }
-    ok_ = false;
-    return 0;
-  }
-  std::string Text() {
-    const uint64_t size = Varint();
-    if (size > rest_.size()) ok_ = false;
-    if (!ok_) return "";
-    std::string text(rest_.substr(0, size));
-    rest_.remove_prefix(size);
-    return text;
-  }
-
- private:
-  absl::string_view rest_;
-  bool ok_ = true;
-};
-
-absl::Status Damaged() {
-  return absl::DataLossError("ledger: expected rows, received other bytes");
-}
 
 // Returns the first kMostName bytes at most, without half a character of UTF-8.
 absl::string_view Shorten(absl::string_view name) {
@@ -164,102 +88,6 @@ UsageCounts ParseCounts(absl::string_view text) {
     ++i;
   }
   return counts;
-}
-
-std::string PackRows(const UsageRows& rows) {
-  std::map<absl::string_view, uint64_t> sizes;  // rows of each series
-  for (const auto& [key, counts] : rows) ++sizes[key.first];
-  std::string plain;
-  PutVarint(kUsageFields, &plain);
-  PutVarint(sizes.size(), &plain);
-  for (const auto& [series, size] : sizes) {
-    PutVarint(series.size(), &plain);
-    absl::StrAppend(&plain, series);
-    PutVarint(size, &plain);
-  }
-  // Neighbours in a column are alike, and bytes of equal weight even more: this is what compresses.
-  const auto put_column = [&](auto value_of) {
-    std::vector<uint64_t> column;
-    uint64_t bits = 0;
-    int64_t last = 0;
-    const std::string* series = nullptr;
-    for (const auto& row : rows) {
-      if (series == nullptr || row.first.first != *series) last = 0;
-      series = &row.first.first;
-      const int64_t value = value_of(row);
-      column.push_back(Zigzag(value - std::exchange(last, value)));
-      bits |= column.back();
-    }
-    PutVarint(bits, &plain);
-    for (; bits > 0; bits >>= 8) {
-      for (uint64_t& value : column) {
-        plain.push_back(static_cast<char>(value));
-        value >>= 8;
-      }
-    }
-  };
-  put_column([](const auto& row) { return row.first.second; });
-  for (size_t field = 0; field < kUsageFields; ++field) {
-    put_column([field, scale = ScaleOf(field)](const auto& row) {
-      return std::llround(row.second.values[field] * scale);
-    });
-  }
-  uLongf size = compressBound(plain.size());
-  std::string packed(size, '\0');
-  compress2(reinterpret_cast<Bytef*>(packed.data()), &size,
-            reinterpret_cast<const Bytef*>(plain.data()), plain.size(), Z_BEST_COMPRESSION);
-  packed.resize(size);
-  std::string head(1, kVersion);
-  PutVarint(plain.size(), &head);
-  PutVarint(packed.size(), &head);
-  return head + packed;
-}
-
-absl::StatusOr<std::vector<UsageRow>> UnpackRows(absl::string_view bytes) {
-  if (bytes.empty() || bytes[0] != kVersion) return Damaged();
-  Reader head(bytes.substr(1));
-  uLongf size = head.Varint();
-  const std::string packed = head.Text();
-  if (!head.ok() || !head.at_end() || size > kMostUnpacked) return Damaged();
-  std::string plain(size, '\0');
-  if (uncompress(reinterpret_cast<Bytef*>(plain.data()), &size,
-                 reinterpret_cast<const Bytef*>(packed.data()), packed.size()) != Z_OK ||
-      size != plain.size()) {
-    return Damaged();
-  }
-  Reader reader(plain);
-  const uint64_t fields = reader.Varint();
-  std::vector<UsageRow> rows;
-  std::vector<bool> is_first;  // of its series
-  for (uint64_t series = reader.Varint(); series > 0 && reader.ok(); --series) {
-    const std::string key = reader.Text();
-    const uint64_t count = reader.Varint();
-    if (count > plain.size()) return Damaged();
-    for (uint64_t i = 0; i < count; ++i) {
-      rows.push_back({.series = key});
-      is_first.push_back(i == 0);
-    }
-    if (rows.size() > plain.size()) return Damaged();
-  }
-  for (uint64_t column = 0; column < fields + 1 && reader.ok(); ++column) {
-    std::vector<uint64_t> values(rows.size());
-    int shift = 0;
-    for (uint64_t bits = reader.Varint(); bits > 0; bits >>= 8, shift += 8) {
-      for (uint64_t& value : values) value |= uint64_t{reader.Byte()} << shift;
-    }
-    uint64_t last = 0;
-    for (size_t i = 0; i < rows.size(); ++i) {
-      last = (is_first[i] ? 0 : last) + static_cast<uint64_t>(Unzigzag(values[i]));
-      const auto value = static_cast<int64_t>(last);
-      if (column == 0) {
-        rows[i].hour = value;
-      } else if (column <= kUsageFields) {
-        rows[i].counts.values[column - 1] = static_cast<double>(value) / ScaleOf(column - 1);
-      }
-    }
-  }
-  if (!reader.ok() || !reader.at_end()) return Damaged();
-  return rows;
 }
 
 std::string OpenPart(absl::Time time) {
