@@ -6,7 +6,7 @@
 
 #include "absl/base/attributes.h"
 #include "absl/strings/str_cat.h"
-#include "core/action/neutral_action.h"
+#include "core/action/action_space.h"
 #include "core/agent/repeated_step.h"
 #include "core/agent/session_passes.h"
 #include "core/base/status_macros.h"

@@ -4,7 +4,7 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
-#include "core/engine/factory/trace_decision.h"
+#include "core/engine/factory/engine_factory.h"
 #include "core/engine/prefix_engine.h"
 
 namespace spikeserve {

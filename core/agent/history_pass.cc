@@ -36,8 +36,8 @@ absl::Status CheckReport(const BeatCounts& report) {
       {"invalid_observations", report.invalid_observations}};
   for (const auto& [name, count] : counts) {
     if (count > kMostBeats) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("report.", name, ": expected at most ", kMostBeats, ", received ", count));
+      return InvalidArgument(absl::StrCat("report.", name), absl::StrCat("at most ", kMostBeats),
+                             count);
     }
   }
   const std::pair<const char*, double> times[] = {
@@ -45,8 +45,8 @@ absl::Status CheckReport(const BeatCounts& report) {
       {"oldest_age_seconds", report.oldest_age_seconds}};
   for (const auto& [name, seconds] : times) {
     if (!(seconds >= 0.0 && seconds <= kLongestGapSeconds)) {  // true for NaN
-      return absl::InvalidArgumentError(absl::StrCat("report.", name, ": expected 0 to ",
-                                                     kLongestGapSeconds, ", received ", seconds));
+      return InvalidArgument(absl::StrCat("report.", name),
+                             absl::StrCat("0 to ", kLongestGapSeconds), seconds);
     }
   }
   return absl::OkStatus();
@@ -55,12 +55,11 @@ absl::Status CheckReport(const BeatCounts& report) {
 // Notes the times and the report of a request. Returns the errors of the times.
 absl::Status TakeTimes(const StepTimes& times, SessionObserver& observer) {
   if (times.valid_until.has_value() && !times.observed_at.has_value()) {
-    return absl::InvalidArgumentError(
-        "observed_at: expected a time, because the request has valid_until, received none");
+    return InvalidArgument("observed_at", "a time, because the request has valid_until", "none");
   }
   if (times.observed_at.has_value() && *times.observed_at < absl::ZeroDuration()) {
-    return absl::InvalidArgumentError(absl::StrCat("observed_at: expected at least 0, received ",
-                                                   absl::ToInt64Nanoseconds(*times.observed_at)));
+    return InvalidArgument("observed_at", "at least 0",
+                           absl::ToInt64Nanoseconds(*times.observed_at));
   }
   if (times.report.has_value()) {
     RETURN_IF_ERROR(CheckReport(*times.report));
@@ -94,22 +93,22 @@ int64_t FirstStep(const Step& step) {
 absl::Status CheckForm(const Step& step) {
   const auto skipped = static_cast<int64_t>(step.skipped_rewards.size());
   if (step.history.size == 0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("history: expected at least one beat behind skipped_rewards, received none"));
+    return InvalidArgument("history", "at least one beat behind skipped_rewards", "none");
   }
   if (skipped > kMostSkippedRewards) {
-    return absl::InvalidArgumentError(absl::StrCat("skipped_rewards: expected at most ",
-                                                   kMostSkippedRewards, ", received ", skipped));
+    return InvalidArgument("skipped_rewards", absl::StrCat("at most ", kMostSkippedRewards),
+                           skipped);
   }
   if (FirstStep(step) < skipped) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "history: expected at most ", *step.place.step, " beats and skipped_rewards before step ",
-        *step.place.step, ", received ", static_cast<int64_t>(step.history.size) + skipped));
+    return InvalidArgument(
+        "history",
+        absl::StrCat("at most ", *step.place.step, " beats and skipped_rewards before step ",
+                     *step.place.step),
+        static_cast<int64_t>(step.history.size) + skipped);
   }
   if (!step.place.decision.has_value()) {
-    return absl::InvalidArgumentError(
-        "decision: expected the number of the decision, because the request has history, received "
-        "none");
+    return InvalidArgument("decision",
+                           "the number of the decision, because the request has history", "none");
   }
   return absl::OkStatus();
 }
@@ -176,8 +175,7 @@ absl::Status CheckPast(const Step& step, bool decides) {
     const PastStep past = step.history[index];
     absl::Status status;
     if (past.step != first + i) {
-      status = absl::InvalidArgumentError(
-          absl::StrCat("step: expected ", first + i, ", received ", past.step));
+      status = InvalidArgument("step", first + i, past.step);
     }
     if (status.ok()) status = ParseExecutedAction(past.executed, policy.action_space).status();
     if (status.ok() && past.step >= session.step) {

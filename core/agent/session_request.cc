@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/head_update.h"
@@ -17,18 +18,16 @@ absl::StatusOr<ActionSelection> ResolveSelection(const SessionRequest& request) 
   ActionSelection selection = {.sample = request.sample};
   if (!request.temperature.has_value()) return selection;
   if (!selection.sample) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("temperature: expected unset unless action_selection is SAMPLE, received ",
-                     *request.temperature));
+    return InvalidArgument("temperature", "unset unless action_selection is SAMPLE",
+                           *request.temperature);
   }
   // Decisions divide by the temperature in float32, where doubles below kSmallest are subnormal or
   // zero.
   constexpr double kSmallest = std::numeric_limits<float>::min();
   constexpr double kLargest = std::numeric_limits<float>::max();
   if (!(*request.temperature >= kSmallest && *request.temperature <= kLargest)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("temperature: expected a finite number above 0 within float32, received ",
-                     *request.temperature));
+    return InvalidArgument("temperature", "a finite number above 0 within float32",
+                           *request.temperature);
   }
   selection.temperature = static_cast<float>(*request.temperature);
   return selection;
@@ -38,24 +37,20 @@ absl::Status CheckHeadDelta(const SessionRequest& request, const Policy& policy)
   const Eigen::VectorXf& delta = request.head_delta;
   if (delta.size() == 0) return absl::OkStatus();
   if (request.learning.has_value() && request.learning->scope == Scope::kFleet) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("head_delta: expected none where learning.scope is FLEET, received ",
-                     delta.size(), " numbers"));
+    return InvalidArgument("head_delta", "none where learning.scope is FLEET",
+                           absl::StrCat(delta.size(), " numbers"));
   }
   const auto size = static_cast<Eigen::Index>(policy.weights.head.weight.values.size());
   if (delta.size() != size) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("head_delta: expected ", size, " numbers, received ", delta.size()));
+    return InvalidArgument("head_delta", absl::StrCat(size, " numbers"), delta.size());
   }
   for (Eigen::Index i = 0; i < size; ++i) {
     if (std::isfinite(delta[i])) continue;
-    return absl::InvalidArgumentError(
-        absl::StrCat("head_delta[", i, "]: expected a finite number, received ", delta[i]));
+    return InvalidArgument(absl::StrCat("head_delta[", i, "]"), "a finite number", delta[i]);
   }
   if (const double norm = FrobeniusNorm(delta); norm > kLongestHeadDelta) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("head_delta: expected a Frobenius norm of at most ", kLongestHeadDelta,
-                     ", received ", norm));
+    return InvalidArgument("head_delta",
+                           absl::StrCat("a Frobenius norm of at most ", kLongestHeadDelta), norm);
   }
   return absl::OkStatus();
 }

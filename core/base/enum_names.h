@@ -20,6 +20,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 
@@ -55,8 +56,7 @@ absl::StatusOr<Enum> ParseEnum(absl::string_view field, absl::string_view name) 
     const char* const separator = i == 0 ? "" : i + 1 == kNames.size() ? " or " : ", ";
     absl::StrAppend(&expected, separator, kNames[i].name);
   }
-  return absl::InvalidArgumentError(
-      absl::StrCat(field, ": expected ", expected, ", received ", Quoted(name)));
+  return InvalidArgument(field, expected, Quoted(name));
 }
 
 }  // namespace spikeserve

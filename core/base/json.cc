@@ -5,6 +5,7 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
@@ -66,8 +67,8 @@ class StrictChecker : public nlohmann::json_sax<json> {
 absl::StatusOr<json> ParseJsonObject(absl::string_view field, absl::string_view text) {
   // The parser treats a zero byte as the end of its input and ignores the text after it.
   if (const size_t zero = text.find('\0'); zero != text.npos) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        field, ": expected valid JSON in UTF-8, received a zero byte at byte ", zero + 1));
+    return InvalidArgument(field, "valid JSON in UTF-8",
+                           absl::StrCat("a zero byte at byte ", zero + 1));
   }
   StrictChecker checker;
   if (!json::sax_parse(text, &checker)) {
@@ -75,8 +76,7 @@ absl::StatusOr<json> ParseJsonObject(absl::string_view field, absl::string_view 
   }
   json document = json::parse(text, /*cb=*/nullptr, /*allow_exceptions=*/false);
   if (!document.is_object()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected a JSON object, received ", Describe(document)));
+    return InvalidArgument(field, "a JSON object", Describe(document));
   }
   return document;
 }

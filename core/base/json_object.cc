@@ -1,13 +1,14 @@
 #include "core/base/json_object.h"
 
+#include "core/base/status.h"
+
 namespace spikeserve {
 
 using nlohmann::json;
 
 absl::Status UnexpectedJson(absl::string_view field, absl::string_view expected,
                             const json& received) {
-  return absl::InvalidArgumentError(
-      absl::StrCat(field, ": expected ", expected, ", received ", Describe(received)));
+  return InvalidArgument(field, expected, Describe(received));
 }
 
 absl::Status ReadJson(absl::string_view field, const json& value, bool* result) {

@@ -31,11 +31,11 @@ absl::Status CheckFolder(const std::string& folder) {
   const bool private_folder = S_ISDIR(found.st_mode) && found.st_uid == geteuid() &&
                               (found.st_mode & (S_IWGRP | S_IWOTH)) == 0;
   if (private_folder) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat(folder, ": expected a folder that only this user can write, received ",
-                   S_ISDIR(found.st_mode)
-                       ? absl::StrFormat("mode %o of user %d", found.st_mode & 07777, found.st_uid)
-                       : "a file"));
+  return InvalidArgument(
+      folder, "a folder that only this user can write",
+      S_ISDIR(found.st_mode)
+          ? absl::StrFormat("mode %o of user %d", found.st_mode & 07777, found.st_uid)
+          : "a file");
 }
 
 // Writes the file unless another process writes it first. Readers never see a part of it.
@@ -83,8 +83,7 @@ absl::StatusOr<std::shared_ptr<const char>> Map(const std::string& path, absl::s
 
 absl::StatusOr<std::shared_ptr<const char>> ShareBytes(const std::string& folder,
                                                        absl::string_view bytes) {
-  if (bytes.empty())
-    return absl::InvalidArgumentError("bytes: expected at least one, received none");
+  if (bytes.empty()) return InvalidArgument("bytes", "at least one", "none");
   if (mkdir(folder.c_str(), S_IRWXU) != 0 && errno != EEXIST) {
     return SystemError("create the folder", folder);
   }

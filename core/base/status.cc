@@ -7,6 +7,12 @@
 
 namespace spikeserve {
 
+absl::Status InvalidArgument(const absl::AlphaNum& field, const absl::AlphaNum& expected,
+                             const absl::AlphaNum& received) {
+  return absl::InvalidArgumentError(
+      absl::StrCat(field, ": expected ", expected, ", received ", received));
+}
+
 absl::Status SystemError(absl::string_view what, absl::string_view path) {
   return absl::ErrnoToStatus(errno, absl::StrCat(path, ": cannot ", what));
 }

@@ -4,9 +4,16 @@
 #pragma once
 
 #include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 
 namespace spikeserve {
+
+// Returns INVALID_ARGUMENT with the message "`field`: expected `expected`, received `received`".
+//
+//   InvalidArgument("--validation", "0 or more, below 1", flags.validation)
+absl::Status InvalidArgument(const absl::AlphaNum& field, const absl::AlphaNum& expected,
+                             const absl::AlphaNum& received);
 
 // Returns `status` with "`prefix`: " added before its message, and with the same code and payloads.
 // Returns OK unchanged.

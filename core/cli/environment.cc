@@ -7,6 +7,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "core/base/status.h"
 #include "core/cli/program_parts.h"
 
 namespace spikeserve {
@@ -57,9 +58,8 @@ absl::Status CheckVariables(const CLI::App& root, const std::vector<std::string>
         std::find(others.begin(), others.end(), name) != others.end() || IsOfKubernetes(rest) ||
         std::find(std::begin(kOfTests), std::end(kOfTests), rest) != std::end(kOfTests);
     if (is_other || known.contains(name)) continue;
-    return absl::InvalidArgumentError(
-        absl::StrCat("environment: expected variables of flags, such as ", Nearest(known, name),
-                     ", received ", name));
+    return InvalidArgument(
+        "environment", absl::StrCat("variables of flags, such as ", Nearest(known, name)), name);
   }
   return absl::OkStatus();
 }

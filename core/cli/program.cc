@@ -11,6 +11,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/base/version.h"
 #include "core/cli/command_tree.h"
@@ -194,9 +195,8 @@ absl::Status Program::CheckRefusals() const {
     if (refusal.command->get_option(refusal.flag)->count() == 0) continue;
     for (const CLI::Option* option : refusal.command->parse_order()) {
       if (option->get_group() != refusal.heading) continue;
-      return absl::InvalidArgumentError(
-          absl::StrCat(option->get_name(), ": expected no such flag beside ", refusal.flag,
-                       ", received ", absl::StrJoin(option->results(), ",")));
+      return InvalidArgument(option->get_name(), absl::StrCat("no such flag beside ", refusal.flag),
+                             absl::StrJoin(option->results(), ","));
     }
   }
   return absl::OkStatus();

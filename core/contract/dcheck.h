@@ -64,7 +64,6 @@ std::string ComparedValues(const A& a, const B& b) {
   } while (false)
 
 #define SPIKESERVE_DCHECK_EQ(a, b) SPIKESERVE_DCHECK_COMPARED(a, ==, b)
-#define SPIKESERVE_DCHECK_NE(a, b) SPIKESERVE_DCHECK_COMPARED(a, !=, b)
 #define SPIKESERVE_DCHECK_LT(a, b) SPIKESERVE_DCHECK_COMPARED(a, <, b)
 #define SPIKESERVE_DCHECK_LE(a, b) SPIKESERVE_DCHECK_COMPARED(a, <=, b)
 #define SPIKESERVE_DCHECK_GT(a, b) SPIKESERVE_DCHECK_COMPARED(a, >, b)

@@ -38,17 +38,15 @@ absl::Status CheckServed(const Dataset& dataset, const ServedEpisode& served, si
       {"noise", served.noise.size(), noise}};
   for (const auto& [field, length, expected] : lengths) {
     if (length == expected) continue;
-    return absl::InvalidArgumentError(
-        absl::StrCat("served.", field, ": expected ", expected, ", received ", length));
+    return InvalidArgument(absl::StrCat("served.", field), expected, length);
   }
   if (!served.answered_actions.empty() && served.answered_actions.size() != steps) {
-    return absl::InvalidArgumentError(absl::StrCat("served.answered_actions: expected ", steps,
-                                                   " or none, received ",
-                                                   served.answered_actions.size()));
+    return InvalidArgument("served.answered_actions", absl::StrCat(steps, " or none"),
+                           served.answered_actions.size());
   }
   if (!served.sources.empty() && served.sources.size() != steps) {
-    return absl::InvalidArgumentError(absl::StrCat("served.sources: expected ", steps,
-                                                   " sources, received ", served.sources.size()));
+    return InvalidArgument("served.sources", absl::StrCat(steps, " sources"),
+                           served.sources.size());
   }
   for (const Action& action : served.answered_actions) {
     RETURN_IF_ERROR(dataset.action_space.Contains(action));
@@ -58,9 +56,9 @@ absl::Status CheckServed(const Dataset& dataset, const ServedEpisode& served, si
 
 absl::Status CheckNumber(double number, absl::string_view where) {
   if (std::abs(number) <= kLargestDataNumber) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(where, ": expected a finite number",
-                                                 std::isfinite(number) ? " of at most 1e18" : "",
-                                                 ", received ", number));
+  return InvalidArgument(
+      where, absl::StrCat("a finite number", std::isfinite(number) ? " of at most 1e18" : ""),
+      number);
 }
 
 // Checks [rows, columns]; names the row as a step. One column is not named.
@@ -88,9 +86,8 @@ absl::Status CheckWeights(const Episode& episode) {
   const auto negative = std::find_if(episode.weights.begin(), episode.weights.end(),
                                      [](float weight) { return weight < 0.0f; });
   if (negative == episode.weights.end()) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("weights: step ", negative - episode.weights.begin(),
-                   ": expected a number of at least 0, received ", *negative));
+  return InvalidArgument(absl::StrCat("weights: step ", negative - episode.weights.begin()),
+                         "a number of at least 0", *negative);
 }
 
 absl::Status CheckActions(absl::string_view name, const ActionSpace& space,
@@ -110,8 +107,8 @@ absl::Status CheckNames(const char* key, const Json& first, const Json& other) {
   };
   const Json expected = name(first), received = name(other);
   if (expected.is_null() || received.is_null() || expected == received) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat("data: ", key, ": expected ", expected.dump(),
-                                                 " in all datasets, received ", received.dump()));
+  return InvalidArgument(absl::StrCat("data: ", key),
+                         absl::StrCat(expected.dump(), " in all datasets"), received.dump());
 }
 
 // Returns INVALID_ARGUMENT unless `key` of the recipe is absent, or lists one name of `counts`
@@ -129,15 +126,15 @@ absl::Status CheckNamesFit(const Dataset& dataset, const char* key,
       std::find(counts.begin(), counts.end(), static_cast<int>(names.size())) != counts.end();
   const bool fits = names.is_array() && known.size() == names.size() && counted;
   if (fits || names.empty()) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("recipe.", key, ": expected ", absl::StrJoin(counts, " or "),
-                   " different names of printable characters, received ", names.dump()));
+  return InvalidArgument(
+      absl::StrCat("recipe.", key),
+      absl::StrCat(absl::StrJoin(counts, " or "), " different names of printable characters"),
+      names.dump());
 }
 
 absl::Status CheckDescription(const Dataset& dataset) {
   if (!IsPrintable(dataset.environment)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "environment: expected printable characters, received ", Quoted(dataset.environment)));
+    return InvalidArgument("environment", "printable characters", Quoted(dataset.environment));
   }
   RETURN_IF_ERROR(CheckNamesFit(dataset, "observation_names", {dataset.observation_size}));
   const ActionSpace& space = dataset.action_space;
@@ -163,24 +160,20 @@ void RoundToBounds(const ActionSpace& space, std::vector<Action>* actions) {
 absl::Status CheckEpisode(const Dataset& dataset, const Episode& episode) {
   RETURN_IF_ERROR(CheckDescription(dataset));
   const size_t steps = episode.actions.size();
-  if (steps == 0)
-    return absl::InvalidArgumentError("actions: expected at least one, received none");
+  if (steps == 0) return InvalidArgument("actions", "at least one", "none");
   if (episode.rewards.size() != steps) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("rewards: expected ", steps, ", received ", episode.rewards.size()));
+    return InvalidArgument("rewards", steps, episode.rewards.size());
   }
   const size_t numbers = (steps + 1) * dataset.observation_size;
   if (episode.observations.size() != numbers) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "observations: expected ", numbers, " numbers, received ", episode.observations.size()));
+    return InvalidArgument("observations", absl::StrCat(numbers, " numbers"),
+                           episode.observations.size());
   }
   if (!episode.labels.empty() && episode.labels.size() != steps) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("labels: expected ", steps, " or none, received ", episode.labels.size()));
+    return InvalidArgument("labels", absl::StrCat(steps, " or none"), episode.labels.size());
   }
   if (!episode.weights.empty() && episode.weights.size() != steps) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("weights: expected ", steps, " or none, received ", episode.weights.size()));
+    return InvalidArgument("weights", absl::StrCat(steps, " or none"), episode.weights.size());
   }
   RETURN_IF_ERROR(CheckObservations(dataset, episode));
   RETURN_IF_ERROR(CheckNumbers<double>("rewards", episode.rewards, 1));
@@ -216,14 +209,14 @@ absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets) {
   Json recipes = Json::array({std::move(all.recipe)});
   for (Dataset& dataset : absl::MakeSpan(datasets).subspan(1)) {
     if (dataset.environment != all.environment) {
-      return absl::InvalidArgumentError(absl::StrCat("data: expected all of ", all.environment,
-                                                     ", received one of ", dataset.environment));
+      return InvalidArgument("data", absl::StrCat("all of ", all.environment),
+                             absl::StrCat("one of ", dataset.environment));
     }
     if (dataset.observation_size != all.observation_size ||
         dataset.action_space != all.action_space) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("data: expected equal spaces in all datasets of ", all.environment,
-                       ", received other ones in dataset ", recipes.size() + 1));
+      return InvalidArgument("data",
+                             absl::StrCat("equal spaces in all datasets of ", all.environment),
+                             absl::StrCat("other ones in dataset ", recipes.size() + 1));
     }
     RETURN_IF_ERROR(note_names(dataset.recipe));
     recipes.push_back(std::move(dataset.recipe));

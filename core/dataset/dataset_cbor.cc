@@ -10,6 +10,7 @@
 #include "absl/strings/str_split.h"
 #include "core/base/cbor.h"
 #include "core/base/enum_names.h"
+#include "core/base/fields.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
 #include "core/base/status.h"
@@ -36,18 +37,12 @@ absl::Status ReadJson(absl::string_view field, const Json& json, StepSource* sou
   return absl::OkStatus();
 }
 
+SPIKESERVE_FIELDS(ServedEpisode, policy, version, episode, target_return, seed, learning, labels,
+                  returns_to_go, probabilities, spikes)
+
 absl::Status ReadJson(absl::string_view field, const Json& json, ServedEpisode* served) {
   JsonObject object(field, json);
-  object.Required("policy", &served->policy);
-  object.Required("version", &served->version);
-  object.Required("episode", &served->episode);
-  object.Required("target_return", &served->target_return);
-  object.Required("seed", &served->seed);
-  object.Required("learning", &served->learning);
-  object.Required("labels", &served->labels);
-  object.Required("returns_to_go", &served->returns_to_go);
-  object.Required("probabilities", &served->probabilities);
-  object.Required("spikes", &served->spikes);
+  VisitFields(*served, [&](const char* key, auto& member) { object.Required(key, &member); });
   object.Optional("temperature", &served->temperature);
   object.Optional("answered_actions", &served->answered_actions);
   object.Optional("sources", &served->sources);
@@ -82,16 +77,8 @@ Json ActionsToJson(const std::vector<Action>& actions, bool discrete) {
 }
 
 Json ServedToJson(const ServedEpisode& served, bool discrete) {
-  Json json = {{"policy", served.policy},
-               {"version", served.version},
-               {"episode", served.episode},
-               {"target_return", served.target_return},
-               {"seed", served.seed},
-               {"learning", served.learning},
-               {"labels", served.labels},
-               {"returns_to_go", served.returns_to_go},
-               {"probabilities", served.probabilities},
-               {"spikes", served.spikes}};
+  Json json;
+  VisitFields(served, [&](const char* key, const auto& member) { json[key] = member; });
   if (served.temperature.has_value()) json["temperature"] = *served.temperature;
   if (!served.policy_sha256.empty()) json["policy_sha256"] = served.policy_sha256;
   if (!served.noise.empty()) {
@@ -183,8 +170,7 @@ absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
   object.Required("episodes", &episodes);
   RETURN_IF_ERROR(object.Finish());
   if (format != kFormat) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("format: expected ", kFormat, ", received ", Quoted(format)));
+    return InvalidArgument("format", kFormat, Quoted(format));
   }
   for (const Json& item : episodes) {
     const std::string field = absl::StrCat("episode ", dataset.episodes.size());
@@ -194,7 +180,7 @@ absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
     if (status = AcceptEpisode(dataset, &episode); !status.ok()) return Annotate(status, field);
   }
   if (dataset.episodes.empty()) {
-    return absl::InvalidArgumentError("episodes: expected at least one, received none");
+    return InvalidArgument("episodes", "at least one", "none");
   }
   return dataset;
 }

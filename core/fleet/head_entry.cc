@@ -54,11 +54,7 @@ std::string SerializeHeadEntry(const HeadEntry& entry) {
 }
 
 absl::StatusOr<HeadEntry> ParseHeadEntry(const std::string& bytes) {
-  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "head entry", kEntryFormat));
-  HeadEntry entry;
-  codec::Reader reader;
-  reader.Read(json, "head entry", entry);
-  if (!reader.status().ok()) return reader.status();
+  ASSIGN_OR_RETURN(HeadEntry entry, codec::Parse<HeadEntry>(bytes, "head entry", kEntryFormat));
   absl::string_view contributor = entry.contribution.contributor;
   entry.contribution.held_out = absl::ConsumePrefix(&contributor, kHeldOutMark);
   entry.contribution.contributor = std::string(contributor);

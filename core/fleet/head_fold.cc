@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
 #include "core/journal/session_fields.h"
@@ -39,86 +40,28 @@ absl::Duration TimeOf(const HeadPosition& position) {
 
 }  // namespace
 
-template <Is<ContributionBudget::Account> T, typename Visitor>
-void VisitFields(T& account, Visitor&& visit) {
-  visit("in_window", account.in_window);
-  visit("in_minute", account.in_minute);
-  visit("suspended_windows", account.suspended_windows);
-}
+SPIKESERVE_FIELDS(ContributionBudget::Account, in_window, in_minute, suspended_windows)
 
-template <Is<ContributionBudget> T, typename Visitor>
-void VisitFields(T& budget, Visitor&& visit) {
-  visit("contributors", budget.contributors);
-  visit("accounts", budget.accounts);
-  visit("minute_ms", budget.minute_ms);
-  visit("total_in_minute", budget.total_in_minute);
-}
+SPIKESERVE_FIELDS(ContributionBudget, contributors, accounts, minute_ms, total_in_minute)
 
-template <Is<PeerNorms> T, typename Visitor>
-void VisitFields(T& norms, Visitor&& visit) {
-  visit("contributors", norms.contributors);
-  visit("norms", norms.norms);
-}
+SPIKESERVE_FIELDS(PeerNorms, contributors, norms)
 
-template <Is<FleetHead::Gathered> T, typename Visitor>
-void VisitFields(T& gathered, Visitor&& visit) {
-  visit("contributor", gathered.contributor);
-  visit("delta", gathered.delta);
-}
+SPIKESERVE_FIELDS(FleetHead::Gathered, contributor, delta)
 
-template <Is<FleetHead::State> T, typename Visitor>
-void VisitFields(T& state, Visitor&& visit) {
-  visit("delta", state.delta);
-  visit("gathered", state.gathered);
-  visit("guard", state.guard);
-  visit("held_out_guard", state.held_out_guard);
-  visit("budget", state.budget);
-  visit("held_out_budget", state.held_out_budget);
-  visit("norms", state.norms);
-  visit("updates", state.updates);
-  visit("rejected", state.rejected);
-  visit("trimmed", state.trimmed);
-  visit("rollbacks", state.rollbacks);
-}
+SPIKESERVE_FIELDS(FleetHead::State, delta, gathered, guard, held_out_guard, budget, held_out_budget,
+                  norms, updates, rejected, trimmed, rollbacks)
 
-template <Is<HeadPosition> T, typename Visitor>
-void VisitFields(T& position, Visitor&& visit) {
-  visit("id", position.id);
-  visit("number", position.number);
-  visit("digest", position.digest);
-}
+SPIKESERVE_FIELDS(HeadPosition, id, number, digest)
 
-template <Is<MergeOutcome> T, typename Visitor>
-void VisitFields(T& outcome, Visitor&& visit) {
-  visit("paused", outcome.paused);
-  visit("update", outcome.update);
-  visit("rolled_back", outcome.rolled_back);
-  visit("drift", outcome.drift);
-  visit("watched_return", outcome.watched_return);
-}
+SPIKESERVE_FIELDS(MergeOutcome, paused, update, rolled_back, drift, watched_return)
 
-template <Is<HeadFold::Folded> T, typename Visitor>
-void VisitFields(T& folded, Visitor&& visit) {
-  visit("position", folded.position);
-  visit("session", folded.session);
-  visit("episode", folded.episode);
-  visit("outcome", folded.outcome);
-}
+SPIKESERVE_FIELDS(HeadFold::Folded, position, session, episode, outcome)
 
 namespace {
 
-template <Is<StoredHead> T, typename Visitor>
-void VisitFields(T& head, Visitor&& visit) {
-  visit("tenant", head.tenant);
-  visit("state", head.state);
-}
+SPIKESERVE_FIELDS(StoredHead, tenant, state)
 
-template <Is<StoredHeads> T, typename Visitor>
-void VisitFields(T& heads, Visitor&& visit) {
-  visit("paused", heads.paused);
-  visit("heads", heads.heads);
-  visit("last", heads.last);
-}
+SPIKESERVE_FIELDS(StoredHeads, paused, heads, last)
 
 }  // namespace
 
@@ -132,8 +75,8 @@ absl::Status HeadFold::Fold(const LoggedEntry& entry) {
   const bool merges = parsed.kind == HeadEntry::Kind::kMerge;
   const auto size = static_cast<Eigen::Index>(heads_->policy()->weights.head.weight.values.size());
   if (merges && parsed.contribution.delta.size() != size) {
-    return absl::InvalidArgumentError(absl::StrCat("delta: expected ", size, " numbers, received ",
-                                                   parsed.contribution.delta.size()));
+    return InvalidArgument("delta", absl::StrCat(size, " numbers"),
+                           parsed.contribution.delta.size());
   }
   position_ = entry.position;
   Remember(position_);
@@ -192,25 +135,18 @@ std::string HeadFold::Serialize() const {
   for (const std::string& tenant : heads_->Tenants()) {
     stored.heads.push_back({.tenant = tenant, .state = heads_->Of(tenant)->state()});
   }
-  std::string bytes;
-  codec::Writer writer(&bytes);
-  writer.Begin(kHeadsFormat);
-  writer.Write(stored);
-  return bytes;
+  return codec::Serialize(kHeadsFormat, stored);
 }
 
 absl::Status HeadFold::Restore(const HeadPosition& position, const std::string& bytes) {
-  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "heads", kHeadsFormat));
-  StoredHeads stored;
-  codec::Reader reader;
-  reader.Read(json, "heads", stored);
-  if (!reader.status().ok()) return reader.status();
+  ASSIGN_OR_RETURN(const StoredHeads stored,
+                   codec::Parse<StoredHeads>(bytes, "heads", kHeadsFormat));
   const FleetHead any(heads_->policy());
   for (const StoredHead& head : stored.heads) {
     if (!any.IsPossible(head.state)) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("heads: expected a head of the policy as that of tenant ", head.tenant,
-                       ", received another one"));
+      return InvalidArgument("heads",
+                             absl::StrCat("a head of the policy as that of tenant ", head.tenant),
+                             "another one");
     }
   }
   for (const StoredHead& head : stored.heads) heads_->Of(head.tenant)->Restore(head.state);

@@ -25,7 +25,9 @@
 #include "absl/strings/string_view.h"
 #include "absl/types/span.h"
 #include "core/base/enum_names.h"
+#include "core/base/fields.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/journal/cbor_writer.h"
 #include "core/journal/session_fields.h"
 #include "core/math/vector_view.h"
@@ -139,7 +141,7 @@ class Writer {
   CborWriter cbor_;
 };
 
-// Parses a document that Writer::Begin() started and returns its value. INVALID_ARGUMENT, which
+// Parses a document that Serialize() has written and returns its value. INVALID_ARGUMENT, which
 // begins with `name`, if `bytes` is anything else or nests deeper than any session.
 absl::StatusOr<Json> ParseDocument(const std::string& bytes, absl::string_view name,
                                    absl::string_view format);
@@ -267,11 +269,35 @@ class Reader {
 
  private:
   void Fail(const std::string& path, absl::string_view expected, const Json& received) {
-    status_.Update(absl::InvalidArgumentError(
-        absl::StrCat(path, ": expected ", expected, ", received ", Describe(received))));
+    status_.Update(InvalidArgument(path, expected, Describe(received)));
   }
 
   absl::Status status_;
 };
+
+// Returns the document of a value: an array of `format` and the value.
+template <HasFields T>
+std::string Serialize(absl::string_view format, const T& value) {
+  std::string bytes;
+  bytes.reserve(256);
+  Writer writer(&bytes);
+  writer.Begin(format);
+  writer.Write(value);
+  return bytes;
+}
+
+// Returns the value of a document, equal bit for bit. INVALID_ARGUMENT, which begins with `name`,
+// if `bytes` is anything else.
+template <HasFields T>
+absl::StatusOr<T> Parse(const std::string& bytes, absl::string_view name,
+                        absl::string_view format) {
+  const absl::StatusOr<Json> json = ParseDocument(bytes, name, format);
+  if (!json.ok()) return json.status();
+  T value;
+  Reader reader;
+  reader.Read(*json, std::string(name), value);
+  if (!reader.status().ok()) return reader.status();
+  return value;
+}
 
 }  // namespace spikeserve::codec

@@ -52,14 +52,9 @@ absl::Status CheckAction(const Action& action, const ActionSpace& space) {
 absl::Status CheckSnapshot(const Session& session, const Policy& policy) {
   const History& history = session.history;
   for (size_t i = 0; i < history.size(); ++i) {
-    if (auto status =
-            CheckSize("observation", policy.observation_size(), history.observation(i).size());
-        !status.ok()) {
-      return status;
-    }
-    if (auto status = CheckAction(history.action(i), policy.action_space); !status.ok()) {
-      return status;
-    }
+    RETURN_IF_ERROR(
+        CheckSize("observation", policy.observation_size(), history.observation(i).size()));
+    RETURN_IF_ERROR(CheckAction(history.action(i), policy.action_space));
   }
   const auto head = static_cast<int64_t>(policy.weights.head.weight.values.size());
   if (session.options.head_delta.size() != 0) {
@@ -70,9 +65,7 @@ absl::Status CheckSnapshot(const Session& session, const Policy& policy) {
     return absl::DataLossError(absl::StrCat("journal: ", status.message()));
   }
   if (session.seat.has_value()) {
-    if (auto status = CheckAction(session.seat->action, policy.action_space); !status.ok()) {
-      return status;
-    }
+    RETURN_IF_ERROR(CheckAction(session.seat->action, policy.action_space));
   }
   if (!session.learner.has_value()) return absl::OkStatus();
   return CheckSize("learner", head, static_cast<size_t>(session.learner->head_delta.size()));
@@ -85,35 +78,21 @@ absl::Status CheckEntry(const JournalEntry& entry, const Session& session, const
                                             " at step ", session.step, ", received decision ",
                                             entry.decision, " at step ", entry.answer.step));
   }
-  if (auto status = CheckSize("observation", policy.observation_size(), entry.observation.size());
-      !status.ok()) {
-    return status;
-  }
-  if (auto status = CheckAction(entry.answer.action, policy.action_space); !status.ok()) {
-    return status;
-  }
+  RETURN_IF_ERROR(CheckSize("observation", policy.observation_size(), entry.observation.size()));
+  RETURN_IF_ERROR(CheckAction(entry.answer.action, policy.action_space));
   if (entry.executed.has_value()) {
     if (session.step == 0) {
       return absl::DataLossError("journal: executed: expected none at step 0, received one");
     }
-    if (auto status = CheckAction(*entry.executed, policy.action_space); !status.ok()) {
-      return status;
-    }
+    RETURN_IF_ERROR(CheckAction(*entry.executed, policy.action_space));
   }
   const int64_t actions = policy.action_space.size();
-  if (auto status = CheckSize("logits", actions, entry.answer.logits.size()); !status.ok()) {
-    return status;
-  }
+  RETURN_IF_ERROR(CheckSize("logits", actions, entry.answer.logits.size()));
   const int64_t probabilities = policy.action_space.is_discrete() ? actions : 0;
-  if (auto status = CheckSize("probabilities", probabilities, entry.answer.probabilities.size());
-      !status.ok()) {
-    return status;
-  }
+  RETURN_IF_ERROR(CheckSize("probabilities", probabilities, entry.answer.probabilities.size()));
   if (!session.learner.has_value()) return absl::OkStatus();
   const bool noisy = !policy.action_space.is_discrete() && session.options.action_selection.sample;
-  if (auto status = CheckSize("noise", noisy ? actions : 0, entry.noise.size()); !status.ok()) {
-    return status;
-  }
+  RETURN_IF_ERROR(CheckSize("noise", noisy ? actions : 0, entry.noise.size()));
   const auto head = static_cast<int64_t>(policy.weights.head.weight.values.size());
   return CheckSize("readout", head / actions, entry.readout.size());
 }
@@ -138,36 +117,17 @@ void Learn(const JournalEntry& entry, const Policy& policy, Session* session) {
 }  // namespace
 
 // Lists the members of an entry's binary form, in order, for the writer and the reader.
-template <typename T, typename Visitor>
-requires std::same_as<std::remove_const_t<T>, JournalEntry> ||
-    std::same_as<std::remove_const_t<T>, JournalEntryView>
-void VisitFields(T& entry, Visitor&& visit) {
-  visit("decision", entry.decision);
-  visit("reward", entry.reward);
-  visit("observation", entry.observation);
-  visit("executed", entry.executed);
-  visit("answer", entry.answer);
-  visit("readout", entry.readout);
-  visit("noise", entry.noise);
-  visit("suspended", entry.suspended);
-}
+SPIKESERVE_FIELDS(JournalEntry, decision, reward, observation, executed, answer, readout, noise,
+                  suspended)
+SPIKESERVE_FIELDS(JournalEntryView, decision, reward, observation, executed, answer, readout, noise,
+                  suspended)
 
 std::string SerializeEntry(const JournalEntryView& entry) {
-  std::string bytes;
-  bytes.reserve(256);
-  codec::Writer writer(&bytes);
-  writer.Begin(kFormat);
-  writer.Write(entry);
-  return bytes;
+  return codec::Serialize(kFormat, entry);
 }
 
 absl::StatusOr<JournalEntry> ParseEntry(const std::string& bytes) {
-  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "entry", kFormat));
-  JournalEntry entry;
-  codec::Reader reader;
-  reader.Read(json, "entry", entry);
-  if (!reader.status().ok()) return reader.status();
-  return entry;
+  return codec::Parse<JournalEntry>(bytes, "entry", kFormat);
 }
 
 absl::StatusOr<Journal> ParseJournal(absl::Span<const std::string> records) {

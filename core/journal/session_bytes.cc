@@ -6,6 +6,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
 
@@ -13,8 +14,7 @@ namespace spikeserve {
 namespace {
 
 absl::Status Inconsistent(absl::string_view field, absl::string_view expected, int64_t received) {
-  return absl::InvalidArgumentError(
-      absl::StrCat("session.", field, ": expected ", expected, ", received ", received));
+  return InvalidArgument(absl::StrCat("session.", field), expected, received);
 }
 
 // Checks that all arrays of the head's shape have one size, and the ranges of the other members.
@@ -49,9 +49,8 @@ absl::Status CheckLearner(const LearningOptions& options, const Learner& learner
                         static_cast<int64_t>(learner.guard.returns.size()));
   }
   if (learner.returns.variance < 0.0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("session.learner.returns.variance: expected at least 0, received ",
-                     learner.returns.variance));
+    return InvalidArgument("session.learner.returns.variance", "at least 0",
+                           learner.returns.variance);
   }
   return absl::OkStatus();
 }
@@ -101,19 +100,11 @@ absl::Status CheckInvariants(const Session& session) {
 }  // namespace
 
 std::string SerializeSession(const Session& session) {
-  std::string bytes;
-  codec::Writer writer(&bytes);
-  writer.Begin(kSessionFormat);
-  writer.Write(session);
-  return bytes;
+  return codec::Serialize(kSessionFormat, session);
 }
 
 absl::StatusOr<Session> ParseSession(const std::string& bytes) {
-  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(bytes, "session", kSessionFormat));
-  Session session;
-  codec::Reader reader;
-  reader.Read(json, "session", session);
-  if (!reader.status().ok()) return reader.status();
+  ASSIGN_OR_RETURN(Session session, codec::Parse<Session>(bytes, "session", kSessionFormat));
   RETURN_IF_ERROR(CheckInvariants(session));
   return session;
 }

@@ -5,6 +5,7 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/journal/session_bytes.h"
 #include "core/learning/learning_options.h"
 
@@ -55,9 +56,8 @@ std::string ExportSession(const AgentSession& agent) {
 absl::StatusOr<Session> ImportSession(absl::string_view value) {
   const size_t size = value.size() < kChecksumBytes ? 0 : value.size() - kChecksumBytes;
   if (value.substr(size) != ChecksumOf(value.substr(0, size))) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("session: expected the value that ExportSession returned, received ",
-                     value.size(), " bytes with a wrong checksum"));
+    return InvalidArgument("session", "the value that ExportSession returned",
+                           absl::StrCat(value.size(), " bytes with a wrong checksum"));
   }
   return ParseSession(std::string(value.substr(0, size)));
 }

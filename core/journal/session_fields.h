@@ -3,249 +3,80 @@
 // The writer and the reader share these lists. Changing a list changes the format.
 #pragma once
 
-#include <concepts>
 #include <cstddef>
 #include <type_traits>
 
+#include "core/base/fields.h"
 #include "core/session/session.h"
 
 namespace spikeserve {
 
-// Each function below calls `visit(name, member)` for every member in order. `T` is S or const S.
-template <typename T, typename S>
-concept Is = std::same_as<std::remove_const_t<T>, S>;
+SPIKESERVE_FIELDS(Action, discrete, continuous)
 
-template <Is<Action> T, typename Visitor>
-void VisitFields(T& action, Visitor&& visit) {
-  visit("discrete", action.discrete);
-  visit("continuous", action.continuous);
-}
+SPIKESERVE_FIELDS(Timestep, return_to_go, observation, action)
 
-template <Is<Timestep> T, typename Visitor>
-void VisitFields(T& timestep, Visitor&& visit) {
-  visit("return_to_go", timestep.return_to_go);
-  visit("observation", timestep.observation);
-  visit("action", timestep.action);
-}
-
-template <Is<Counts> T, typename Visitor>
-void VisitFields(T& counts, Visitor&& visit) {
-  visit("spikes_by_stage", counts.spikes_by_stage);
-  visit("accumulates", counts.accumulates);
-  visit("multiply_accumulates", counts.multiply_accumulates);
-  visit("attention_products", counts.attention_products);
-  visit("integer_multiply_accumulates", counts.integer_multiply_accumulates);
-  visit("membrane_updates", counts.membrane_updates);
-  visit("coder_gains", counts.coder_gains);
-  visit("layer_norm_elements", counts.layer_norm_elements);
-  visit("softmax_terms", counts.softmax_terms);
-  visit("gate_products", counts.gate_products);
-}
+SPIKESERVE_FIELDS(Counts, spikes_by_stage, accumulates, multiply_accumulates, attention_products,
+                  integer_multiply_accumulates, membrane_updates, coder_gains, layer_norm_elements,
+                  softmax_terms, gate_products)
 
 // The counts of integer arithmetic.
 inline size_t MoreFields(const Counts& counts) { return counts.weight_bytes > 0 ? 6 : 0; }
-template <Is<Counts> T, typename Visitor>
-void VisitMoreFields(T& counts, Visitor&& visit) {
-  visit("membrane_ticks", counts.membrane_ticks);
-  visit("membrane_leaks", counts.membrane_leaks);
-  visit("wide_multiply_accumulates", counts.wide_multiply_accumulates);
-  visit("attention_scalings", counts.attention_scalings);
-  visit("weight_bytes", counts.weight_bytes);
-  visit("attention_bytes", counts.attention_bytes);
-}
+SPIKESERVE_MORE_FIELDS(Counts, membrane_ticks, membrane_leaks, wide_multiply_accumulates,
+                       attention_scalings, weight_bytes, attention_bytes)
 
-template <Is<Answer> T, typename Visitor>
-void VisitFields(T& answer, Visitor&& visit) {
-  visit("step", answer.step);
-  visit("action", answer.action);
-  visit("probabilities", answer.probabilities);
-  visit("return_to_go", answer.return_to_go);
-  visit("counts", answer.counts);
-  visit("unusual_observations", answer.unusual_observations);
-  visit("compute_seconds", answer.compute_seconds);
-  visit("logits", answer.logits);
-}
+SPIKESERVE_FIELDS(Answer, step, action, probabilities, return_to_go, counts, unusual_observations,
+                  compute_seconds, logits)
 
-template <Is<StepSource> T, typename Visitor>
-void VisitFields(T& source, Visitor&& visit) {
-  visit("kind", source.kind);
-  visit("operator_id", source.operator_id);
-}
+SPIKESERVE_FIELDS(StepSource, kind, operator_id)
 
-template <Is<Hold> T, typename Visitor>
-void VisitFields(T& hold, Visitor&& visit) {
-  visit("id", hold.id);
-  visit("reason", hold.reason);
-}
+SPIKESERVE_FIELDS(Hold, id, reason)
 
 // Of an action that the policy has not chosen.
 inline size_t MoreFields(const Answer& answer) {
   if (answer.hold.has_value()) return 2;
   return answer.source != StepSource() ? 1 : 0;
 }
-template <Is<Answer> T, typename Visitor>
-void VisitMoreFields(T& answer, Visitor&& visit) {
-  visit("source", answer.source);
-  visit("hold", answer.hold);
-}
+SPIKESERVE_MORE_FIELDS(Answer, source, hold)
 
-template <Is<ActionSelection> T, typename Visitor>
-void VisitFields(T& selection, Visitor&& visit) {
-  visit("sample", selection.sample);
-  visit("temperature", selection.temperature);
-}
+SPIKESERVE_FIELDS(ActionSelection, sample, temperature)
 
-template <Is<LearningOptions> T, typename Visitor>
-void VisitFields(T& options, Visitor&& visit) {
-  visit("scope", options.scope);
-  visit("rule", options.rule);
-  visit("modulator", options.modulator);
-  visit("learning_rate", options.learning_rate);
-  visit("trace_decay", options.trace_decay);
-  visit("discount", options.discount);
-  visit("clip", options.clip);
-  visit("max_drift", options.max_drift);
-  visit("guard_margin", options.guard_margin);
-}
+SPIKESERVE_FIELDS(LearningOptions, scope, rule, modulator, learning_rate, trace_decay, discount,
+                  clip, max_drift, guard_margin)
 
-template <Is<ReturnStatistics> T, typename Visitor>
-void VisitFields(T& statistics, Visitor&& visit) {
-  visit("mean", statistics.mean);
-  visit("variance", statistics.variance);
-  visit("decisions", statistics.decisions);
-}
+SPIKESERVE_FIELDS(ReturnStatistics, mean, variance, decisions)
 
-template <Is<EpisodeReturns> T, typename Visitor>
-void VisitFields(T& episode, Visitor&& visit) {
-  visit("decisions", episode.decisions);
-  visit("rewards", episode.rewards);
-  visit("returns", episode.returns);
-  visit("squares", episode.squares);
-  visit("weights", episode.weights);
-  visit("weights2", episode.weights2);
-  visit("projected", episode.projected);
-}
+SPIKESERVE_FIELDS(EpisodeReturns, decisions, rewards, returns, squares, weights, weights2,
+                  projected)
 
-template <Is<WindowLevel> T, typename Visitor>
-void VisitFields(T& level, Visitor&& visit) {
-  visit("mean", level.mean);
-  visit("error", level.error);
-}
+SPIKESERVE_FIELDS(WindowLevel, mean, error)
 
-template <Is<ReturnGuard> T, typename Visitor>
-void VisitFields(T& guard, Visitor&& visit) {
-  visit("returns", guard.returns);
-  visit("beginning", guard.beginning);
-  visit("good", guard.good);
-  visit("has_reference", guard.has_reference);
-  visit("reference", guard.reference);
-  visit("last", guard.last);
-  visit("on_probation", guard.on_probation);
-  visit("rollbacks", guard.rollbacks);
-}
+SPIKESERVE_FIELDS(ReturnGuard, returns, beginning, good, has_reference, reference, last,
+                  on_probation, rollbacks)
 
-template <Is<Learner> T, typename Visitor>
-void VisitFields(T& learner, Visitor&& visit) {
-  visit("head_delta", learner.head_delta);
-  visit("returns", learner.returns);
-  visit("guard", learner.guard);
-  visit("trace", learner.trace);
-  visit("episode", learner.episode);
-  visit("trace_sum", learner.trace_sum);
-  visit("discounted_trace", learner.discounted_trace);
-  visit("credit", learner.credit);
-  visit("updates", learner.updates);
-  visit("rejected", learner.rejected);
-  visit("suspended", learner.suspended);
-  visit("post", learner.post);
-  visit("readout", learner.readout);
-  visit("before_update", learner.before_update);
-}
+SPIKESERVE_FIELDS(Learner, head_delta, returns, guard, trace, episode, trace_sum, discounted_trace,
+                  credit, updates, rejected, suspended, post, readout, before_update)
 
-template <Is<EpisodeEnd> T, typename Visitor>
-void VisitFields(T& end, Visitor&& visit) {
-  visit("reward", end.reward);
-  visit("terminated", end.terminated);
-  visit("target_return", end.target_return);
-  visit("truncated", end.truncated);
-  visit("observation", end.observation);
-  visit("executed_action", end.executed_action);
-}
+SPIKESERVE_FIELDS(EpisodeEnd, reward, terminated, target_return, truncated, observation,
+                  executed_action)
 
-template <Is<LearningSummary> T, typename Visitor>
-void VisitFields(T& summary, Visitor&& visit) {
-  visit("scope", summary.scope);
-  visit("updates", summary.updates);
-  visit("rejected", summary.rejected);
-  visit("head_drift", summary.head_drift);
-  visit("returns", summary.returns);
-  visit("rolled_back", summary.rolled_back);
-  visit("watched_return", summary.watched_return);
-}
+SPIKESERVE_FIELDS(LearningSummary, scope, updates, rejected, head_drift, returns, rolled_back,
+                  watched_return)
 
-template <Is<EpisodeSummary> T, typename Visitor>
-void VisitFields(T& summary, Visitor&& visit) {
-  visit("episode_return", summary.episode_return);
-  visit("steps", summary.steps);
-  visit("spikes", summary.spikes);
-  visit("energy_joules", summary.energy_joules);
-  visit("learning", summary.learning);
-}
+SPIKESERVE_FIELDS(EpisodeSummary, episode_return, steps, spikes, energy_joules, learning)
 
-template <Is<EndedEpisode> T, typename Visitor>
-void VisitFields(T& ended, Visitor&& visit) {
-  visit("end", ended.end);
-  visit("summary", ended.summary);
-}
+SPIKESERVE_FIELDS(EndedEpisode, end, summary)
 
-template <Is<SessionOptions> T, typename Visitor>
-void VisitFields(T& options, Visitor&& visit) {
-  visit("policy", options.policy);
-  visit("version", options.version);
-  visit("target_return", options.target_return);
-  visit("seed", options.seed);
-  visit("action_selection", options.action_selection);
-  visit("labels", options.labels);
-  visit("tenant", options.tenant);
-  visit("learning", options.learning);
-  visit("head_delta", options.head_delta);
-  visit("durability", options.durability);
-  visit("recording", options.recording);
-  visit("policy_sha256", options.policy_sha256);
-}
+SPIKESERVE_FIELDS(SessionOptions, policy, version, target_return, seed, action_selection, labels,
+                  tenant, learning, head_delta, durability, recording, policy_sha256)
 
 // The session itself has the other members of a contribution.
-template <Is<Contribution> T, typename Visitor>
-void VisitFields(T& contribution, Visitor&& visit) {
-  visit("episode", contribution.episode);
-  visit("delta", contribution.delta);
-  visit("episode_return", contribution.episode_return);
-  visit("summary", contribution.summary);
-}
+SPIKESERVE_FIELDS(Contribution, episode, delta, episode_return, summary)
 
-template <Is<WiringHypothesis> T, typename Visitor>
-void VisitFields(T& hypothesis, Visitor&& visit) {
-  visit("number", hypothesis.number);
-  visit("evidence", hypothesis.evidence);
-  visit("total", hypothesis.total);
-}
+SPIKESERVE_FIELDS(WiringHypothesis, number, evidence, total)
 
-template <Is<WiringVerdict> T, typename Visitor>
-void VisitFields(T& verdict, Visitor&& visit) {
-  visit("cause", verdict.cause);
-  visit("elements", verdict.elements);
-  visit("evidence", verdict.evidence);
-}
+SPIKESERVE_FIELDS(WiringVerdict, cause, elements, evidence)
 
-template <Is<WiringState> T, typename Visitor>
-void VisitFields(T& wiring, Visitor&& visit) {
-  visit("is_open", wiring.is_open);
-  visit("steps", wiring.steps);
-  visit("unusual", wiring.unusual);
-  visit("hypotheses", wiring.hypotheses);
-  visit("runs", wiring.runs);
-  visit("verdict", wiring.verdict);
-}
+SPIKESERVE_FIELDS(WiringState, is_open, steps, unusual, hypotheses, runs, verdict)
 
 template <Is<Session> T, typename Visitor>
 void VisitFields(T& session, Visitor&& visit) {
@@ -274,41 +105,14 @@ void VisitFields(T& session, Visitor&& visit) {
   visit("pending", session.pending);
 }
 
-template <Is<Seat> T, typename Visitor>
-void VisitFields(T& seat, Visitor&& visit) {
-  visit("operator_id", seat.operator_id);
-  visit("lease_id", seat.lease_id);
-  visit("lease_seconds", seat.lease_seconds);
-  visit("left_seconds", seat.left_seconds);
-  visit("action", seat.action);
-  visit("steps", seat.steps);
-  visit("agreed_steps", seat.agreed_steps);
-}
+SPIKESERVE_FIELDS(Seat, operator_id, lease_id, lease_seconds, left_seconds, action, steps,
+                  agreed_steps)
 
 inline size_t MoreFields(const Session& session) {
   if (session.seat.has_value()) return 3;
   if (session.step > 0 && session.executed_source != StepSource()) return 2;
   return session.wiring != WiringState() ? 1 : 0;
 }
-template <Is<Session> T, typename Visitor>
-void VisitMoreFields(T& session, Visitor&& visit) {
-  visit("wiring", session.wiring);
-  visit("executed_source", session.executed_source);
-  visit("seat", session.seat);
-}
-
-// Is satisfied by types that have an overload of VisitMoreFields(): optional members at the end, of
-// which the first MoreFields() are written, so that releases which do not know the others can read
-// these.
-template <typename T>
-concept MayHaveMoreFields = requires(T& value) {
-  VisitMoreFields(value, [](const char*, auto&) {});
-};
-
-// Is satisfied by types that have an overload of VisitFields().
-template <typename T>
-concept HasFields = requires(T& value) {
-  VisitFields(value, [](const char*, auto&) {});
-};
+SPIKESERVE_MORE_FIELDS(Session, wiring, executed_source, seat)
 
 }  // namespace spikeserve

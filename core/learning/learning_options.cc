@@ -4,6 +4,7 @@
 #include <initializer_list>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -11,14 +12,12 @@ namespace {
 
 absl::Status CheckPositive(const char* field, double value) {
   if (std::isfinite(value) && value > 0.0) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("learning.", field, ": expected a finite number above 0, received ", value));
+  return InvalidArgument(absl::StrCat("learning.", field), "a finite number above 0", value);
 }
 
 absl::Status CheckFraction(const char* field, double value) {
   if (value >= 0.0 && value <= 1.0) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("learning.", field, ": expected a number from 0 to 1, received ", value));
+  return InvalidArgument(absl::StrCat("learning.", field), "a number from 0 to 1", value);
 }
 
 }  // namespace
@@ -31,8 +30,7 @@ absl::Status LearningOptions::Validate(const ActionSpace& space,
   RETURN_IF_ERROR(CheckPositive("clip", clip));
   RETURN_IF_ERROR(CheckPositive("max_drift", max_drift));
   if (!(std::isfinite(guard_margin) && guard_margin >= 0.0)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "learning.guard_margin: expected a finite number of at least 0, received ", guard_margin));
+    return InvalidArgument("learning.guard_margin", "a finite number of at least 0", guard_margin);
   }
   if (rule == Rule::kPolicyGradient && !space.is_discrete() && !selection.sample) {
     return absl::InvalidArgumentError(

@@ -3,6 +3,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -11,8 +12,8 @@ namespace {
 // Refuses fields that would have no effect with the other options.
 absl::Status CheckApplies(const LearningRequest& request, const LearningOptions& options) {
   const auto unset = [](const char* field, absl::string_view unless, double received) {
-    return absl::InvalidArgumentError(absl::StrCat("learning.", field, ": expected unset unless ",
-                                                   unless, ", received ", received));
+    return InvalidArgument(absl::StrCat("learning.", field), absl::StrCat("unset unless ", unless),
+                           received);
   };
   if (request.discount.has_value() && options.modulator != Modulator::kRealized) {
     return unset("discount", "modulator is realized", *request.discount);

@@ -4,14 +4,14 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
 
 absl::Status CheckRange(absl::string_view field, int value, int limit) {
   if (value >= 1 && value <= limit) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat(field, ": expected 1 to ", limit, ", received ", value));
+  return InvalidArgument(field, absl::StrCat("1 to ", limit), value);
 }
 
 // Checks what only policies in Arithmetic::kInteger require.
@@ -20,15 +20,14 @@ absl::Status CheckInteger(const ModelConfig& config) {
   status.Update(CheckRange("residual_fraction", config.residual_fraction, ModelLimits::kFraction));
   if (config.is_dense()) return status;
   if (config.leak() == 0) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "membrane_decay: expected 1 - m / 256 for an m from 1 to 128 in integers, received ",
-        config.membrane_decay));
+    return InvalidArgument("membrane_decay", "1 - m / 256 for an m from 1 to 128 in integers",
+                           config.membrane_decay);
   }
   status.Update(CheckRange("ticks", config.ticks, ModelLimits::kIntegerTicks));
   if (config.attention == AttentionTicks::kAllTicks && config.has_routing() &&
       config.merge == Merge::kConcat && config.gate == Gate::kSigmoid) {
-    return absl::InvalidArgumentError(
-        "attention: expected shiftmax_by_tick with concatenated heads and sigmoid gates, received "
+    return InvalidArgument(
+        "attention", "shiftmax_by_tick with concatenated heads and sigmoid gates",
         "shiftmax, which multiplied these gates by the heads; quantize the float32 policy again");
   }
   return status;
@@ -53,22 +52,20 @@ absl::Status ModelConfig::Validate() const {
   status.Update(CheckRange("ffn_size", ffn_size, ModelLimits::kFfnSize));
   if (!status.ok()) return status;
   if (hidden_size % heads != 0) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "hidden_size: expected a multiple of heads = ", heads, ", received ", hidden_size));
+    return InvalidArgument("hidden_size", absl::StrCat("a multiple of heads = ", heads),
+                           hidden_size);
   }
   if (!(membrane_decay >= 0.0f && membrane_decay <= 1.0f)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("membrane_decay: expected 0 to 1, received ", membrane_decay));
+    return InvalidArgument("membrane_decay", "0 to 1", membrane_decay);
   }
   if (!(threshold > 0.0f && std::isfinite(threshold))) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("threshold: expected a positive finite number, received ", threshold));
+    return InvalidArgument("threshold", "a positive finite number", threshold);
   }
   if (is_dense() && !has_norms()) {
-    return absl::InvalidArgumentError("norm: expected layer in mode dense, received none");
+    return InvalidArgument("norm", "layer in mode dense", "none");
   }
   if (is_dense() && relative_bias) {
-    return absl::InvalidArgumentError("relative_bias: expected false in mode dense, received true");
+    return InvalidArgument("relative_bias", "false in mode dense", "true");
   }
   return is_integer() ? CheckInteger(*this) : absl::OkStatus();
 }

@@ -12,6 +12,7 @@
 #include "core/base/json.h"
 #include "core/base/json_object.h"
 #include "core/base/printable.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "nlohmann/json.hpp"
 
@@ -25,20 +26,19 @@ constexpr size_t kLongestName = 256;  // bytes, of every text of a feature
 
 absl::Status CheckText(absl::string_view field, absl::string_view text) {
   if (text.size() <= kLongestName && IsPrintable(text)) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(field, ": expected at most ", kLongestName,
-                                                 " bytes of printable characters, received ",
-                                                 Quoted(std::string(text))));
+  return InvalidArgument(field,
+                         absl::StrCat("at most ", kLongestName, " bytes of printable characters"),
+                         Quoted(std::string(text)));
 }
 
 absl::Status CheckNumber(absl::string_view field, const std::optional<double>& number) {
   if (!number.has_value() || std::isfinite(*number)) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat(field, ": expected a finite number, received ", *number));
+  return InvalidArgument(field, "a finite number", *number);
 }
 
 absl::Status CheckFeature(const std::string& field, const Feature& feature) {
   if (feature.name.empty()) {
-    return absl::InvalidArgumentError(absl::StrCat(field, ".name: expected a name, received none"));
+    return InvalidArgument(absl::StrCat(field, ".name"), "a name", "none");
   }
   RETURN_IF_ERROR(CheckText(absl::StrCat(field, ".name"), feature.name));
   RETURN_IF_ERROR(CheckText(absl::StrCat(field, ".unit"), feature.unit));
@@ -48,22 +48,21 @@ absl::Status CheckFeature(const std::string& field, const Feature& feature) {
   if (!feature.low.has_value() || !feature.high.has_value() || *feature.low <= *feature.high) {
     return absl::OkStatus();
   }
-  return absl::InvalidArgumentError(
-      absl::StrCat(field, ".high: expected at least ", *feature.low, ", received ", *feature.high));
+  return InvalidArgument(absl::StrCat(field, ".high"), absl::StrCat("at least ", *feature.low),
+                         *feature.high);
 }
 
 absl::Status CheckList(absl::string_view field, const std::vector<Feature>& features, int size) {
   if (!features.empty() && features.size() != static_cast<size_t>(size)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected none or ", size, " elements, received ", features.size()));
+    return InvalidArgument(field, absl::StrCat("none or ", size, " elements"), features.size());
   }
   std::set<absl::string_view> names;
   for (size_t i = 0; i < features.size(); ++i) {
     const std::string element = absl::StrCat(field, "[", i, "]");
     RETURN_IF_ERROR(CheckFeature(element, features[i]));
     if (names.insert(features[i].name).second) continue;
-    return absl::InvalidArgumentError(absl::StrCat(element, ".name: expected another name than ",
-                                                   "before, received ", Quoted(features[i].name)));
+    return InvalidArgument(absl::StrCat(element, ".name"),
+                           absl::StrCat("another name than ", "before"), Quoted(features[i].name));
   }
   return absl::OkStatus();
 }
@@ -155,10 +154,11 @@ absl::Status CheckUnit(const ReceivedNames& received, size_t i, const Feature& f
   const std::string& unit = received.units[i];
   if (unit.empty() || feature.unit.empty() || unit == feature.unit) return absl::OkStatus();
   const auto factor = UnitFactor(unit, feature.unit);
-  return absl::InvalidArgumentError(absl::StrCat(
-      received.field, "_units[", i, "] (", feature.name, "): expected ", Quoted(feature.unit),
-      ", received ", Quoted(unit),
-      factor.has_value() ? absl::StrCat("; multiply by ", *factor, " to convert") : ""));
+  return InvalidArgument(
+      absl::StrCat(received.field, "_units[", i, "] (", feature.name, ")"), Quoted(feature.unit),
+      absl::StrCat(Quoted(unit), factor.has_value()
+                                     ? absl::StrCat("; multiply by ", *factor, " to convert")
+                                     : ""));
 }
 
 }  // namespace
@@ -167,13 +167,11 @@ absl::Status Features::Validate(int observation_size, int action_size) const {
   RETURN_IF_ERROR(CheckList("features.observation", observation, observation_size));
   RETURN_IF_ERROR(CheckList("features.action", action, action_size));
   if (rate_hz.has_value() && !(*rate_hz > 0.0 && std::isfinite(*rate_hz))) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("features.rate_hz: expected a positive finite number, received ", *rate_hz));
+    return InvalidArgument("features.rate_hz", "a positive finite number", *rate_hz);
   }
   if (rate_tolerance >= 0.0 && std::isfinite(rate_tolerance)) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("features.rate_tolerance: expected a finite number of at least 0, received ",
-                   rate_tolerance));
+  return InvalidArgument("features.rate_tolerance", "a finite number of at least 0",
+                         rate_tolerance);
 }
 
 absl::Status ReadJson(absl::string_view field, const json& value, Feature* feature) {
@@ -214,36 +212,36 @@ absl::Status CheckNames(absl::Span<const Feature> expected, const ReceivedNames&
                         bool in_any_order) {
   const std::string field = absl::StrCat(received.field, "_names");
   if (!received.units.empty() && received.units.size() != received.names.size()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(received.field, "_units: expected one per name, ", received.names.size(),
-                     ", received ", received.units.size()));
+    return InvalidArgument(absl::StrCat(received.field, "_units"),
+                           absl::StrCat("one per name, ", received.names.size()),
+                           received.units.size());
   }
   if (received.names.empty()) return absl::OkStatus();
   if (expected.empty()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected none, because the policy file names no elements, received ",
-                     received.names.size()));
+    return InvalidArgument(field, "none, because the policy file names no elements",
+                           received.names.size());
   }
   const auto append_name = [](std::string* out, const Feature& feature) {
     absl::StrAppend(out, feature.name);
   };
   if (expected.size() != received.names.size()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected ", expected.size(), " names (",
-                     absl::StrJoin(expected, ", ", append_name), "), received ",
-                     received.names.size(), " (", absl::StrJoin(received.names, ", "), ")"));
+    return InvalidArgument(
+        field,
+        absl::StrCat(expected.size(), " names (", absl::StrJoin(expected, ", ", append_name), ")"),
+        absl::StrCat(received.names.size(), " (", absl::StrJoin(received.names, ", "), ")"));
   }
   const auto places = Permutation(expected, received.names);
   for (size_t i = 0; i < expected.size(); ++i) {
     if (places.has_value() && (in_any_order || (*places)[i] == i)) continue;
     if (received.names[i] == expected[i].name) continue;
-    return absl::InvalidArgumentError(absl::StrCat(
-        field, "[", i, "]: expected ", Quoted(expected[i].name), ", received ",
-        Quoted(received.names[i]),
-        places.has_value()
-            ? absl::StrCat("; the policy's order is [", absl::StrJoin(*places, ", "),
-                           "] of the received elements")
-            : absl::StrCat("; the policy has ", absl::StrJoin(expected, ", ", append_name))));
+    return InvalidArgument(
+        absl::StrCat(field, "[", i, "]"), Quoted(expected[i].name),
+        absl::StrCat(
+            Quoted(received.names[i]),
+            places.has_value()
+                ? absl::StrCat("; the policy's order is [", absl::StrJoin(*places, ", "),
+                               "] of the received elements")
+                : absl::StrCat("; the policy has ", absl::StrJoin(expected, ", ", append_name))));
   }
   for (size_t i = 0; i < expected.size() && !received.units.empty(); ++i) {
     RETURN_IF_ERROR(CheckUnit(received, (*places)[i], expected[i]));
@@ -258,10 +256,6 @@ std::optional<double> UnitFactor(absl::string_view from, absl::string_view to) {
     return std::nullopt;
   }
   return source->factor / target->factor;
-}
-
-std::string FeatureName(absl::Span<const Feature> features, size_t element) {
-  return element < features.size() ? features[element].name : absl::StrCat("[", element, "]");
 }
 
 }  // namespace spikeserve

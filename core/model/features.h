@@ -67,7 +67,4 @@ absl::Status CheckNames(absl::Span<const Feature> expected, const ReceivedNames&
 // quantities.
 std::optional<double> UnitFactor(absl::string_view from, absl::string_view to);
 
-// Returns `name` of an element, or its index as "[3]" if the policy names none.
-std::string FeatureName(absl::Span<const Feature> features, size_t element);
-
 }  // namespace spikeserve

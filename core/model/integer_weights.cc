@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
@@ -67,8 +68,8 @@ absl::Status CheckPopulation(const std::string& name, const IntegerPopulation& p
 
 absl::Status ElementError(absl::string_view tensor, absl::string_view expected,
                           const absl::AlphaNum& received, size_t index) {
-  return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(tensor), ": expected ", expected,
-                                                 ", received ", received, " at index ", index));
+  return InvalidArgument(absl::StrCat("tensor ", Quoted(tensor)), expected,
+                         absl::StrCat(received, " at index ", index));
 }
 
 absl::Status CheckIntegerMaps(absl::string_view name, const IntegerMaps& maps) {

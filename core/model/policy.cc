@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
@@ -37,17 +38,16 @@ bool HasShape(const auto& tensor, const std::vector<int>& expected) {
 
 absl::Status CheckShape(const TensorSlot& slot, const auto& tensor) {
   if (HasShape(tensor, slot.shape)) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      "tensor ", Quoted(slot.name), ": expected shape ", ShapeText(slot.shape), ", received ",
-      ShapeText(tensor.shape), " with ", tensor.values.size(), " values"));
+  return InvalidArgument(
+      absl::StrCat("tensor ", Quoted(slot.name)), absl::StrCat("shape ", ShapeText(slot.shape)),
+      absl::StrCat(ShapeText(tensor.shape), " with ", tensor.values.size(), " values"));
 }
 
 absl::Status CheckAllFinite(const TensorSlot& slot, const Tensor& tensor) {
   for (size_t i = 0; i < tensor.values.size(); ++i) {
     if (std::isfinite(tensor.values[i])) continue;
-    return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(slot.name),
-                                                   ": expected finite numbers, received ",
-                                                   tensor.values[i], " at index ", i));
+    return InvalidArgument(absl::StrCat("tensor ", Quoted(slot.name)), "finite numbers",
+                           absl::StrCat(tensor.values[i], " at index ", i));
   }
   return absl::OkStatus();
 }
@@ -61,14 +61,12 @@ absl::Status CheckTensor(const TensorSlot& slot) {
 
 absl::Status CheckFinite(absl::string_view field, float value) {
   if (std::isfinite(value)) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat(field, ": expected a finite number, received ", value));
+  return InvalidArgument(field, "a finite number", value);
 }
 
 absl::Status CheckPositive(absl::string_view field, float value) {
   if (value > 0.0f && std::isfinite(value)) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat(field, ": expected a positive finite number, received ", value));
+  return InvalidArgument(field, "a positive finite number", value);
 }
 
 absl::Status CheckScales(absl::string_view name, const Tensor& scales) {
@@ -105,13 +103,11 @@ absl::Status CheckIntegers(const ModelConfig& config, const Weights& weights) {
 absl::Status CheckWeights(const Policy& policy) {
   const Weights& weights = policy.weights;
   if (weights.layers.size() != static_cast<size_t>(policy.config.layers)) {
-    return absl::InvalidArgumentError(absl::StrCat("layers: expected ", policy.config.layers,
-                                                   ", received weights of ",
-                                                   weights.layers.size()));
+    return InvalidArgument("layers", policy.config.layers,
+                           absl::StrCat("weights of ", weights.layers.size()));
   }
   if (policy.observation_size() < 1) {
-    return absl::InvalidArgumentError(
-        "tensor \"observation.mean\": expected at least one value, received 0");
+    return InvalidArgument("tensor \"observation.mean\"", "at least one value", "0");
   }
   // The const_cast is safe: this loop only reads the slots, and TensorSlots resizes nothing,
   // because the number of layers was checked above.

@@ -30,9 +30,9 @@ absl::Status Take(const std::string& name, AnyTensor tensor, Typed* place) {
     *place = std::move(*typed);
     return absl::OkStatus();
   }
-  return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(name), ": expected dtype ",
-                                                 Quoted(DtypeName(Typed())), ", received ",
-                                                 Quoted(DtypeName(tensor))));
+  return InvalidArgument(absl::StrCat("tensor ", Quoted(name)),
+                         absl::StrCat("dtype ", Quoted(DtypeName(Typed()))),
+                         Quoted(DtypeName(tensor)));
 }
 
 // Moves every tensor to its place in `policy`. Policy::Validate checks the shapes and the numbers.

@@ -11,8 +11,10 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "absl/types/span.h"
+#include "core/base/fields.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/model/wiring_model.h"
 
@@ -33,55 +35,24 @@ absl::Span<const std::pair<const char*, const char*>> FormerChoices(const ModelC
   return absl::MakeConstSpan(kFormerChoices).first(config.is_integer() ? 2 : 1);
 }
 
-// Calls visit(key, member) for every key of `config`; the reader and the writer share this list.
-// `Config` is ModelConfig or const ModelConfig.
-template <typename Config, typename Visitor>
-void VisitConfig(Config& config, Visitor&& visit) {
-  visit("mode", config.mode);
-  visit("hidden_size", config.hidden_size);
-  visit("heads", config.heads);
-  visit("layers", config.layers);
-  visit("ticks", config.ticks);
-  visit("context", config.context);
-  visit("routing_hidden_size", config.routing_hidden_size);
-  visit("ffn_size", config.ffn_size);
-  visit("membrane_decay", config.membrane_decay);
-  visit("threshold", config.threshold);
-  visit("phase_clock", config.phase_clock);
-  visit("merge", config.merge);
-  visit("gate", config.gate);
-}
+// The keys of `config`, which the reader and the writer share.
+SPIKESERVE_VISITOR(VisitConfig, ModelConfig, mode, hidden_size, heads, layers, ticks, context,
+                   routing_hidden_size, ffn_size, membrane_decay, threshold, phase_clock, merge,
+                   gate)
 
-// Calls visit(key, member) for every key that only policies in integer arithmetic have.
-template <typename Config, typename Visitor>
-void VisitIntegerConfig(Config& config, Visitor&& visit) {
-  visit("attention", config.attention);
-  visit("input_fraction", config.input_fraction);
-  visit("residual_fraction", config.residual_fraction);
-}
+// The keys that only policies in integer arithmetic have.
+SPIKESERVE_VISITOR(VisitIntegerConfig, ModelConfig, attention, input_fraction, residual_fraction)
 
-// Calls visit(key, member) for every number that has a metadata key of its own, beside `config`.
-template <typename AnyPolicy, typename Visitor>
-void VisitNumbers(AnyPolicy& policy, Visitor&& visit) {
-  visit("return_offset", policy.return_offset);
-  visit("return_scale", policy.return_scale);
-  visit("target_return", policy.target_return);
-  visit("modulator_mean", policy.modulator_mean);
-  visit("modulator_std", policy.modulator_std);
-}
-
-absl::Status FieldError(absl::string_view field, absl::string_view expected,
-                        absl::string_view received) {
-  return absl::InvalidArgumentError(
-      absl::StrCat(field, ": expected ", expected, ", received ", received));
-}
+// The numbers that have metadata keys of their own, beside `config`.
+SPIKESERVE_VISITOR(VisitNumbers, Policy, return_offset, return_scale, target_return, modulator_mean,
+                   modulator_std)
 
 // Parses a number that has a metadata key of its own; metadata values are strings.
 absl::Status Parse(absl::string_view field, const std::string& text, float* number) {
   const char* const end = text.data() + text.size();
   const auto [rest, error] = std::from_chars(text.data(), end, *number);
   if (error == std::errc() && rest == end && std::isfinite(*number)) return absl::OkStatus();
-  return FieldError(field, "a finite number that fits float32", Quoted(text));
+  return InvalidArgument(field, "a finite number that fits float32", Quoted(text));
 }
 
 std::string Format(float number) {
@@ -117,9 +88,10 @@ std::string FormatConfig(const ModelConfig& config) {
 absl::Status RefuseInt8(const json& config) {
   const auto arithmetic = config.find("arithmetic");
   if (arithmetic == config.end() || *arithmetic != "int8") return absl::OkStatus();
-  return FieldError("config.arithmetic", "float32 or integer",
-                    "int8, which is no longer served: `spiketrain quantize --policy=OLD --out=NEW` "
-                    "converts the file to integers, and with --to=float32 to float32");
+  return InvalidArgument(
+      "config.arithmetic", "float32 or integer",
+      "int8, which is no longer served: `spiketrain quantize --policy=OLD --out=NEW` "
+      "converts the file to integers, and with --to=float32 to float32");
 }
 
 absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
@@ -143,7 +115,7 @@ absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
     std::string received = name;
     reader.Required(key, &received);
     if (received != name) {
-      return FieldError(absl::StrCat("config.", key), name, Quoted(received));
+      return InvalidArgument(absl::StrCat("config.", key), name, Quoted(received));
     }
   }
   if (config->is_integer()) VisitIntegerConfig(*config, read);
@@ -166,8 +138,8 @@ absl::Status ParseActionSpace(const std::string& text, ActionSpace* space) {
     reader.Required("low", &space->low);
     reader.Required("high", &space->high);
   } else {
-    return FieldError("action_space.type", "\"Discrete\" or \"Box\"",
-                      type.is_null() ? "none" : Describe(type));
+    return InvalidArgument("action_space.type", "\"Discrete\" or \"Box\"",
+                           type.is_null() ? "none" : Describe(type));
   }
   return reader.Finish();
 }
@@ -209,12 +181,12 @@ absl::Status ParsePolicyMetadata(const std::map<std::string, std::string>& metad
   const auto take = [&](const char* key) {
     const auto found = metadata.find(key);
     if (found != metadata.end()) return found->second;
-    status.Update(FieldError("__metadata__", absl::StrCat("key \"", key, "\""), "none"));
+    status.Update(InvalidArgument("__metadata__", absl::StrCat("key \"", key, "\""), "none"));
     return std::string();
   };
   const std::string format = take("format");
   if (status.ok() && format != kFormat) {
-    return FieldError("format", Quoted(kFormat), Quoted(format));
+    return InvalidArgument("format", Quoted(kFormat), Quoted(format));
   }
   const std::string config = take("config");
   const std::string action_space = take("action_space");

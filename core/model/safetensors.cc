@@ -50,15 +50,13 @@ struct Entry {
 
 absl::Status TensorError(absl::string_view name, absl::string_view expected,
                          absl::string_view received) {
-  return absl::InvalidArgumentError(
-      absl::StrCat("tensor ", Quoted(name), ": expected ", expected, ", received ", received));
+  return InvalidArgument(absl::StrCat("tensor ", Quoted(name)), expected, received);
 }
 
 absl::Status CheckSize(uint64_t size) {
   if (size >= kPrefixBytes && size <= kMaxSafetensorsFileBytes) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat("file size: expected ", kPrefixBytes, " to ",
-                                                 kMaxSafetensorsFileBytes, " bytes, received ",
-                                                 size));
+  return InvalidArgument(
+      "file size", absl::StrCat(kPrefixBytes, " to ", kMaxSafetensorsFileBytes, " bytes"), size);
 }
 
 // Returns an error unless the file can be read into memory.
@@ -83,20 +81,17 @@ absl::StatusOr<absl::string_view> FindHeader(absl::string_view bytes) {
   std::memcpy(&size, bytes.data(), kPrefixBytes);
   const uint64_t limit = std::min(kMaxSafetensorsHeaderBytes, bytes.size() - kPrefixBytes);
   if (size > limit) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("header length: expected at most ", limit, " bytes, received ", size));
+    return InvalidArgument("header length", absl::StrCat("at most ", limit, " bytes"), size);
   }
   const absl::string_view header = bytes.substr(kPrefixBytes, size);
   if (header.empty() || header.front() != '{') {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "header: expected it to begin with \"{\", received ", Quoted(header.substr(0, 1))));
+    return InvalidArgument("header", "it to begin with \"{\"", Quoted(header.substr(0, 1)));
   }
   // The JSON parser accepts any white space at the end; safetensors allows only spaces.
   const size_t last = header.find_last_not_of(' ');
   if (header[last] != '}') {
-    return absl::InvalidArgumentError(
-        absl::StrCat("header: expected \"}\" and then only spaces at its end, received ",
-                     Quoted(header.substr(last, 1))));
+    return InvalidArgument("header", "\"}\" and then only spaces at its end",
+                           Quoted(header.substr(last, 1)));
   }
   return header;
 }
@@ -106,13 +101,12 @@ absl::StatusOr<std::map<std::string, std::string>> ParseMetadata(const json& hea
   const auto found = header.find(kMetadataKey);
   if (found == header.end()) return metadata;
   if (!found->is_object()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(kMetadataKey, ": expected an object, received ", Describe(*found)));
+    return InvalidArgument(kMetadataKey, "an object", Describe(*found));
   }
   for (const auto& [key, value] : found->items()) {
     if (!value.is_string()) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          kMetadataKey, ": ", Quoted(key), ": expected a string, received ", Describe(value)));
+      return InvalidArgument(absl::StrCat(kMetadataKey, ": ", Quoted(key)), "a string",
+                             Describe(value));
     }
     metadata[key] = value.get<std::string>();
   }
@@ -215,8 +209,8 @@ absl::StatusOr<std::vector<Entry>> ParseEntries(const json& header, uint64_t dat
     covered = entry.end;
   }
   if (covered != data_size) {
-    return absl::InvalidArgumentError(absl::StrCat("data: expected the ", covered,
-                                                   " bytes of its tensors, received ", data_size));
+    return InvalidArgument("data", absl::StrCat("the ", covered, " bytes of its tensors"),
+                           data_size);
   }
   return entries;
 }

@@ -4,8 +4,10 @@
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/fields.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/math/portable.h"
 #include "nlohmann/json.hpp"
@@ -16,26 +18,19 @@ namespace {
 constexpr double kFreedom = 4.0;  // degrees of freedom of the errors
 constexpr double kLargest = 1e9;  // of a factor, so that the product of 32 of them is a number
 
-template <typename Model, typename Visitor>
-void VisitNumbers(Model& model, Visitor&& visit) {
-  visit("mean", model.mean);
-  visit("deviation", model.deviation);
-  visit("coefficients", model.coefficients);
-  visit("variance", model.variance);
-  visit("growth", model.growth);
-}
+SPIKESERVE_FIELDS(WiringModel, mean, deviation, coefficients, variance, growth, longest_run,
+                  usual_surprise)
 
 absl::Status CheckNumbers(absl::string_view name, const std::vector<double>& numbers, size_t size,
                           double least) {
   if (numbers.size() != size) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("wiring.", name, ": expected ", size, " numbers, received ", numbers.size()));
+    return InvalidArgument(absl::StrCat("wiring.", name), absl::StrCat(size, " numbers"),
+                           numbers.size());
   }
   for (size_t i = 0; i < size; ++i) {
     if (std::isfinite(numbers[i]) && numbers[i] >= least) continue;
-    return absl::InvalidArgumentError(absl::StrCat("wiring.", name, "[", i,
-                                                   "]: expected a finite number of at least ",
-                                                   least, ", received ", numbers[i]));
+    return InvalidArgument(absl::StrCat("wiring.", name, "[", i, "]"),
+                           absl::StrCat("a finite number of at least ", least), numbers[i]);
   }
   return absl::OkStatus();
 }
@@ -153,8 +148,7 @@ double WiringModel::Spread(absl::Span<const double> z) const {
 absl::Status WiringModel::Validate(int observation_size, int action_size) const {
   const auto obs = static_cast<size_t>(observation_size);
   if (obs > kMostElements) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("wiring: expected at most ", kMostElements, " elements, received ", obs));
+    return InvalidArgument("wiring", absl::StrCat("at most ", kMostElements, " elements"), obs);
   }
   constexpr double kSmallest = 1e-18;
   constexpr double kAny = -1e100;
@@ -165,8 +159,7 @@ absl::Status WiringModel::Validate(int observation_size, int action_size) const 
   RETURN_IF_ERROR(CheckNumbers("variance", variance, obs, kSmallest));
   RETURN_IF_ERROR(CheckNumbers("growth", growth, obs, 0.0));
   if (longest_run.size() != obs) {
-    return absl::InvalidArgumentError(absl::StrCat("wiring.longest_run: expected ", obs,
-                                                   " numbers, received ", longest_run.size()));
+    return InvalidArgument("wiring.longest_run", absl::StrCat(obs, " numbers"), longest_run.size());
   }
   return CheckNumbers("usual_surprise", {usual_surprise}, 1, kAny);
 }
@@ -175,18 +168,14 @@ absl::StatusOr<WiringModel> ParseWiringModel(absl::string_view text) {
   ASSIGN_OR_RETURN(const nlohmann::json object, ParseJsonObject("wiring", std::string(text)));
   WiringModel model;
   JsonObject reader("wiring", object);
-  VisitNumbers(model, [&](const char* key, auto& numbers) { reader.Required(key, &numbers); });
-  reader.Required("longest_run", &model.longest_run);
-  reader.Required("usual_surprise", &model.usual_surprise);
+  VisitFields(model, [&](const char* key, auto& numbers) { reader.Required(key, &numbers); });
   RETURN_IF_ERROR(reader.Finish());
   return model;
 }
 
 std::string FormatWiringModel(const WiringModel& model) {
   nlohmann::ordered_json object;
-  VisitNumbers(model, [&](const char* key, const auto& numbers) { object[key] = numbers; });
-  object["longest_run"] = model.longest_run;
-  object["usual_surprise"] = model.usual_surprise;
+  VisitFields(model, [&](const char* key, const auto& numbers) { object[key] = numbers; });
   return object.dump();
 }
 

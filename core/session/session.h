@@ -23,11 +23,32 @@
 #include "core/session/durability.h"
 #include "core/session/episode.h"
 #include "core/session/history.h"
-#include "core/session/hold.h"
-#include "core/session/seat.h"
 #include "core/session/wiring_state.h"
 
 namespace spikeserve {
+
+// While a session is held, it answers with the neutral action and learns nothing.
+struct Hold {
+  std::string id;
+  std::string reason;  // for people
+
+  friend bool operator==(const Hold&, const Hold&) = default;
+};
+
+// The operator who acts in the place of the policy.
+struct Seat {
+  std::string operator_id;
+  std::string lease_id;
+  double lease_seconds = 0.0;
+  // Of the lease, when the session decided last. A server that takes the session over goes on from
+  // here, so no clocks are compared.
+  double left_seconds = 0.0;
+  Action action;             // that the session answers with
+  int64_t steps = 0;         // that were answered so
+  int64_t agreed_steps = 0;  // those for which the policy had chosen the same action
+
+  friend bool operator==(const Seat&, const Seat&) = default;
+};
 
 // The answer to one Act, stored so that a retry gets the same bytes.
 struct Answer {

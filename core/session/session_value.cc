@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/contract/dcheck.h"
 #include "core/engine/energy.h"
 #include "core/engine/engine.h"
@@ -77,19 +78,18 @@ void CountSkipped(double reward, Session* session) {
 
 absl::Status CheckTargetReturn(double target_return) {
   if (IsFiniteFloat(target_return)) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      "target_return: expected a finite number within float32, received ", target_return));
+  return InvalidArgument("target_return", "a finite number within float32", target_return);
 }
 
 absl::Status CheckObservation(absl::Span<const float> observation, int expected_size) {
   if (observation.size() != static_cast<size_t>(expected_size)) {
-    return absl::InvalidArgumentError(absl::StrCat("observation: expected ", expected_size,
-                                                   " numbers, received ", observation.size()));
+    return InvalidArgument("observation", absl::StrCat(expected_size, " numbers"),
+                           observation.size());
   }
   for (size_t i = 0; i < observation.size(); ++i) {
     if (!std::isfinite(observation[i])) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "observation[", i, "]: expected a finite number, received ", observation[i]));
+      return InvalidArgument(absl::StrCat("observation[", i, "]"), "a finite number",
+                             observation[i]);
     }
   }
   return absl::OkStatus();
@@ -97,13 +97,11 @@ absl::Status CheckObservation(absl::Span<const float> observation, int expected_
 
 absl::Status CheckReward(double reward, double next_return_to_go) {
   if (!std::isfinite(reward)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("reward: expected a finite number, received ", reward));
+    return InvalidArgument("reward", "a finite number", reward);
   }
   if (!IsFiniteFloat(next_return_to_go)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("reward: expected a return-to-go within float32, received ", reward,
-                     ", which makes it ", next_return_to_go));
+    return InvalidArgument("reward", "a return-to-go within float32",
+                           absl::StrCat(reward, ", which makes it ", next_return_to_go));
   }
   return absl::OkStatus();
 }

@@ -151,12 +151,9 @@ absl::Status Salvage::NameSessions() {
     CutDamagedEnd(&records).IgnoreError();
     const auto journal = ParseJournal(records);
     if (journal.ok()) {
-      std::string bytes;
-      codec::Writer writer(&bytes);
-      writer.Begin(kStoredSessionFormat);
-      writer.Write(StoredSession{
-          .tenant = journal->snapshot.options.tenant, .epoch = 1, .written_seconds = 0});
-      status = transaction_->Put(sessions_, id, bytes);
+      const StoredSession session = {
+          .tenant = journal->snapshot.options.tenant, .epoch = 1, .written_seconds = 0};
+      status = transaction_->Put(sessions_, id, codec::Serialize(kStoredSessionFormat, session));
       continue;
     }
     ++repair_.unnamed;

@@ -4,6 +4,7 @@
 #include <openssl/x509_vfy.h>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -15,8 +16,7 @@ struct ContextDeleter {
 using SslContext = std::unique_ptr<SSL_CTX, ContextDeleter>;
 
 absl::Status Refuse(absl::string_view flag, absl::string_view expected, absl::string_view path) {
-  return absl::InvalidArgumentError(
-      absl::StrCat(flag, ": expected ", expected, ", received ", path, ": ", TakeTlsError()));
+  return InvalidArgument(flag, expected, absl::StrCat(path, ": ", TakeTlsError()));
 }
 
 absl::StatusOr<SslContext> MakeContext(const RedisTlsFiles& files) {

@@ -139,12 +139,9 @@ absl::Status FindOrphans(RedisClient& client, const RedisKeys& keys,
 // Checks a stored session and its journal, of which it counts the entries.
 absl::Status CheckStored(const std::string& id, absl::string_view bytes,
                          std::vector<std::string>* journal, int64_t* entries) {
-  ASSIGN_OR_RETURN(const auto json, codec::ParseDocument(std::string(bytes), "stored session",
-                                                         kStoredSessionFormat));
-  StoredSession session;
-  codec::Reader reader;
-  reader.Read(json, "stored session", session);
-  RETURN_IF_ERROR(reader.status());
+  ASSIGN_OR_RETURN(
+      const auto session,
+      codec::Parse<StoredSession>(std::string(bytes), "stored session", kStoredSessionFormat));
   RETURN_IF_ERROR(CutDamagedEnd(journal));
   return CheckJournal(id, session.tenant, *journal, entries);
 }
@@ -211,16 +208,15 @@ absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory) {
     journal.push_back(OpenRecord(bytes));
   });
   check();
-  if (status.ok()) status = failure;
-  if (!status.ok()) return status;
-  status = transaction.Scan(sessions, "", [&](absl::string_view id, absl::string_view) {
+  status.Update(failure);
+  RETURN_IF_ERROR(status);
+  RETURN_IF_ERROR(transaction.Scan(sessions, "", [&](absl::string_view id, absl::string_view) {
     ++report.open;
     ++report.ownerless;
     if (!with_records.contains(std::string(id))) {
       report.damaged.push_back({std::string(id), "a session without its journal"});
     }
-  });
-  if (!status.ok()) return status;
+  }));
   return report;
 }
 
@@ -231,16 +227,15 @@ absl::StatusOr<StoreReport> CheckRedisStore(const RedisOptions& options) {
   report.warnings = durability.Warnings(options.replicas);
   ASSIGN_OR_RETURN(report.replicas, ReadLiving(*client));
   RedisKeys keys;
-  auto status =
-      client->ScanKeys(kRedisSessionKeys, [&](absl::string_view key) { AddKey(key, &keys); });
-  if (!status.ok()) return status;
+  RETURN_IF_ERROR(
+      client->ScanKeys(kRedisSessionKeys, [&](absl::string_view key) { AddKey(key, &keys); }));
   std::map<std::string, std::string> epochs;
   for (const std::string& id : keys.sessions) {
     std::string epoch;
-    if (status = CheckRedisSession(*client, id, &report, &epoch); !status.ok()) return status;
+    RETURN_IF_ERROR(CheckRedisSession(*client, id, &report, &epoch));
     if (!epoch.empty()) epochs[id] = epoch;
   }
-  if (status = FindOrphans(*client, keys, epochs, &report); !status.ok()) return status;
+  RETURN_IF_ERROR(FindOrphans(*client, keys, epochs, &report));
   return report;
 }
 

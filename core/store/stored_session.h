@@ -3,13 +3,12 @@
 // Free functions without shared state; safe to call from many threads.
 #pragma once
 
-#include <concepts>
 #include <cstdint>
 #include <string>
-#include <type_traits>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "core/base/fields.h"
 
 namespace spikeserve {
 
@@ -57,13 +56,7 @@ struct StoredSession {
 };
 inline constexpr char kStoredSessionFormat[] = "spikeserve.stored.v1";
 
-template <typename T, typename Visitor>
-requires std::same_as<std::remove_const_t<T>, StoredSession>
-void VisitFields(T& session, Visitor&& visit) {
-  visit("tenant", session.tenant);
-  visit("epoch", session.epoch);
-  visit("written_seconds", session.written_seconds);
-}
+SPIKESERVE_FIELDS(StoredSession, tenant, epoch, written_seconds)
 
 // The keys of a session in Redis: ss:{id}:o, a hash, and ss:{id}:<epoch>, a list. `{id}` is a hash
 // tag, so that the keys of a session lie on one node of a Cluster.

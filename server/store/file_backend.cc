@@ -381,24 +381,16 @@ absl::StatusOr<std::optional<StoredSession>> FileBackend::Read(LmdbTransaction& 
                                                                const std::string& id) {
   ASSIGN_OR_RETURN(const auto bytes, transaction.Get(sessions_, id));
   if (!bytes.has_value()) return std::nullopt;
-  const auto json =
-      codec::ParseDocument(std::string(*bytes), "stored session", kStoredSessionFormat);
+  auto session =
+      codec::Parse<StoredSession>(std::string(*bytes), "stored session", kStoredSessionFormat);
   // DATA_LOSS is what LMDB finds; here it is this session alone.
-  if (!json.ok()) return absl::FailedPreconditionError(json.status().message());
-  StoredSession session;
-  codec::Reader reader;
-  reader.Read(*json, "stored session", session);
-  if (!reader.status().ok()) return absl::FailedPreconditionError(reader.status().message());
-  return session;
+  if (!session.ok()) return absl::FailedPreconditionError(session.status().message());
+  return *std::move(session);
 }
 
 absl::Status FileBackend::Put(LmdbTransaction& transaction, const std::string& id,
                               const StoredSession& session) {
-  std::string bytes;
-  codec::Writer writer(&bytes);
-  writer.Begin(kStoredSessionFormat);
-  writer.Write(session);
-  return transaction.Put(sessions_, id, bytes);
+  return transaction.Put(sessions_, id, codec::Serialize(kStoredSessionFormat, session));
 }
 
 absl::Status FileBackend::RemoveBefore(LmdbTransaction& transaction, const std::string& id,
