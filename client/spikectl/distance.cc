@@ -3,7 +3,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
-#include "core/action/neutral_action.h"
+#include "core/action/action_space.h"
 #include "core/math/counter_random.h"
 
 namespace spikeserve {

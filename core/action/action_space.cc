@@ -6,6 +6,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/contract/dcheck.h"
 
 namespace spikeserve {
@@ -54,19 +55,17 @@ float ActionSpace::FromUnit(float unit, size_t i) const {
 absl::Status ActionSpace::Contains(const Action& action) const {
   if (is_discrete()) {
     if (action.discrete >= 0 && action.discrete < n) return absl::OkStatus();
-    return absl::InvalidArgumentError(absl::StrCat("action: expected an index from 0 to ", n - 1,
-                                                   ", received ", action.discrete));
+    return InvalidArgument("action", absl::StrCat("an index from 0 to ", n - 1), action.discrete);
   }
   if (action.continuous.size() != low.size()) {
-    return absl::InvalidArgumentError(absl::StrCat("action: expected ", low.size(),
-                                                   " values, received ", action.continuous.size()));
+    return InvalidArgument("action", absl::StrCat(low.size(), " values"), action.continuous.size());
   }
   for (size_t i = 0; i < low.size(); ++i) {
     const float value = action.continuous[i];
     if (value >= low[i] && value <= high[i]) continue;  // false for NaN
-    return absl::InvalidArgumentError(absl::StrCat("action[", i, "]: expected ", Shortest(low[i]),
-                                                   " to ", Shortest(high[i]), ", received ",
-                                                   Shortest(value)));
+    return InvalidArgument(absl::StrCat("action[", i, "]"),
+                           absl::StrCat(Shortest(low[i]), " to ", Shortest(high[i])),
+                           Shortest(value));
   }
   return absl::OkStatus();
 }
@@ -74,25 +73,31 @@ absl::Status ActionSpace::Contains(const Action& action) const {
 absl::Status ActionSpace::Validate() const {
   if (low.empty() && high.empty()) {
     if (n >= 1) return absl::OkStatus();
-    return absl::InvalidArgumentError(
-        absl::StrCat("action_space.n: expected at least 1, received ", n));
+    return InvalidArgument("action_space.n", "at least 1", n);
   }
   if (n != 0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("action_space: expected n or bounds, received n = ", n, " with bounds"));
+    return InvalidArgument("action_space", "n or bounds", absl::StrCat("n = ", n, " with bounds"));
   }
   if (low.size() != high.size()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("action_space: expected low and high of one length, received ", low.size(),
-                     " and ", high.size()));
+    return InvalidArgument("action_space", "low and high of one length",
+                           absl::StrCat(low.size(), " and ", high.size()));
   }
   for (size_t i = 0; i < low.size(); ++i) {
     if (std::isfinite(low[i]) && std::isfinite(high[i]) && low[i] < high[i]) continue;
-    return absl::InvalidArgumentError(absl::StrCat("action_space: expected finite bounds with low[",
-                                                   i, "] < high[", i, "], received ", low[i],
-                                                   " and ", high[i]));
+    return InvalidArgument("action_space",
+                           absl::StrCat("finite bounds with low[", i, "] < high[", i, "]"),
+                           absl::StrCat(low[i], " and ", high[i]));
   }
   return absl::OkStatus();
+}
+
+Action NeutralAction(const ActionSpace& space) {
+  Action neutral;
+  for (size_t i = 0; i < space.low.size(); ++i) {
+    const bool admits_zero = space.low[i] <= 0.0f && space.high[i] >= 0.0f;
+    neutral.continuous.push_back(admits_zero ? 0.0f : 0.5f * space.low[i] + 0.5f * space.high[i]);
+  }
+  return neutral;
 }
 
 }  // namespace spikeserve

@@ -55,4 +55,8 @@ struct ActionSpace {
   friend bool operator==(const ActionSpace&, const ActionSpace&) = default;
 };
 
+// Returns the action nearest to doing nothing: index 0, or in each element of a Box 0, if the
+// bounds admit it, and otherwise their middle. Thread-safe.
+Action NeutralAction(const ActionSpace& space);
+
 }  // namespace spikeserve

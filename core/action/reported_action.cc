@@ -5,6 +5,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -19,21 +20,20 @@ std::string Describe(const ReportedAction& reported) {
 }
 
 absl::Status Refusal(const std::string& expected, const ReportedAction& reported) {
-  return absl::InvalidArgumentError(
-      absl::StrCat("executed_action: expected ", expected, ", received ", Describe(reported)));
+  return InvalidArgument("executed_action", expected, Describe(reported));
 }
 
 absl::Status CheckSource(const ReportedSource& source) {
   if (source.kind < 0 || source.kind >= static_cast<int>(kSourceKinds)) {
-    return absl::InvalidArgumentError(absl::StrCat("executed_source.kind: expected 0 to ",
-                                                   kSourceKinds - 1, ", received ", source.kind));
+    return InvalidArgument("executed_source.kind", absl::StrCat("0 to ", kSourceKinds - 1),
+                           source.kind);
   }
   const auto kind = static_cast<SourceKind>(source.kind);
   const size_t most = kind == SourceKind::kOperator ? kLongestOperatorId : 0;
   if (source.operator_id.size() <= most) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat("executed_source.operator_id: expected at most ",
-                                                 most, " bytes from ", ToString(kind),
-                                                 ", received ", source.operator_id.size()));
+  return InvalidArgument("executed_source.operator_id",
+                         absl::StrCat("at most ", most, " bytes from ", ToString(kind)),
+                         source.operator_id.size());
 }
 
 }  // namespace

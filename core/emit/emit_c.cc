@@ -11,7 +11,6 @@
 #include "core/digest/sha256.h"
 #include "core/emit/fixed_sources.h"
 #include "core/emit/policy_tables.h"
-#include "core/emit/table_text.h"
 #include "core/engine/engine.h"
 #include "core/model/policy_file.h"
 

@@ -29,9 +29,10 @@ absl::StatusOr<std::vector<Number>> TakeVector(const std::string& name, int outp
   const auto* const tensor =
       node.empty() ? nullptr : std::get_if<BasicTensor<Number>>(&node.mapped());
   if (tensor != nullptr && tensor->shape == std::vector<int>{outputs}) return tensor->values;
-  return absl::InvalidArgumentError(
-      absl::StrCat("tensor ", Quoted(name), ": expected ", outputs, " numbers of dtype ",
-                   DtypeName(BasicTensor<Number>()), " in a policy in int8, received others"));
+  return InvalidArgument(absl::StrCat("tensor ", Quoted(name)),
+                         absl::StrCat(outputs, " numbers of dtype ",
+                                      DtypeName(BasicTensor<Number>()), " in a policy in int8"),
+                         "others");
 }
 
 // Returns what a unit of each neuron of the map `name` stands for in float32.
@@ -51,9 +52,8 @@ absl::StatusOr<std::vector<float>> TakeUnits(const std::string& name, int output
 absl::Status RestoreMap(const std::string& name, float threshold, Safetensors* contents) {
   const auto levels = std::get<Int8Tensor>(contents->tensors.at(name + ".weight"));
   if (levels.shape.size() != 2) {
-    return absl::InvalidArgumentError(absl::StrCat("tensor ", Quoted(name + ".weight"),
-                                                   ": expected a matrix, received ",
-                                                   levels.shape.size(), " dimensions"));
+    return InvalidArgument(absl::StrCat("tensor ", Quoted(name + ".weight")), "a matrix",
+                           absl::StrCat(levels.shape.size(), " dimensions"));
   }
   const int outputs = levels.shape[0];
   const bool is_population = contents->tensors.contains(name + ".threshold");

@@ -9,6 +9,7 @@
 #include "absl/status/status.h"
 #include "core/math/tensor.h"
 #include "core/model/fixed_point_weights.h"
+#include "core/model/integer_weights.h"
 #include "core/model/weights.h"
 
 namespace spikeserve {
@@ -31,5 +32,16 @@ absl::Status RoundMap(const std::string& name, const Linear& linear, double fact
 // Rounds a norm whose outputs have `fraction` fraction bits.
 absl::Status RoundNorm(const std::string& name, const Norm& norm, int fraction,
                        FixedPointNorm* rounded);
+
+// Returns max over j of |w_kj| / 127.
+float RowScale(const Tensor& weight, int k);
+
+// Returns the weights divided by the scale of their row and rounded, ties to even.
+Int8Tensor RoundWeights(const Tensor& weight, const Tensor& scale);
+
+// Rounds the map `linear` into a population (see Quantize). INVALID_ARGUMENT if 16 bits cannot hold
+// a bias or threshold. The message names the tensor, of which `name` is the prefix.
+absl::Status RoundPopulation(const std::string& name, const Linear& linear, float threshold,
+                             IntegerPopulation* population);
 
 }  // namespace spikeserve

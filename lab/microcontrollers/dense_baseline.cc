@@ -18,7 +18,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "core/emit/table_text.h"
+#include "core/emit/policy_tables.h"
 #include "core/engine/account.h"
 #include "core/engine/energy.h"
 #include "core/engine/factory/engine_factory.h"

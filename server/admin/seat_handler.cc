@@ -4,7 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
-#include "core/action/neutral_action.h"
+#include "core/action/action_space.h"
 #include "core/base/json.h"
 #include "core/base/status_macros.h"
 #include "core/session/session_id.h"

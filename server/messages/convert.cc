@@ -4,7 +4,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
-#include "core/action/neutral_action.h"
+#include "core/action/action_space.h"
 #include "core/agent/step.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"

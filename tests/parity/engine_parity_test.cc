@@ -11,7 +11,6 @@
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
 #include "core/engine/factory/engine_factory.h"
-#include "core/engine/factory/trace_decision.h"
 #include "core/engine/prefix_engine.h"
 #include "core/math/counter_random.h"
 #include "core/model/policy.h"

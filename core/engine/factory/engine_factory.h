@@ -1,4 +1,4 @@
-// Creates the engine that fits a policy's mode.
+// Creates the engine that fits a policy's mode, and recomputes decisions to explain them.
 //
 // All functions are thread-safe.
 #pragma once
@@ -8,6 +8,8 @@
 
 #include "absl/status/statusor.h"
 #include "core/engine/engine.h"
+#include "core/engine/prefix_engine.h"
+#include "core/engine/trace.h"
 
 namespace spikeserve {
 
@@ -29,5 +31,11 @@ std::unique_ptr<Engine> MakeEngine(Policy policy);
 // same folder. Decisions are equal bit for bit. Errors: see ShareBytes (shared_bytes.h);
 // INVALID_ARGUMENT for a dense policy. REQUIRES: a valid policy.
 absl::StatusOr<std::unique_ptr<Engine>> MakeEngine(Policy policy, const std::string& folder);
+
+// Recomputes the decision at the last token of `prefix`, a state token, with the reference engine
+// of the policy's mode. Writes the result into `output` and the recording into `trace`. `prefix`
+// holds the last HistorySize() timesteps, or the whole episode if it is shorter. Thread-safe.
+void TraceDecision(const Policy& policy, const PrefixContext& prefix, Engine::Output* output,
+                   Trace* trace);
 
 }  // namespace spikeserve

@@ -8,7 +8,6 @@
 #include <utility>
 #include <vector>
 
-#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/engine/fixed_point_maps.h"
 #include "core/engine/spiking/drive_builder.h"
@@ -18,7 +17,7 @@
 #include "core/engine/spiking/kernels/event_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
 #include "core/engine/spiking/kernels/norm_kernel.h"
-#include "core/engine/spiking/kernels/targets.h"
+#include "core/engine/spiking/packed_engine.h"
 #include "core/engine/spiking/packed_integer_policy.h"
 #include "core/engine/spiking/spike_input.h"
 #include "core/engine/token.h"
@@ -344,27 +343,12 @@ class IntegerTokenPass {
   uint64_t query_spikes_ = 0;  // of the current layer
 };
 
-class IntegerEngine final : public Engine {
+class IntegerEngine final : public PackedEngine<PackedIntegerPolicy> {
  public:
-  explicit IntegerEngine(std::shared_ptr<const Policy> policy)
-      : policy_(std::move(policy)), packed_(*policy_) {
-    kernels::ChooseTarget();
-  }
-  IntegerEngine(std::shared_ptr<const Policy> policy, PackedIntegerPolicy packed)
-      : policy_(std::move(policy)), packed_(std::move(packed)) {
-    kernels::ChooseTarget();
-  }
-
-  const Policy& policy() const override { return *policy_; }
-
-  Policy CompletePolicy() const override {
-    Policy policy = *policy_;
-    packed_.RestoreTo(&policy.weights);
-    return policy;
-  }
+  using PackedEngine::PackedEngine;
 
   std::unique_ptr<Context> NewContext(int64_t first_timestep) const override {
-    return std::make_unique<IntegerContext>(policy_->config, first_timestep);
+    return std::make_unique<IntegerContext>(policy().config, first_timestep);
   }
 
   void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
@@ -372,14 +356,14 @@ class IntegerEngine final : public Engine {
     auto& integers = static_cast<IntegerContext&>(context);
     Counts& counts = output->counts;
     counts = std::exchange(integers.action_counts, Counts());
-    integers.Advance(policy_->config.context);
-    integers.phase.Set(packed_.phases, policy_->config.ticks, integers.timestep);
+    integers.Advance(policy().config.context);
+    integers.phase.Set(packed().phases, policy().config.ticks, integers.timestep);
     counts.spikes(Stage::kPhase) += integers.phase.generators.size();  // once per timestep
-    IntegerTokenPass pass(*policy_, packed_);
-    const float standard_return = StandardizeReturn(*policy_, return_to_go);
+    IntegerTokenPass pass(policy(), packed());
+    const float standard_return = StandardizeReturn(policy(), return_to_go);
     pass.Run(integers, counts, TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
     std::vector<float>& input = ThreadScratch().floats;
-    SetStateInput(*policy_, observation, &integers.previous_observation, &input);
+    SetStateInput(policy(), observation, &integers.previous_observation, &input);
     pass.Run(integers, counts, TokenKind::kState, input);
     pass.Readout(&output->readout);
   }
@@ -387,21 +371,11 @@ class IntegerEngine final : public Engine {
   void AppendAction(Context& context, absl::Span<const float> encoded_action) const override {
     auto& integers = static_cast<IntegerContext&>(context);
     integers.action_counts = Counts();
-    IntegerTokenPass(*policy_, packed_)
+    IntegerTokenPass(policy(), packed())
         .Run(integers, integers.action_counts, TokenKind::kAction, encoded_action);
     ++integers.timestep;
   }
-
- private:
-  std::shared_ptr<const Policy> policy_;
-  PackedIntegerPolicy packed_;
 };
-
-std::unique_ptr<Engine> MakeOf(PackedIntegerPolicy packed, Policy policy) {
-  packed.DropFrom(&policy.weights);
-  return std::make_unique<IntegerEngine>(std::make_shared<const Policy>(std::move(policy)),
-                                         std::move(packed));
-}
 
 }  // namespace
 
@@ -414,16 +388,9 @@ std::unique_ptr<Engine> MakeIntegerStreamingEngine(std::shared_ptr<const Policy>
   return std::make_unique<IntegerEngine>(std::move(policy));
 }
 
-std::unique_ptr<Engine> MakeCompactIntegerEngine(Policy policy) {
-  PackedIntegerPolicy packed(policy);
-  return MakeOf(std::move(packed), std::move(policy));
-}
-
-absl::StatusOr<std::unique_ptr<Engine>> MakeSharedIntegerEngine(Policy policy,
-                                                                const std::string& folder) {
-  PackedIntegerPolicy packed(policy);
-  RETURN_IF_ERROR(packed.ShareRows(folder));
-  return MakeOf(std::move(packed), std::move(policy));
+absl::StatusOr<std::unique_ptr<Engine>> MakeCompactIntegerEngine(Policy policy,
+                                                                 const std::string& folder) {
+  return MakeCompact<IntegerEngine, PackedIntegerPolicy>(std::move(policy), folder);
 }
 
 }  // namespace spikeserve

@@ -15,9 +15,8 @@ namespace spikeserve {
 // only at ticks with an input spike, and attention rows are computed only for heads whose query
 // fires. REQUIRE: a valid policy with Arithmetic::kInteger.
 std::unique_ptr<Engine> MakeIntegerStreamingEngine(std::shared_ptr<const Policy> policy);
-std::unique_ptr<Engine> MakeCompactIntegerEngine(Policy policy);
-absl::StatusOr<std::unique_ptr<Engine>> MakeSharedIntegerEngine(Policy policy,
-                                                                const std::string& folder);
+absl::StatusOr<std::unique_ptr<Engine>> MakeCompactIntegerEngine(Policy policy,
+                                                                 const std::string& folder);
 
 // The spikes of each hidden neuron: [L][F].
 using HiddenSpikes = std::vector<std::vector<uint64_t>>;

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <utility>
 
-#include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/engine/spiking/attention_cache.h"
 #include "core/engine/spiking/drive_builder.h"
@@ -13,8 +12,7 @@
 #include "core/engine/spiking/kernels/attention_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
 #include "core/engine/spiking/kernels/linear_kernels.h"
-#include "core/engine/spiking/kernels/routing_kernels.h"
-#include "core/engine/spiking/kernels/targets.h"
+#include "core/engine/spiking/packed_engine.h"
 #include "core/engine/spiking/packed_weights.h"
 #include "core/engine/spiking/spike_input.h"
 #include "core/engine/token.h"
@@ -323,27 +321,12 @@ class TokenPass {
   NewToken* token_ = nullptr;  // the current token
 };
 
-class StreamingEngine final : public Engine {
+class StreamingEngine final : public PackedEngine<PackedWeights> {
  public:
-  explicit StreamingEngine(std::shared_ptr<const Policy> policy)
-      : policy_(std::move(policy)), packed_(*policy_) {
-    kernels::ChooseTarget();
-  }
-  StreamingEngine(std::shared_ptr<const Policy> policy, PackedWeights packed)
-      : policy_(std::move(policy)), packed_(std::move(packed)) {
-    kernels::ChooseTarget();
-  }
-
-  const Policy& policy() const override { return *policy_; }
-
-  Policy CompletePolicy() const override {
-    Policy policy = *policy_;
-    packed_.RestoreTo(&policy.weights);
-    return policy;
-  }
+  using PackedEngine::PackedEngine;
 
   std::unique_ptr<Context> NewContext(int64_t first_timestep) const override {
-    return std::make_unique<StreamingContext>(policy_->config, first_timestep);
+    return std::make_unique<StreamingContext>(policy().config, first_timestep);
   }
 
   void Decide(Context& context, float return_to_go, absl::Span<const float> observation,
@@ -358,18 +341,18 @@ class StreamingEngine final : public Engine {
   }
 
   void DecideTogether(absl::Span<const Decision> decisions) const override {
-    TokenPass pass(*policy_, packed_);
+    TokenPass pass(policy(), packed());
     for (const Decision& decision : decisions) {
       auto& context = static_cast<StreamingContext&>(*decision.context);
       Counts& counts = decision.output->counts;
       counts = std::exchange(context.action_counts, Counts());
       context.band.Advance(context.timestep);
-      context.phase.Set(*policy_, context.timestep);
+      context.phase.Set(policy(), context.timestep);
       counts.spikes(Stage::kPhase) += context.phase.generators.size();  // once per timestep
-      const float standard_return = StandardizeReturn(*policy_, decision.return_to_go);
+      const float standard_return = StandardizeReturn(policy(), decision.return_to_go);
       pass.Add(context, counts, TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
       std::vector<float>& input = ThreadScratch().input;
-      SetStateInput(*policy_, decision.observation, &context.previous_observation, &input);
+      SetStateInput(policy(), decision.observation, &context.previous_observation, &input);
       pass.Add(context, counts, TokenKind::kState, input);
     }
     pass.Run();
@@ -379,7 +362,7 @@ class StreamingEngine final : public Engine {
   }
 
   void AppendActionsTogether(absl::Span<const TakenAction> actions) const override {
-    TokenPass pass(*policy_, packed_);
+    TokenPass pass(policy(), packed());
     for (const TakenAction& action : actions) {
       auto& context = static_cast<StreamingContext&>(*action.context);
       context.action_counts = Counts();
@@ -390,17 +373,7 @@ class StreamingEngine final : public Engine {
       ++static_cast<StreamingContext&>(*action.context).timestep;
     }
   }
-
- private:
-  std::shared_ptr<const Policy> policy_;
-  PackedWeights packed_;
 };
-
-std::unique_ptr<Engine> MakeOf(PackedWeights packed, Policy policy) {
-  packed.DropFrom(&policy.weights);
-  return std::make_unique<StreamingEngine>(std::make_shared<const Policy>(std::move(policy)),
-                                           std::move(packed));
-}
 
 }  // namespace
 
@@ -409,20 +382,11 @@ void RecordLargestResidual(Engine::Context& context, float* largest) {
   static_cast<StreamingContext&>(context).largest_residual = largest;
 }
 
-absl::StatusOr<std::unique_ptr<Engine>> MakeSharedSpikingEngine(Policy policy,
-                                                                const std::string& folder) {
+absl::StatusOr<std::unique_ptr<Engine>> MakeCompactSpikingEngine(Policy policy,
+                                                                 const std::string& folder) {
   SPIKESERVE_DCHECK(!policy.config.is_dense());
-  if (policy.config.is_integer()) return MakeSharedIntegerEngine(std::move(policy), folder);
-  PackedWeights packed(policy);
-  RETURN_IF_ERROR(packed.ShareRows(folder));
-  return MakeOf(std::move(packed), std::move(policy));
-}
-
-std::unique_ptr<Engine> MakeCompactSpikingEngine(Policy policy) {
-  SPIKESERVE_DCHECK(!policy.config.is_dense());
-  if (policy.config.is_integer()) return MakeCompactIntegerEngine(std::move(policy));
-  PackedWeights packed(policy);
-  return MakeOf(std::move(packed), std::move(policy));
+  if (policy.config.is_integer()) return MakeCompactIntegerEngine(std::move(policy), folder);
+  return MakeCompact<StreamingEngine, PackedWeights>(std::move(policy), folder);
 }
 
 std::unique_ptr<Engine> MakeSpikingStreamingEngine(std::shared_ptr<const Policy> policy) {

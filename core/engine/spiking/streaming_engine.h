@@ -16,14 +16,11 @@ namespace spikeserve {
 std::unique_ptr<Engine> MakeSpikingStreamingEngine(std::shared_ptr<const Policy> policy);
 
 // Creates the same engine, which stores each number of the policy once: policy() lacks those that
-// CompletePolicy() restores. REQUIRES: a valid policy of a spiking mode.
-std::unique_ptr<Engine> MakeCompactSpikingEngine(Policy policy);
-
-// Creates a compact engine, with its weight matrices in a file in `folder` that the processes of
-// this user map. Errors: see ShareBytes (shared_bytes.h).
-// REQUIRES: a valid policy of a spiking mode.
-absl::StatusOr<std::unique_ptr<Engine>> MakeSharedSpikingEngine(Policy policy,
-                                                                const std::string& folder);
+// CompletePolicy() restores. Its weight matrices are in a file in `folder` that the processes of
+// this user map; if `folder` is empty, in its own memory, and there is no error. Errors: see
+// ShareBytes (shared_bytes.h). REQUIRES: a valid policy of a spiking mode.
+absl::StatusOr<std::unique_ptr<Engine>> MakeCompactSpikingEngine(Policy policy,
+                                                                 const std::string& folder);
 
 // From now on, raises `largest`, which outlives the context, to the largest magnitude of the
 // residual stream of every token of `context`. REQUIRES: a context of an engine of this file, not

@@ -7,7 +7,7 @@
 #include <string>
 
 #include "core/action/action_head.h"
-#include "core/engine/factory/trace_decision.h"
+#include "core/engine/factory/engine_factory.h"
 #include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"

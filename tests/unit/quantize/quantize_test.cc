@@ -1,4 +1,4 @@
-// Tests how a float32 policy becomes one in integers: its populations (round_population.h), and
+// Tests how a float32 policy becomes one in integers: its populations (round_fixed_point.h), and
 // what is refused.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
