@@ -280,7 +280,8 @@ absl::Status Measure(const Flags& flags) {
     const Task& task = kTasks[number];
     if (!flags.tasks.empty() && !absl::c_linear_search(flags.tasks, task.policy)) continue;
     std::set<int> done;
-    for (Row row : ReadRows(flags.out)[task.policy]) done.insert(static_cast<int>(row["pair"]));
+    Rows rows = ReadRows(flags.out);
+    for (Row& row : rows[task.policy]) done.insert(static_cast<int>(row["pair"]));
     if (std::ssize(done) >= flags.pairs) continue;
     const std::string file =
         absl::StrCat(flags.policies, "/", task.policy, "/1/policy.safetensors");
