@@ -1,7 +1,8 @@
 """Flies pilots of both languages while servers, stores, links, clocks and the robots themselves fail.
 
 usage: python -m tests.chaos.pilots [--pilots=N] [--faults=N] [--servers=N,...] [--store=file,redis]
-  [--durability=LEVEL,...] [--kinds=KIND,...] [--beat=SECONDS] [--period=SECONDS] [--pause=SECONDS] [--seed=N]
+  [--durability=LEVEL,...] [--transports=stream,datagram] [--kinds=KIND,...] [--beat=SECONDS] [--period=SECONDS]
+  [--pause=SECONDS] [--seed=N]
 
 Plays a round for each set-up: every number of servers with every store and durability that go together, on each of which
 all pilots fly and an equal part of the faults is made. Half of the pilots are those of the Python client, half those of
@@ -44,7 +45,6 @@ EPISODE = 40  # beats, about
 DISK = 64 << 20  # bytes
 PATIENCE = 300.0  # seconds, on a busy machine
 TTL = "--session_ttl=24h"  # the comparison of many sessions takes a while, too
-TRANSPORTS = ("stream", "datagram")
 DATAGRAMS = {"loss": 0.02, "doubled": 0.1, "reordered": 0.1}  # shares
 PATIENT = spikeserve.ClientOptions(connect_timeout=PATIENCE, retry=spikeserve.RetryOptions(max_elapsed=PATIENCE))
 
@@ -56,6 +56,7 @@ def parse_arguments():
     parser.add_argument("--servers", default="1,3", help="numbers; more than one share a Redis")
     parser.add_argument("--store", default="file,redis")
     parser.add_argument("--durability", default="ASYNC,SYNC")
+    parser.add_argument("--transports", type=lambda names: names.split(","), default=["stream", "datagram"])
     parser.add_argument("--kinds", help="of faults, separated by commas; all by default")
     parser.add_argument("--beat", type=float, default=0.5, help="seconds, the period of the pilots")
     parser.add_argument("--period", type=float, default=0.5, help="seconds between faults")
@@ -139,7 +140,7 @@ def play_round(arguments, store, servers, durability, count):
         client = stack.enter_context(spikeserve.Client(",".join(link.address for link in setup.links), PATIENT))
         flights = []
         for i in range(arguments.pilots):
-            session, transport = options_of(i, durability), TRANSPORTS[i // 2 % 2]
+            session, transport = options_of(i, durability), arguments.transports[i // 2 % len(arguments.transports)]
             if transport == "datagram":
                 session.labels["datagrams"] = "true"  # of a session with a channel, a part of its value
             options = {"local": False, "session": session, "max_age": 5.0, "transport": transport}

@@ -57,7 +57,7 @@ class DatagramRelay:
                 robots = {outside: robot for robot, outside in self._outside.items()}
             # Soon looks at the sockets of rebind, which closes the others.
             with contextlib.suppress(OSError, ValueError):
-                ready, _, _ = select.select([self._inside, self._ends, *robots], [], [], 0.01)
+                ready = self._ready([self._inside, self._ends, *robots])
                 if self._ends in ready:
                     return
                 if self._inside in ready:
@@ -66,6 +66,15 @@ class DatagramRelay:
                     self._forward("up", data, self._outside_of(robot), (host, int(port)))
                 for outside in robots.keys() & set(ready):
                     self._forward("down", outside.recv(2048), self._inside, robots[outside])
+
+    @staticmethod
+    def _ready(sockets):
+        """Waits for a moment, and returns those that have a datagram; also of processes with more files than select takes."""
+        by_number = {each.fileno(): each for each in sockets}
+        poller = select.poll()
+        for number in by_number:
+            poller.register(number, select.POLLIN)
+        return [by_number[number] for number, _ in poller.poll(10)]
 
     def _outside_of(self, robot):
         with self._lock:
