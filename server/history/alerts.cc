@@ -5,6 +5,7 @@
 #include <string>
 #include <utility>
 
+#include "absl/functional/function_ref.h"
 #include "server/history/figures.h"
 
 namespace spikeserve {
@@ -85,16 +86,30 @@ Instances UnusualObservations(const AlertRule& rule, const AlertInput& input) {
   return found;
 }
 
-// Returns the versions of which the counter `name` has increased.
+// Returns the groups of series of which the counter `name` has increased by more than the figure.
 Instances Counted(const char* name, std::initializer_list<const char*> by, const AlertRule& rule,
-                  const AlertInput& input) {
+                  const AlertInput& input, const MetricLabels& of = {}) {
   Instances found;
-  for (const auto& [labels, series] : GroupBy(by, input.history.Select(name))) {
+  for (const auto& [labels, series] : GroupBy(by, input.history.Select(name, of))) {
     const double count = Increase(series, WindowOf(rule, input));
     if (count > rule.figures[0]) found.push_back({labels, count});
   }
   return found;
 }
+
+// Returns the series of which `value_of` the present value is above the figure, or below it.
+Instances Present(const Selection& all, bool below, const AlertRule& rule,
+                  absl::FunctionRef<double(double now)> value_of) {
+  Instances found;
+  for (const MetricSeries* series : all) {
+    const double value = value_of(series->raw[0]);
+    const bool holds = below ? value < rule.figures[0] : value > rule.figures[0];
+    if (series->present && holds) found.push_back({series->labels, value});
+  }
+  return found;
+}
+
+double Itself(double value) { return value; }
 
 Instances NonFiniteAnswers(const AlertRule& rule, const AlertInput& input) {
   return Counted("spikeserve_non_finite_answers_total", {"policy", "version"}, rule, input);
@@ -146,13 +161,8 @@ Instances ReturnFalling(const AlertRule& rule, const AlertInput& input) {
 }
 
 Instances LearningRolledBack(const AlertRule& rule, const AlertInput& input) {
-  Instances found;
-  const Selection rollbacks = input.history.Select("spikeserve_learning_rollbacks_total");
-  for (const auto& [labels, series] : GroupBy({"policy", "version", "scope"}, rollbacks)) {
-    const double count = Increase(series, WindowOf(rule, input));
-    if (count > rule.figures[0]) found.push_back({labels, count});
-  }
-  return found;
+  return Counted("spikeserve_learning_rollbacks_total", {"policy", "version", "scope"}, rule,
+                 input);
 }
 
 Instances ShadowDisagrees(const AlertRule& rule, const AlertInput& input) {
@@ -173,22 +183,14 @@ Instances ShadowDisagrees(const AlertRule& rule, const AlertInput& input) {
 }
 
 Instances RolloutAborted(const AlertRule& rule, const AlertInput& input) {
-  Instances found;
-  for (const MetricSeries* ended : input.history.Select(
-           "spikeserve_policy_rollout_ended_timestamp_seconds", {{"state", "aborted"}})) {
-    const double ago = input.unix_seconds - ended->raw[0];
-    if (ended->present && ago < rule.figures[0]) found.push_back({ended->labels, ago});
-  }
-  return found;
+  const Selection ended = input.history.Select("spikeserve_policy_rollout_ended_timestamp_seconds",
+                                               {{"state", "aborted"}});
+  return Present(ended, /*below=*/true, rule, [&](double end) { return input.unix_seconds - end; });
 }
 
 Instances RolloutDisputed(const AlertRule& rule, const AlertInput& input) {
-  Instances found;
-  for (const MetricSeries* disputed : input.history.Select("spikeserve_policy_rollout_disputed")) {
-    const double value = disputed->raw[0];
-    if (disputed->present && value > rule.figures[0]) found.push_back({disputed->labels, value});
-  }
-  return found;
+  return Present(input.history.Select("spikeserve_policy_rollout_disputed"), /*below=*/false, rule,
+                 Itself);
 }
 
 Instances StoreUnreachable(const AlertRule& rule, const AlertInput& input) {
@@ -213,20 +215,12 @@ Instances SessionsBounce(const AlertRule& rule, const AlertInput& input) {
 }
 
 Instances HeadLogCut(const AlertRule& rule, const AlertInput& input) {
-  const double cuts =
-      Increase(input.history.Select("spikeserve_head_log_reloads_total", {{"outcome", "cut"}}),
-               WindowOf(rule, input));
-  return ServerIf(cuts > rule.figures[0], cuts);
+  return Counted("spikeserve_head_log_reloads_total", {}, rule, input, {{"outcome", "cut"}});
 }
 
 Instances CertificateExpires(const AlertRule& rule, const AlertInput& input) {
-  Instances found;
-  for (const MetricSeries* expiry :
-       input.history.Select("spikeserve_tls_expiry_timestamp_seconds")) {
-    const double left = expiry->raw[0] - input.unix_seconds;
-    if (expiry->present && left < rule.figures[0]) found.push_back({expiry->labels, left});
-  }
-  return found;
+  return Present(input.history.Select("spikeserve_tls_expiry_timestamp_seconds"), /*below=*/true,
+                 rule, [&](double expiry) { return expiry - input.unix_seconds; });
 }
 
 Instances CertificateNotReloaded(const AlertRule& rule, const AlertInput& input) {
@@ -235,12 +229,7 @@ Instances CertificateNotReloaded(const AlertRule& rule, const AlertInput& input)
 }
 
 Instances ConnectionsRefused(const AlertRule& rule, const AlertInput& input) {
-  Instances found;
-  for (const MetricSeries* refused : input.history.Select("spikeserve_connections_refused_total")) {
-    const double connections = Increase({refused}, WindowOf(rule, input));
-    if (connections > rule.figures[0]) found.push_back({refused->labels, connections});
-  }
-  return found;
+  return Counted("spikeserve_connections_refused_total", {"limit"}, rule, input);
 }
 
 // Robots that report no beats and ask again for answers that came too late: the second figure.
@@ -268,13 +257,7 @@ Instances RobotsWithoutActions(const AlertRule& rule, const AlertInput& input) {
 }
 
 Instances RobotsBlind(const AlertRule& rule, const AlertInput& input) {
-  Instances found;
-  const Selection invalid = input.history.Select("spikeserve_invalid_observations_total");
-  for (const auto& [labels, series] : GroupBy({"policy", "version"}, invalid)) {
-    const double beats = Increase(series, WindowOf(rule, input));
-    if (beats > rule.figures[0]) found.push_back({labels, beats});
-  }
-  return found;
+  return Counted("spikeserve_invalid_observations_total", {"policy", "version"}, rule, input);
 }
 
 Instances RobotsSilent(const AlertRule& rule, const AlertInput& input) {
@@ -283,12 +266,7 @@ Instances RobotsSilent(const AlertRule& rule, const AlertInput& input) {
 }
 
 Instances BudgetNearlySpent(const AlertRule& rule, const AlertInput& input) {
-  Instances found;
-  for (const MetricSeries* budget : input.history.Select("spikeserve_budget_ratio")) {
-    const double spent = budget->raw[0];
-    if (budget->present && spent > rule.figures[0]) found.push_back({budget->labels, spent});
-  }
-  return found;
+  return Present(input.history.Select("spikeserve_budget_ratio"), /*below=*/false, rule, Itself);
 }
 
 const std::vector<AlertRule>& Rules() {
