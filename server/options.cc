@@ -97,9 +97,7 @@ absl::Status ServerOptions::Validate() const {
   if (!http_listen.empty()) {
     RETURN_IF_ERROR(CheckReach("--http_listen", http_listen, *this));
   }
-  if (auto origins = Origins::Parse("--http_origins", http_origins); !origins.ok()) {
-    return origins.status();
-  }
+  RETURN_IF_ERROR(Origins::Parse("--http_origins", http_origins).status());
   RETURN_IF_ERROR(CheckAtLeast("--session_ttl", session_ttl, absl::Milliseconds(1)));
   if (poll_policies != absl::ZeroDuration() && poll_policies < absl::Milliseconds(1)) {
     return absl::InvalidArgumentError(

@@ -7,7 +7,7 @@
 #include "absl/status/status.h"
 #include "absl/time/time.h"
 #include "core/session/durability.h"
-#include "server/access/tls.h"
+#include "server/access/tls_context.h"
 #include "server/base/log.h"
 #include "server/metrics/metrics.h"
 #include "server/policies/policy_registry.h"

@@ -4,9 +4,12 @@
 #include <openssl/ssl.h>
 #include <openssl/x509.h>
 #include <openssl/x509_vfy.h>
+#include <unistd.h>
 
 #include <algorithm>
+#include <cerrno>
 #include <ctime>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
@@ -36,8 +39,19 @@ int SelectProtocol(SSL* /*connection*/, const unsigned char** selected, unsigned
   return found == OPENSSL_NPN_NEGOTIATED ? SSL_TLSEXT_ERR_OK : SSL_TLSEXT_ERR_ALERT_FATAL;
 }
 
-// Returns null if a file is invalid.
-std::shared_ptr<ssl_ctx_st> MakeContext(const TlsFiles& files, Protocol protocol) {
+// Returns that the file cannot be read, or that its content is not what was expected.
+absl::Status NotPem(const char* flag, const std::string& path, const char* expected) {
+  ERR_clear_error();
+  if (access(path.c_str(), R_OK) != 0) {
+    return absl::ErrnoToStatus(errno, absl::StrCat(flag, ": cannot read ", path));
+  }
+  return absl::InvalidArgumentError(
+      absl::StrCat(flag, ": expected ", expected, " in PEM form, received ", path));
+}
+
+// Returns INVALID_ARGUMENT, which names flag and file, if a file has another content than expected
+// or the key does not belong to the certificate.
+absl::StatusOr<std::shared_ptr<ssl_ctx_st>> MakeContext(const TlsFiles& files, Protocol protocol) {
   const std::shared_ptr<SSL_CTX> context(SSL_CTX_new(TLS_server_method()), &SSL_CTX_free);
   SSL_CTX_set_min_proto_version(context.get(), TLS1_2_VERSION);
   SSL_CTX_set_cipher_list(context.get(), kCiphers);
@@ -50,20 +64,24 @@ std::shared_ptr<ssl_ctx_st> MakeContext(const TlsFiles& files, Protocol protocol
   SSL_CTX_set_mode(context.get(), SSL_MODE_RELEASE_BUFFERS | SSL_MODE_ENABLE_PARTIAL_WRITE |
                                       SSL_MODE_ACCEPT_MOVING_WRITE_BUFFER);
   SSL_CTX_set_alpn_select_cb(context.get(), &SelectProtocol, &AcceptedByAlpn(protocol));
-  const bool valid =
-      SSL_CTX_use_certificate_chain_file(context.get(), files.certificate.c_str()) == 1 &&
-      SSL_CTX_use_PrivateKey_file(context.get(), files.key.c_str(), SSL_FILETYPE_PEM) == 1 &&
-      SSL_CTX_check_private_key(context.get()) == 1;
-  if (!valid) {
+  if (SSL_CTX_use_certificate_chain_file(context.get(), files.certificate.c_str()) != 1) {
+    return NotPem("--tls_certificate", files.certificate, "a certificate");
+  }
+  const bool is_key =
+      SSL_CTX_use_PrivateKey_file(context.get(), files.key.c_str(), SSL_FILETYPE_PEM) == 1;
+  if (!is_key && ERR_GET_LIB(ERR_peek_last_error()) != ERR_LIB_X509) {
+    return NotPem("--tls_key", files.key, "a private key without a password");
+  }
+  if (!is_key || SSL_CTX_check_private_key(context.get()) != 1) {
     ERR_clear_error();
-    return nullptr;
+    return absl::InvalidArgumentError(absl::StrCat("--tls_key: expected the key of ",
+                                                   files.certificate, ", received ", files.key));
   }
   if (files.client_ca.empty()) return context;
   auto* names = SSL_load_client_CA_file(files.client_ca.c_str());
   if (names == nullptr || SSL_CTX_load_verify_file(context.get(), files.client_ca.c_str()) != 1) {
     sk_X509_NAME_pop_free(names, X509_NAME_free);
-    ERR_clear_error();
-    return nullptr;
+    return NotPem("--tls_client_ca", files.client_ca, "a certificate");
   }
   SSL_CTX_set_client_CA_list(context.get(), names);  // takes ownership of `names`
   SSL_CTX_set_verify(context.get(), SSL_VERIFY_PEER | SSL_VERIFY_FAIL_IF_NO_PEER_CERT, nullptr);
@@ -99,6 +117,20 @@ CertificateTimes TimesOf(SSL_CTX* context) {
 
 }  // namespace
 
+absl::Status TlsFiles::Validate() const {
+  if (certificate.empty() != key.empty()) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        certificate.empty() ? "--tls_certificate" : "--tls_key", ": expected a file together with ",
+        certificate.empty() ? "--tls_key" : "--tls_certificate", ", received none"));
+  }
+  if (!client_ca.empty() && !enabled()) {
+    return absl::InvalidArgumentError(
+        "--tls_client_ca: expected it together with --tls_certificate and --tls_key, received "
+        "neither of these");
+  }
+  return absl::OkStatus();
+}
+
 absl::StatusOr<std::unique_ptr<TlsContext>> TlsContext::Create(const TlsFiles& files,
                                                                Protocol protocol) {
   auto shared = std::unique_ptr<TlsContext>(new TlsContext(files, protocol));
@@ -108,13 +140,12 @@ absl::StatusOr<std::unique_ptr<TlsContext>> TlsContext::Create(const TlsFiles& f
 
 absl::StatusOr<std::vector<std::string>> TlsContext::ReadFiles() const {
   std::vector<std::string> contents;
-  for (const std::string* path : {&files_.certificate, &files_.key, &files_.client_ca}) {
+  for (const auto& [flag, path] :
+       {std::pair("--tls_certificate", &files_.certificate), std::pair("--tls_key", &files_.key),
+        std::pair("--tls_client_ca", &files_.client_ca)}) {
     if (path->empty()) continue;
     auto content = ReadFile(*path);
-    if (!content.ok()) {
-      const auto named = CheckTlsFiles(files_);  // names the flag, too
-      return named.ok() ? content.status() : named;
-    }
+    if (!content.ok()) return NotPem(flag, *path, "a file");
     contents.push_back(*std::move(content));
   }
   return contents;
@@ -126,12 +157,7 @@ absl::StatusOr<bool> TlsContext::Reload() {
     absl::MutexLock lock(&mutex_);
     if (contents == contents_) return false;
   }
-  RETURN_IF_ERROR(CheckTlsFiles(files_));
-  auto context = MakeContext(files_, protocol_);
-  if (context == nullptr) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--tls_certificate: OpenSSL cannot use ", files_.certificate));
-  }
+  ASSIGN_OR_RETURN(auto context, MakeContext(files_, protocol_));
   const absl::Time now = absl::Now();
   const CertificateTimes times = TimesOf(context.get());
   absl::MutexLock lock(&mutex_);

@@ -7,14 +7,27 @@
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
-#include "server/access/tls.h"
 
 struct ssl_ctx_st;  // OpenSSL's SSL_CTX
 
 namespace spikeserve {
+
+// Paths of PEM files. The server reads them again while it runs, so certificates can be renewed
+// without a restart. If all paths are empty, the server speaks plain text.
+struct TlsFiles {
+  std::string certificate;  // the server's chain, leaf certificate first
+  std::string key;          // the private key of `certificate`, without a password
+  std::string client_ca;    // if set, clients must present a certificate that one of these signed
+
+  bool enabled() const { return !certificate.empty(); }
+
+  // Returns INVALID_ARGUMENT that names the flag if only some of the required paths are set.
+  absl::Status Validate() const;
+};
 
 // The protocol of a port over TLS, and the names of ALPN that it accepts.
 enum class Protocol {
