@@ -7,9 +7,27 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "core/base/hex.h"
 #include "core/base/json.h"
 
 namespace spikeserve {
+
+std::optional<std::string> PercentDecode(absl::string_view text, bool is_query) {
+  std::string decoded;
+  decoded.reserve(text.size());
+  for (size_t i = 0; i < text.size(); ++i) {
+    if (text[i] == '%') {
+      const std::optional<std::string> byte = ParseHex(text.substr(i + 1, 2));
+      if (!byte.has_value() || byte->empty()) return std::nullopt;
+      decoded += *byte;
+      i += 2;
+    } else {
+      decoded += is_query && text[i] == '+' ? ' ' : text[i];
+    }
+  }
+  return decoded;
+}
+
 absl::StatusOr<HttpQuery> HttpQuery::Parse(
     const std::multimap<std::string, std::string>& parameters,
     std::initializer_list<absl::string_view> known) {

@@ -3,12 +3,17 @@
 
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 
 namespace spikeserve {
+
+// Decodes %XX, and in a query '+', which is a space. Returns nullopt if a percent sign is not
+// followed by two hexadecimal digits.
+std::optional<std::string> PercentDecode(absl::string_view text, bool is_query = false);
 
 // Holds the query parameters by name. Each name occurs at most once. A plain value.
 class HttpQuery {

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <limits>
 
+#include "absl/algorithm/container.h"
 #include "absl/status/status.h"
 #include "absl/strings/ascii.h"
 #include "absl/strings/numbers.h"
@@ -11,6 +12,7 @@
 #include "absl/strings/strip.h"
 #include "core/base/json.h"
 #include "core/base/status_macros.h"
+#include "server/base/http_query.h"
 
 namespace spikeserve {
 namespace {
@@ -63,39 +65,16 @@ absl::Status ReadEndpoint(const Variable& variable, TraceOptions* options) {
   return absl::OkStatus();
 }
 
-int HexDigit(char digit) {
-  if (digit >= '0' && digit <= '9') return digit - '0';
-  const char lower = absl::ascii_tolower(static_cast<unsigned char>(digit));
-  return lower >= 'a' && lower <= 'f' ? lower - 'a' + 10 : -1;
-}
-
-// Returns false if `text` has a % without two digits.
-bool PercentDecode(absl::string_view text, std::string* decoded) {
-  for (size_t i = 0; i < text.size(); ++i) {
-    if (text[i] != '%') {
-      decoded->push_back(text[i]);
-      continue;
-    }
-    if (i + 2 >= text.size()) return false;
-    const int high = HexDigit(text[i + 1]), low = HexDigit(text[i + 2]);
-    if (high < 0 || low < 0) return false;
-    decoded->push_back(static_cast<char>(high * 16 + low));
-    i += 2;
-  }
-  return true;
-}
-
 absl::Status ReadPairs(const Variable& variable, TraceOptions::Pairs* pairs) {
   for (absl::string_view item : absl::StrSplit(variable.value, ',', absl::SkipWhitespace())) {
     const std::pair<absl::string_view, absl::string_view> split =
         absl::StrSplit(item, absl::MaxSplits('=', 1));
-    std::string value;
+    auto value = PercentDecode(absl::StripAsciiWhitespace(split.second));
     const absl::string_view key = absl::StripAsciiWhitespace(split.first);
-    if (!absl::StrContains(item, '=') || key.empty() ||
-        !PercentDecode(absl::StripAsciiWhitespace(split.second), &value)) {
+    if (!absl::StrContains(item, '=') || key.empty() || !value.has_value()) {
       return variable.Wrong("KEY=VALUE,KEY=VALUE with %XX for special characters");
     }
-    pairs->emplace_back(key, std::move(value));
+    pairs->emplace_back(key, *std::move(value));
   }
   return absl::OkStatus();
 }
@@ -109,11 +88,11 @@ absl::Status ReadHeaders(const Variable& variable, TraceOptions::Pairs* headers)
   if (!ReadPairs(variable, headers).ok()) return wrong;
   for (auto& [name, value] : *headers) {
     absl::AsciiStrToLower(&name);
-    for (const char c : name) {
-      if (!absl::ascii_isalnum(static_cast<unsigned char>(c)) && c != '-' && c != '_') return wrong;
-    }
-    for (const char c : value) {
-      if (!absl::ascii_isprint(static_cast<unsigned char>(c))) return wrong;
+    const auto is_of_name = [](unsigned char c) {
+      return absl::ascii_isalnum(c) || c == '-' || c == '_';
+    };
+    if (!absl::c_all_of(name, is_of_name) || !absl::c_all_of(value, absl::ascii_isprint)) {
+      return wrong;
     }
   }
   return absl::OkStatus();
@@ -231,14 +210,13 @@ absl::StatusOr<TraceOptions> ReadTraceOptions(Get get) {
   } else {
     return options;
   }
-  auto status = CheckExporter(get);
-  if (status.ok()) status = ReadHeaders(ReadExporter(get, "HEADERS"), &options.headers);
-  if (status.ok()) status = ReadMilliseconds(ReadExporter(get, "TIMEOUT"), &options.timeout);
-  if (status.ok()) status = ReadResource(get, &options);
-  if (status.ok()) status = ReadSampler(get, &options);
-  if (status.ok()) status = ReadPropagators(Read(get, "PROPAGATORS"), &options);
-  if (status.ok()) status = ReadBatches(get, &options);
-  if (!status.ok()) return status;
+  RETURN_IF_ERROR(CheckExporter(get));
+  RETURN_IF_ERROR(ReadHeaders(ReadExporter(get, "HEADERS"), &options.headers));
+  RETURN_IF_ERROR(ReadMilliseconds(ReadExporter(get, "TIMEOUT"), &options.timeout));
+  RETURN_IF_ERROR(ReadResource(get, &options));
+  RETURN_IF_ERROR(ReadSampler(get, &options));
+  RETURN_IF_ERROR(ReadPropagators(Read(get, "PROPAGATORS"), &options));
+  RETURN_IF_ERROR(ReadBatches(get, &options));
   options.ca = ReadExporter(get, "CERTIFICATE").value;
   options.certificate = ReadExporter(get, "CLIENT_CERTIFICATE").value;
   options.key = ReadExporter(get, "CLIENT_KEY").value;

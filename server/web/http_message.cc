@@ -8,8 +8,8 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
-#include "core/base/hex.h"
 #include "server/base/gzip.h"
+#include "server/base/http_query.h"
 #include "server/inference/inference_json.h"
 
 namespace spikeserve {
@@ -22,23 +22,6 @@ constexpr absl::string_view kPageHeaders =
     "Referrer-Policy: no-referrer\r\n"
     "Cache-Control: no-store\r\n"
     "Connection: close\r\n";
-
-// Decodes %XX. In a query, '+' is a space.
-std::optional<std::string> Decode(absl::string_view text, bool is_query) {
-  std::string decoded;
-  decoded.reserve(text.size());
-  for (size_t i = 0; i < text.size(); ++i) {
-    if (text[i] == '%') {
-      const std::optional<std::string> byte = ParseHex(text.substr(i + 1, 2));
-      if (!byte.has_value() || byte->empty()) return std::nullopt;
-      decoded += *byte;
-      i += 2;
-    } else {
-      decoded += is_query && text[i] == '+' ? ' ' : text[i];
-    }
-  }
-  return decoded;
-}
 
 // Returns the host, with its port, of a target in absolute form (RFC 9112, section 3.2.2), and
 // removes what is before the path; empty for the usual form, and where the path does not follow.
@@ -99,14 +82,14 @@ absl::StatusOr<std::string> DecodeTarget(absl::string_view target, HttpRequest* 
   if (target.empty() || target[0] != '/') return invalid;
   const std::pair<absl::string_view, absl::string_view> parts =
       absl::StrSplit(target, absl::MaxSplits('?', 1));
-  auto path = Decode(parts.first, /*is_query=*/false);
+  auto path = PercentDecode(parts.first);
   if (!path) return invalid;
   request->path = *std::move(path);
   for (const absl::string_view parameter : absl::StrSplit(parts.second, '&', absl::SkipEmpty())) {
     const std::pair<absl::string_view, absl::string_view> pair =
         absl::StrSplit(parameter, absl::MaxSplits('=', 1));
-    auto name = Decode(pair.first, /*is_query=*/true);
-    auto value = Decode(pair.second, /*is_query=*/true);
+    auto name = PercentDecode(pair.first, /*is_query=*/true);
+    auto value = PercentDecode(pair.second, /*is_query=*/true);
     if (!name || !value) return invalid;
     request->parameters.emplace(*std::move(name), *std::move(value));
   }
