@@ -62,6 +62,28 @@ struct PlausibleReturns {
   }
 };
 
+// The plausible returns of one session.
+struct SessionReturn {
+  int64_t episodes = 0;
+  double mean = 0.0;
+
+  friend bool operator==(const SessionReturn&, const SessionReturn&) = default;
+};
+
+// What the sessions of one tenant did on a version, as far as a restart keeps it.
+struct TenantEvidence {
+  int64_t sessions = 0;         // that have decided, or should have
+  int64_t failed_sessions = 0;  // in which the version has failed to decide
+  int64_t episodes = 0;         // with plausible returns
+  int64_t implausible = 0;      // episodes whose return is implausible
+  int64_t capped_episodes = 0;  // of each session at most `most_per_session` in each step
+  int64_t returning = 0;        // sessions with plausible returns, of which `returns` is a sample
+  std::vector<SessionReturn> returns = {};
+
+  friend bool operator==(const TenantEvidence&, const TenantEvidence&) = default;
+};
+using EvidenceByTenant = std::map<std::string, TenantEvidence>;
+
 // Counts sessions by tenant, so that a judge can leave a tenant out. Each session counts alike,
 // however many episodes it has.
 class VersionEvidence {
@@ -69,23 +91,7 @@ class VersionEvidence {
   // At most this many sessions of a tenant are kept; they are a random sample of all.
   static constexpr size_t kMostSampled = 256;
 
-  // The plausible returns of one session.
-  struct SessionReturn {
-    int64_t episodes = 0;
-    double mean = 0.0;
-
-    friend bool operator==(const SessionReturn&, const SessionReturn&) = default;
-  };
-
-  // What the sessions of one tenant did.
-  struct TenantCounts {
-    int64_t sessions = 0;         // that have decided, or should have
-    int64_t failed_sessions = 0;  // in which the version has failed to decide
-    int64_t episodes = 0;         // with plausible returns
-    int64_t implausible = 0;      // episodes whose return is implausible
-    int64_t capped_episodes = 0;  // of each session at most `most_per_session` in each step
-    int64_t returning = 0;        // sessions with plausible returns, of which `returns` is a sample
-    std::vector<SessionReturn> returns = {};
+  struct TenantCounts : TenantEvidence {
     DurationCounts durations = {};
   };
   using Counts = std::map<std::string, TenantCounts>;  // by tenant

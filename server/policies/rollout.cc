@@ -19,14 +19,18 @@ using Json = nlohmann::json;
 Json EvidenceJson(const EvidenceByTenant& evidence) {
   Json tenants = Json::object();
   for (const auto& [tenant, counts] : evidence) {
-    tenants[tenant] = {{"sessions", counts.sessions},
-                       {"failed_sessions", counts.failed_sessions},
-                       {"episodes", counts.episodes},
-                       {"implausible_episodes", counts.implausible_episodes},
-                       {"capped_episodes", counts.capped_episodes},
-                       {"returning_sessions", counts.returning_sessions},
-                       {"session_episodes", counts.session_episodes},
-                       {"session_returns", counts.session_returns}};
+    Json& json = tenants[tenant] = {{"sessions", counts.sessions},
+                                    {"failed_sessions", counts.failed_sessions},
+                                    {"episodes", counts.episodes},
+                                    {"implausible_episodes", counts.implausible},
+                                    {"capped_episodes", counts.capped_episodes},
+                                    {"returning_sessions", counts.returning},
+                                    {"session_episodes", Json::array()},
+                                    {"session_returns", Json::array()}};
+    for (const SessionReturn& session : counts.returns) {
+      json["session_episodes"].push_back(session.episodes);
+      json["session_returns"].push_back(session.mean);
+    }
   }
   return {{"tenants", std::move(tenants)}};
 }
@@ -60,28 +64,32 @@ absl::Status ReadJson(absl::string_view field, const Json& json, RolloutConditio
   return object.Finish();
 }
 
-absl::Status ReadJson(absl::string_view field, const Json& json, RolloutEvidence* evidence) {
+absl::Status ReadJson(absl::string_view field, const Json& json, TenantEvidence* evidence) {
   JsonObject object(field, json);
   object.Required("sessions", &evidence->sessions, 0);
   object.Required("failed_sessions", &evidence->failed_sessions, 0);
   object.Required("episodes", &evidence->episodes, 0);
-  object.Required("implausible_episodes", &evidence->implausible_episodes, 0);
+  object.Required("implausible_episodes", &evidence->implausible, 0);
   object.Required("capped_episodes", &evidence->capped_episodes, 0);
-  object.Required("returning_sessions", &evidence->returning_sessions, 0);
-  object.Required("session_episodes", &evidence->session_episodes);
-  object.Required("session_returns", &evidence->session_returns);
+  object.Required("returning_sessions", &evidence->returning, 0);
+  std::vector<int64_t> episodes;
+  std::vector<double> returns;
+  object.Required("session_episodes", &episodes);
+  object.Required("session_returns", &returns);
   RETURN_IF_ERROR(object.Finish());
-  const size_t sampled = evidence->session_returns.size();
-  const bool fits =
-      evidence->session_episodes.size() == sampled &&
-      static_cast<int64_t>(sampled) <= evidence->returning_sessions &&
-      absl::c_all_of(evidence->session_episodes, [](int64_t episodes) { return episodes > 0; }) &&
-      absl::c_all_of(evidence->session_returns, [](double value) { return std::isfinite(value); });
+  const size_t sampled = returns.size();
+  for (size_t i = 0; i < std::min(sampled, episodes.size()); ++i) {
+    evidence->returns.push_back({.episodes = episodes[i], .mean = returns[i]});
+  }
+  const bool fits = episodes.size() == sampled &&
+                    static_cast<int64_t>(sampled) <= evidence->returning &&
+                    absl::c_all_of(evidence->returns, [](const SessionReturn& session) {
+                      return session.episodes > 0 && std::isfinite(session.mean);
+                    });
   if (fits) return absl::OkStatus();
   return absl::InvalidArgumentError(
       absl::StrCat(field, ".session_returns: expected a finite number and its episodes of at most ",
-                   evidence->returning_sessions, " sessions, received ", sampled, " and ",
-                   evidence->session_episodes.size()));
+                   evidence->returning, " sessions, received ", sampled, " and ", episodes.size()));
 }
 
 absl::Status Rollout::Validate() const {

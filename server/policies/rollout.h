@@ -8,7 +8,6 @@
 #include <array>
 #include <cstdint>
 #include <iterator>
-#include <map>
 #include <string>
 #include <vector>
 
@@ -16,6 +15,7 @@
 #include "absl/strings/string_view.h"
 #include "core/base/enum_names.h"
 #include "nlohmann/json.hpp"
+#include "server/metrics/version_evidence.h"
 
 namespace spikeserve {
 
@@ -47,24 +47,6 @@ struct RolloutCondition {
 
   friend bool operator==(const RolloutCondition&, const RolloutCondition&) = default;
 };
-
-// What the sessions of one tenant did on a version during the roll-out, as far as a restart keeps
-// it; the counts are those of VersionEvidence::TenantCounts.
-struct RolloutEvidence {
-  int64_t sessions = 0;
-  int64_t failed_sessions = 0;
-  int64_t episodes = 0;
-  int64_t implausible_episodes = 0;
-  int64_t capped_episodes = 0;
-  int64_t returning_sessions = 0;
-  // Of a sample of the returning sessions: how many episodes they have ended, and their mean
-  // return.
-  std::vector<int64_t> session_episodes = {};
-  std::vector<double> session_returns = {};
-
-  friend bool operator==(const RolloutEvidence&, const RolloutEvidence&) = default;
-};
-using EvidenceByTenant = std::map<std::string, RolloutEvidence>;
 
 struct Rollout {
   int64_t version = 0;

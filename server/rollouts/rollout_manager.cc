@@ -32,38 +32,12 @@ std::vector<TrafficShare> SharesOf(const Rollout& rollout) {
 
 VersionEvidence::Counts CountsOf(const EvidenceByTenant& kept) {
   VersionEvidence::Counts counts;
-  for (const auto& [tenant, of] : kept) {
-    VersionEvidence::TenantCounts& restored = counts[tenant];
-    restored.sessions = of.sessions;
-    restored.failed_sessions = of.failed_sessions;
-    restored.episodes = of.episodes;
-    restored.implausible = of.implausible_episodes;
-    restored.capped_episodes = of.capped_episodes;
-    restored.returning = of.returning_sessions;
-    for (size_t i = 0; i < of.session_returns.size(); ++i) {
-      restored.returns.push_back(
-          {.episodes = of.session_episodes[i], .mean = of.session_returns[i]});
-    }
-  }
+  for (const auto& [tenant, of] : kept) counts[tenant] = {of, {}};
   return counts;
 }
 
 EvidenceByTenant EvidenceOf(const VersionEvidence::Counts& counts) {
-  EvidenceByTenant kept;
-  for (const auto& [tenant, of] : counts) {
-    RolloutEvidence& saved = kept[tenant];
-    saved.sessions = of.sessions;
-    saved.failed_sessions = of.failed_sessions;
-    saved.episodes = of.episodes;
-    saved.implausible_episodes = of.implausible;
-    saved.capped_episodes = of.capped_episodes;
-    saved.returning_sessions = of.returning;
-    for (const auto& session : of.returns) {
-      saved.session_episodes.push_back(session.episodes);
-      saved.session_returns.push_back(session.mean);
-    }
-  }
-  return kept;
+  return EvidenceByTenant(counts.begin(), counts.end());  // without the durations
 }
 
 int64_t CappedEpisodes(const VersionEvidence::Counts& counts) {

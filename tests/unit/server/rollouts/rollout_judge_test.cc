@@ -416,9 +416,8 @@ TEST(VersionEvidence, CountsOnlyWhileItIsWatched) {
   Decide(*session, 1e-3);
   EndEpisode(*session, 5.0);
   EndEpisode(*session, 6.0);
-  EXPECT_THAT(
-      evidence.Read()[kTenant].returns,
-      ElementsAre(VersionEvidence::SessionReturn{2, 3.0}, VersionEvidence::SessionReturn{2, 5.5}));
+  EXPECT_THAT(evidence.Read()[kTenant].returns,
+              ElementsAre(SessionReturn{2, 3.0}, SessionReturn{2, 5.5}));
   evidence.Stop();
   EndEpisode(*session, 6.0);
   EXPECT_EQ(evidence.Read()[kTenant].episodes, 4);
