@@ -54,34 +54,11 @@ void RenewKey(DatagramChannels* datagrams, const std::shared_ptr<SessionEntry>& 
 
 }  // namespace
 
-PolicyHandler::PolicyHandler(const PolicyRegistry* registry, const SessionGate* gate,
-                             ShadowRunner* shadows, const Clock* clock, Recordings* recordings,
-                             SessionDurability durability, DatagramChannels* datagrams)
-    : registry_(registry),
-      gate_(gate),
-      store_(&gate->store()),
-      shadows_(shadows),
-      clock_(clock),
-      journals_(durability.journals),
-      datagrams_(datagrams),
-      opener_(registry, gate, clock, recordings, durability, datagrams) {}
-
 absl::Status PolicyHandler::ListPolicies(CallContext& /*context*/,
                                          const v1::ListPoliciesRequest& /*request*/,
                                          v1::ListPoliciesResponse* response) const {
   *response = policy_list_.Of(registry_->catalog());
   return absl::OkStatus();
-}
-
-absl::Status PolicyHandler::OpenSession(CallContext& context, const v1::OpenSessionRequest& request,
-                                        v1::OpenSessionResponse* response) const {
-  return opener_.Open(context, request, response);
-}
-
-absl::Status PolicyHandler::OpenSessionAs(CallContext& context, std::string id,
-                                          const v1::OpenSessionRequest& request,
-                                          v1::OpenSessionResponse* response) const {
-  return opener_.OpenAs(context, std::move(id), request, response);
 }
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> PolicyHandler::FindForDecision(
@@ -313,7 +290,7 @@ absl::Status PolicyHandler::CloseSession(CallContext& context,
   // The store refuses the end if another server has taken the session over. ASYNC sessions wait for
   // this, too, unless the store cannot be reached: then the end is written when it comes back.
   SessionJournal& journal = *entry->journal;
-  if (journal.is_sync() || journals_->CheckReachable().ok()) {
+  if (journal.is_sync() || durability_.journals->CheckReachable().ok()) {
     context.commits.push_back({.journal = entry->journal, .position = journal.written()});
   }
   return status;

@@ -11,6 +11,8 @@
 #include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
 #include "absl/types/span.h"
+#include "core/agent/episode_recorder.h"
+#include "core/journal/journal_writer.h"
 #include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
 #include "server/agent/call_context.h"
@@ -19,10 +21,11 @@
 #include "server/agent/deferred_work.h"
 #include "server/agent/policy_list.h"
 #include "server/agent/session_gate.h"
-#include "server/agent/session_opener.h"
 #include "server/agent/session_recovery.h"
+#include "server/followers/recordings.h"
 #include "server/followers/shadow_runner.h"
 #include "server/policies/policy_registry.h"
+#include "server/policies/shared_files.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
@@ -30,13 +33,28 @@ namespace spikeserve {
 // The largest number of requests in one ActBatch.
 inline constexpr int kMaxBatch = 1024;
 
+// How sessions are stored.
+struct SessionDurability {
+  JournalWriter* journals = nullptr;      // null: no session is stored
+  Durability level = Durability::kAsync;  // of sessions that ask for none and do not learn
+  const SharedFiles* files = nullptr;     // null: no other server continues with them
+};
+
 class PolicyHandler {
  public:
   // All arguments must outlive the handler. If `recordings` is null, sessions cannot be recorded;
   // if `datagrams` is, they get no channel for datagrams.
   PolicyHandler(const PolicyRegistry* registry, const SessionGate* gate, ShadowRunner* shadows,
                 const Clock* clock, Recordings* recordings = nullptr,
-                SessionDurability durability = {}, DatagramChannels* datagrams = nullptr);
+                SessionDurability durability = {}, DatagramChannels* datagrams = nullptr)
+      : registry_(registry),
+        gate_(gate),
+        store_(&gate->store()),
+        shadows_(shadows),
+        clock_(clock),
+        recordings_(recordings),
+        durability_(durability),
+        datagrams_(datagrams) {}
 
   // A session belongs to the tenant that opened it; callers of other tenants receive NOT_FOUND. The
   // exceptions are GetSession and Explain, which also serve callers that may read the session
@@ -95,6 +113,26 @@ class PolicyHandler {
                             v1::CloseSessionResponse* response) const;
 
  private:
+  // Returns the durability of a new session: INVALID_ARGUMENT if the server cannot give it,
+  // PERMISSION_DENIED if it is above the ceiling of the tenant.
+  absl::StatusOr<Durability> ChooseDurability(const Tenant& tenant,
+                                              const v1::OpenSessionRequest& request) const;
+  // Returns the settings of a session that `request` opens.
+  absl::StatusOr<SessionOptions> OptionsOf(const v1::OpenSessionRequest& request,
+                                           const ServedPolicy& served) const;
+  // Opens a session that does not exist yet.
+  absl::Status OpenNew(CallContext& context, std::string id, const v1::OpenSessionRequest& request,
+                       Durability durability, v1::OpenSessionResponse* response) const;
+  // Answers a request for a session that is open. Returns ALREADY_EXISTS unless the same request
+  // opened it.
+  absl::Status OpenAgain(CallContext& context, SessionEntry& entry,
+                         const v1::OpenSessionRequest& request, Durability durability,
+                         v1::OpenSessionResponse* response) const;
+  // Returns a recorder for a session of `served`, and sets `name` to a new name for the recording.
+  absl::StatusOr<std::unique_ptr<EpisodeRecorder>> NewRecorder(
+      const std::shared_ptr<const ServedPolicy>& served, const std::string& tenant,
+      std::string* name) const;
+
   // Returns a session that the caller may read, without resetting its idle time: of this server, or
   // CallContext::read.
   absl::StatusOr<std::shared_ptr<SessionEntry>> FindReadable(const CallContext& context,
@@ -113,9 +151,9 @@ class PolicyHandler {
   SessionStore* const store_;  // of the gate
   ShadowRunner* const shadows_;
   const Clock* const clock_;
-  JournalWriter* const journals_;      // null: no session is stored
+  Recordings* const recordings_;
+  const SessionDurability durability_;
   DatagramChannels* const datagrams_;  // null: the server offers none
-  const SessionOpener opener_;
   mutable PolicyList policy_list_;
 };
 

@@ -1,5 +1,4 @@
-#include "server/agent/session_opener.h"
-
+// The methods of PolicyHandler that open sessions.
 #include <algorithm>
 #include <utility>
 
@@ -12,13 +11,14 @@
 #include "core/session/session_id.h"
 #include "core/session/session_value.h"
 #include "server/agent/open_request.h"
+#include "server/agent/policy_handler.h"
 #include "server/agent/session_recovery.h"
 #include "server/messages/convert.h"
 
 namespace spikeserve {
 
-absl::Status SessionOpener::Open(CallContext& context, const v1::OpenSessionRequest& request,
-                                 v1::OpenSessionResponse* response) const {
+absl::Status PolicyHandler::OpenSession(CallContext& context, const v1::OpenSessionRequest& request,
+                                        v1::OpenSessionResponse* response) const {
   const std::string& id = request.session_id();
   if (!id.empty() && !IsDrawnSessionId(id)) {
     return absl::InvalidArgumentError(absl::StrCat(
@@ -38,13 +38,13 @@ absl::Status SessionOpener::Open(CallContext& context, const v1::OpenSessionRequ
   return absl::OkStatus();
 }
 
-absl::Status SessionOpener::OpenAs(CallContext& context, std::string id,
-                                   const v1::OpenSessionRequest& request,
-                                   v1::OpenSessionResponse* response) const {
+absl::Status PolicyHandler::OpenSessionAs(CallContext& context, std::string id,
+                                          const v1::OpenSessionRequest& request,
+                                          v1::OpenSessionResponse* response) const {
   return OpenNew(context, std::move(id), request, Durability::kNone, response);
 }
 
-absl::StatusOr<Durability> SessionOpener::ChooseDurability(
+absl::StatusOr<Durability> PolicyHandler::ChooseDurability(
     const Tenant& tenant, const v1::OpenSessionRequest& request) const {
   const bool stores = durability_.journals != nullptr;
   if (!v1::Durability_IsValid(request.durability())) {
@@ -82,7 +82,7 @@ absl::StatusOr<Durability> SessionOpener::ChooseDurability(
   }
 }
 
-absl::Status SessionOpener::OpenNew(CallContext& context, std::string session_id,
+absl::Status PolicyHandler::OpenNew(CallContext& context, std::string session_id,
                                     const v1::OpenSessionRequest& request, Durability durability,
                                     v1::OpenSessionResponse* response) const {
   RETURN_IF_ERROR(context.caller->tenant()->CheckBudgets());
@@ -130,7 +130,7 @@ absl::Status SessionOpener::OpenNew(CallContext& context, std::string session_id
   return status;
 }
 
-absl::StatusOr<SessionOptions> SessionOpener::OptionsOf(const v1::OpenSessionRequest& request,
+absl::StatusOr<SessionOptions> PolicyHandler::OptionsOf(const v1::OpenSessionRequest& request,
                                                         const ServedPolicy& served) const {
   auto options = OptionsFromProto(request, served);
   // Stored, so that a server that takes the session over offers a channel, too.
@@ -140,7 +140,7 @@ absl::StatusOr<SessionOptions> SessionOpener::OptionsOf(const v1::OpenSessionReq
   return options;
 }
 
-absl::Status SessionOpener::OpenAgain(CallContext& context, SessionEntry& entry,
+absl::Status PolicyHandler::OpenAgain(CallContext& context, SessionEntry& entry,
                                       const v1::OpenSessionRequest& request, Durability durability,
                                       v1::OpenSessionResponse* response) const {
   absl::MutexLock lock(&entry.mutex);
@@ -173,7 +173,7 @@ absl::Status SessionOpener::OpenAgain(CallContext& context, SessionEntry& entry,
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::unique_ptr<EpisodeRecorder>> SessionOpener::NewRecorder(
+absl::StatusOr<std::unique_ptr<EpisodeRecorder>> PolicyHandler::NewRecorder(
     const std::shared_ptr<const ServedPolicy>& served, const std::string& tenant,
     std::string* name) const {
   if (recordings_ == nullptr) {
