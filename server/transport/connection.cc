@@ -8,7 +8,6 @@
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "server/base/log.h"
-#include "server/transport/connection_callbacks.h"
 
 namespace spikeserve {
 namespace {
@@ -57,8 +56,8 @@ Connection::Connection(std::unique_ptr<Socket> socket, std::unique_ptr<Connectio
       resets_(shared->limits->max_resets_per_second),
       control_frames_(shared->limits->max_control_frames_per_second) {
   nghttp2_session* session = nullptr;
-  nghttp2_session_server_new3(&session, ConnectionCallbacks::Get(), this,
-                              ConnectionCallbacks::GetOption(), frame_memory_.allocator());
+  nghttp2_session_server_new3(&session, Callbacks(), this, SessionOption(),
+                              frame_memory_.allocator());
   session_.reset(session);
   const TransportLimits& limits = *shared_->limits;
   const std::array<nghttp2_settings_entry, 3> settings = {{

@@ -104,7 +104,10 @@ class Connection final : public EventLoop::Source,
   void ReadOnLater(int32_t id) override;
 
  private:
-  friend struct ConnectionCallbacks;
+  // What every session of the process uses; lives as long as the process. The callbacks are the
+  // methods from OnBeginHeaders() on.
+  static const nghttp2_session_callbacks* Callbacks();
+  static const nghttp2_option* SessionOption();
 
   struct FreeSession {
     void operator()(nghttp2_session* session) const { nghttp2_session_del(session); }
