@@ -21,7 +21,7 @@ class GrpcWebPages {
   // Returns whether the pages answer the request.
   static bool Has(const HttpRequest& request);
 
-  // See HttpServer::AcceptBody.
+  // See AcceptHttpBody.
   std::variant<AcceptedBody, HttpResponse> AcceptBody(const HttpRequest& request) const;
 
   // REQUIRES: AcceptBody() accepted the body of `request`.

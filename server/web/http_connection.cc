@@ -54,7 +54,7 @@ absl::string_view ToView(const View& view) {
 struct HttpConnection::Parser : http::request_parser<http::buffer_body> {};
 
 HttpConnection::HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot,
-                               const HttpServer::Options& options, Owner* owner)
+                               const HttpOptions& options, Owner* owner)
     : socket_(std::move(socket)),
       slot_(std::move(slot)),
       options_(options),

@@ -13,13 +13,30 @@
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "core/base/clock.h"
+#include "server/access/tls_context.h"
+#include "server/base/address.h"
 #include "server/transport/connection_table.h"
 #include "server/transport/event_loop.h"
 #include "server/transport/socket.h"
 #include "server/web/http_message.h"
-#include "server/web/http_server.h"
+#include "server/web/origins.h"
 
 namespace spikeserve {
+
+// Admits the caller of a POST before any of its body is read, or returns the answer to a POST that
+// is refused. Called on the loop's thread.
+using AcceptHttpBody =
+    std::function<std::variant<AcceptedBody, HttpResponse>(const HttpRequest& request)>;
+
+struct HttpOptions {
+  Address listen;
+  TlsContext* tls = nullptr;        // null: plain text; must outlive the server
+  bool local_names_only = false;    // answers 403 unless the header Host names this machine
+  Origins origins = {};             // whose pages may send a POST, and read answers
+  const Clock* clock = nullptr;     // monotonic; must outlive the server
+  AcceptHttpBody accept_body = {};  // empty: every POST is answered with 405
+};
 
 // The client has five seconds for the headers of its request, a TLS handshake included, thirty for
 // the body of a POST, and thirty to take the answer, however it divides the bytes. A request has at
@@ -32,7 +49,7 @@ class HttpConnection final : public EventLoop::Source {
   class Owner {
    public:
     virtual EventLoop& events() = 0;
-    // See HttpServer::AcceptBody.
+    // See AcceptHttpBody.
     virtual std::variant<AcceptedBody, HttpResponse> AcceptBody(const HttpRequest& request) = 0;
     // Computes the answer to a request, and calls Answer() of the connection later.
     virtual void OnRequest(HttpConnection* connection, HttpRequest request) = 0;
@@ -46,7 +63,7 @@ class HttpConnection final : public EventLoop::Source {
   // `options`, those of the server, and `owner` must outlive the connection. REQUIRES: Close() is
   // called before the destructor.
   HttpConnection(std::unique_ptr<Socket> socket, std::unique_ptr<ConnectionSlot> slot,
-                 const HttpServer::Options& options, Owner* owner);
+                 const HttpOptions& options, Owner* owner);
   ~HttpConnection() override;
 
   // Watches the socket. Returns RESOURCE_EXHAUSTED if the system has no memory for that.
@@ -108,7 +125,7 @@ class HttpConnection final : public EventLoop::Source {
   const std::shared_ptr<const void> client_ = std::make_shared<char>();  // see HttpRequest
   const std::unique_ptr<Socket> socket_;
   const std::unique_ptr<ConnectionSlot> slot_;
-  const HttpServer::Options& options_;
+  const HttpOptions& options_;
   Owner* const owner_;
   std::unique_ptr<Parser> parser_;
   State state_ = State::kReading;

@@ -21,7 +21,7 @@ class InferencePages {
   // Returns whether the pages answer requests for `path`.
   static bool Has(absl::string_view path);
 
-  // See HttpServer::AcceptBody.
+  // See AcceptHttpBody.
   std::variant<AcceptedBody, HttpResponse> AcceptBody(const HttpRequest& request) const;
 
   void Answer(HttpRequest request, HttpServer::Done done) const;

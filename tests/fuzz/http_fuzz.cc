@@ -59,7 +59,7 @@ void FuzzOne(absl::string_view input) {
   NoCloser closer;
   std::string answer;
   Owner owner(loop.get());
-  HttpServer::Options options;
+  HttpOptions options;
   options.local_names_only = true;
   options.origins = *Origins::Parse("", "http://a.example");
   HttpConnection connection(std::make_unique<MemorySocket>(reader.rest(), piece, &answer),
