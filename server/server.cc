@@ -183,15 +183,13 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
     server->poller_ = std::make_unique<PolicyPoller>(server->registry_.get(), options.poll_policies,
                                                      report.refused);
   }
+  Server* const started = server.get();
   if (server->shared_ != nullptr) {
-    server->follower_ = std::make_unique<Periodic>(
-        kFollowInterval, [pointer = server.get()] { pointer->FollowReplicas(); });
+    server->Every(kFollowInterval, [started] { started->FollowReplicas(); });
   }
-  server->rollout_ticker_ = std::make_unique<Periodic>(
-      kRolloutInterval, [pointer = server.get()] { pointer->rollouts_.Tick(); });
+  server->Every(kRolloutInterval, [started] { started->rollouts_.Tick(); });
   if (!options.tokens.empty()) {
-    server->token_reloader_ = std::make_unique<Periodic>(
-        kTokensInterval, [pointer = server.get()] { pointer->ReloadTokens(); });
+    server->Every(kTokensInterval, [started] { started->ReloadTokens(); });
   }
   return server;
 }
@@ -241,12 +239,17 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       audit_(audit_log_.get(), registry_.get(), &store_, options.allow_unrecorded_changes),
       rollouts_(registry_.get(), metrics_.get(), &clock_, &replicas_,
                 [this](const RolloutManager::Change& change) { audit_.Record(change); }),
-      rollout_handler_(registry_.get(), &rollouts_, files_.get()),
-      admin_handler_(registry_.get(), &store_, audit_log_.get(), &replicas_, files_.get(),
-                     journals_.get(), [this](bool) { PublishHealth(); }),
-      hold_handler_(registry_.get(), &store_),
-      seat_handler_(&store_),
-      usage_handler_(&ledger_),
+      admin_handler_({.registry = registry_.get(),
+                      .store = &store_,
+                      .history = audit_log_.get(),
+                      .replicas = &replicas_,
+                      .files = files_.get(),
+                      .journals = journals_.get(),
+                      .rollouts = &rollouts_,
+                      .folder = &policy_folder_,
+                      .ledger = &ledger_,
+                      .max_pushed = options.max_pushed_versions,
+                      .on_draining = [this](bool) { PublishHealth(); }}),
       services_({.gate = &gate_,
                  .authenticator = authenticator_.get(),
                  .metrics = metrics_.get(),
@@ -257,12 +260,6 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
                  .datagrams = options.datagram_listen.empty() ? nullptr : &datagrams_},
                 {.policy = &handler_,
                  .admin = &admin_handler_,
-                 .heads = &head_handler_,
-                 .holds = &hold_handler_,
-                 .seats = &seat_handler_,
-                 .rollouts = &rollout_handler_,
-                 .versions = &version_handler_,
-                 .usage = &usage_handler_,
                  .audit = &audit_,
                  .inference = &inference_handler_,
                  .health = &health_,
@@ -274,8 +271,6 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       worker_(kLongCallsWaiting),
       list_worker_(kListsWaiting),
       admin_worker_(kOperatorCallsWaiting),
-      head_handler_(registry_.get(), &store_, &policy_folder_),
-      version_handler_(registry_.get(), &store_, &policy_folder_, options.max_pushed_versions),
       inference_handler_(
           registry_.get(), &session_gate_, &handler_, &clock_, options.session_ttl,
           journals_ != nullptr && journals_->IsShared() && !options.allow_unconfirmed_sequences
@@ -284,8 +279,7 @@ Server::Server(const ServerOptions& options, std::unique_ptr<Authenticator> auth
       history_([this] { return metrics_->Collect(); }, &clock_),
       pages_({.authenticator = authenticator_.get(),
               .handler = &handler_,
-              .rollouts = &rollout_handler_,
-              .usage = &usage_handler_,
+              .admin = &admin_handler_,
               .store = &store_,
               .metrics = metrics_.get(),
               .history = &history_,
@@ -329,7 +323,7 @@ absl::Status Server::StartTransport() {
                              : options_.datagram_advertise);
   PublishHealth();
   RETURN_IF_ERROR(services_.Attach(transport_.get()));
-  memory_trimmer_ = std::make_unique<Periodic>(kTrimInterval, [this] { TrimMemory(); });
+  Every(kTrimInterval, [this] { TrimMemory(); });
   return transport_->Start();
 }
 
@@ -338,7 +332,7 @@ void Server::StartLedger() {
   if (journals_ != nullptr) journals_->Keep(&store_, [this] { ledger_.BookEnds(); });
   metrics_->AddSource([this] { return ledger_.Collect(); });
   ledger_.FollowMonth();  // so that what is spent is known before the first session
-  ledger_ticker_ = std::make_unique<Periodic>(options_.usage.interval, [this] { ledger_.Tick(); });
+  Every(options_.usage.interval, [this] { ledger_.Tick(); });
 }
 
 void Server::TrimMemory() {
@@ -454,12 +448,8 @@ absl::Status Server::StartHttp() {
                           pages_.Answer(std::move(request), std::move(done));
                         }));
   http_ = std::move(http);
-  history_ticker_ =
-      std::make_unique<Periodic>(ServerHistory::kInterval, [this] { history_.Tick(); });
-  if (shared_ != nullptr) {
-    reporter_ =
-        std::make_unique<Periodic>(ServerHistory::kInterval, [this] { ReportToReplicas(); });
-  }
+  Every(ServerHistory::kInterval, [this] { history_.Tick(); });
+  if (shared_ != nullptr) Every(ServerHistory::kInterval, [this] { ReportToReplicas(); });
   return absl::OkStatus();
 }
 
@@ -468,15 +458,9 @@ Server::~Server() { Stop(); }
 void Server::Stop() {
   if (stopping_.exchange(true)) return;
   poller_.reset();
-  rollout_ticker_.reset();
-  history_ticker_.reset();
-  reporter_.reset();
-  follower_.reset();
+  periodic_.clear();
   rollouts_.SaveEvidence();
   if (shared_ != nullptr) shared_->Leave().IgnoreError();  // the others find out in any case
-  token_reloader_.reset();
-  memory_trimmer_.reset();
-  ledger_ticker_.reset();
   if (transport_ != nullptr) StopTransport();
   if (journals_ != nullptr) journals_->Stop(absl::ZeroDuration());  // it uses the sessions
   ledger_.BookAll();  // what the last answers have used

@@ -2,8 +2,10 @@
 #pragma once
 
 #include <atomic>
+#include <functional>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -17,11 +19,6 @@
 #include "server/admin/admin_handler.h"
 #include "server/admin/audit.h"
 #include "server/admin/audit_log.h"
-#include "server/admin/head_handler.h"
-#include "server/admin/hold_handler.h"
-#include "server/admin/rollout_handler.h"
-#include "server/admin/seat_handler.h"
-#include "server/admin/usage_handler.h"
 #include "server/agent/datagram_channels.h"
 #include "server/agent/policy_handler.h"
 #include "server/agent/session_gate.h"
@@ -89,6 +86,10 @@ class Server {
          std::unique_ptr<Metrics> metrics, std::unique_ptr<Tracer> tracer,
          std::unique_ptr<Recordings> recordings, OpenedStore store, UsageStores usage);
 
+  // Calls `work` at this interval until the server stops.
+  void Every(absl::Duration interval, std::function<void()> work) {
+    periodic_.push_back(std::make_unique<Periodic>(interval, std::move(work)));
+  }
   void ReloadTokens();
   void StartLedger();
   absl::Status StartTransport();
@@ -135,11 +136,7 @@ class Server {
   const PolicyHandler handler_;
   const Audit audit_;
   RolloutManager rollouts_;
-  const RolloutHandler rollout_handler_;
   const AdminHandler admin_handler_;
-  const HoldHandler hold_handler_;
-  const SeatHandler seat_handler_;
-  const UsageHandler usage_handler_;
   CallGate gate_;
   HealthService health_;
   std::unique_ptr<TlsContext> tls_;  // null without TLS
@@ -149,15 +146,13 @@ class Server {
   BackgroundWorker worker_;
   BackgroundWorker list_worker_;
   BackgroundWorker admin_worker_;
-  const HeadHandler head_handler_;
-  const VersionHandler version_handler_;
   const InferenceHandler inference_handler_;
   std::atomic<bool> stopping_ = false;
   // State of FollowReplicas(), which one thread calls at a time.
   bool follow_failed_ = false;
   std::vector<std::string> alive_;  // servers, sorted
   bool joined_ = false;             // the value that was published last
-  // Of memory_trimmer_, when memory was last given back: connections closed, and free bytes.
+  // When memory was last given back: connections closed, and free bytes.
   int64_t trimmed_at_ = 0;
   size_t free_when_trimmed_ = 0;
   ServerHistory history_;
@@ -171,13 +166,7 @@ class Server {
   CertificateWatch certificates_;  // of both ports; its thread uses them
   // Declared last, because their threads use the members above.
   std::unique_ptr<PolicyPoller> poller_;
-  std::unique_ptr<Periodic> rollout_ticker_;
-  std::unique_ptr<Periodic> history_ticker_;  // null without --http_listen
-  std::unique_ptr<Periodic> reporter_;        // null without --http_listen or `shared_`
-  std::unique_ptr<Periodic> follower_;
-  std::unique_ptr<Periodic> token_reloader_;
-  std::unique_ptr<Periodic> memory_trimmer_;
-  std::unique_ptr<Periodic> ledger_ticker_;
+  std::vector<std::unique_ptr<Periodic>> periodic_;
 };
 
 }  // namespace spikeserve

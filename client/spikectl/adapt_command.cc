@@ -116,11 +116,8 @@ absl::Status RunAdaptation(const AdaptFlags& flags, const ServerFlags& server) {
   }
   const ActionSelection sampled = {.sample = true,
                                    .temperature = static_cast<float>(options.temperature)};
-  if (absl::Status status =
-          CheckLearning(flags.scope, flags.learning, (*environment)->action_space(), sampled);
-      !status.ok()) {
-    return status;
-  }
+  RETURN_IF_ERROR(
+      CheckLearning(flags.scope, flags.learning, (*environment)->action_space(), sampled));
   ASSIGN_OR_RETURN(const auto client, Connect(server));
   ASSIGN_OR_RETURN(auto policy, ChooseServedPolicy(*client, flags.agent));
   RETURN_IF_ERROR(CheckSpacesMatch(policy, **environment));

@@ -16,6 +16,7 @@
 #include "client/spikectl/commands.h"
 #include "client/spikectl/traffic_report.h"
 #include "core/base/status_macros.h"
+#include "proto/json.h"
 
 namespace spikeserve {
 namespace {
@@ -118,14 +119,11 @@ absl::StatusOr<Answer> DescribeTraffic(const AdminFlags& flags,
                                        const absl::StatusOr<Response>& response) {
   if (!response.ok()) return response.status();
   const v1::Traffic& after = response->traffic().after();
-  ordered_json shares = ordered_json::array();
-  for (const v1::TrafficShare& share : after.shares()) {
-    shares.push_back({{"version", share.version()}, {"percent", share.percent()}});
-  }
-  return TrafficAnswer(
-      absl::StrCat("traffic of ", flags.policy),
-      {{"policy", flags.policy}, {"shares", shares}, {"shadow_version", after.shadow_version()}},
-      response->traffic());
+  return TrafficAnswer(absl::StrCat("traffic of ", flags.policy),
+                       {{"policy", flags.policy},
+                        {"shares", MessagesToList(after.shares(), Numbers::kExact)},
+                        {"shadow_version", after.shadow_version()}},
+                       response->traffic());
 }
 
 // Changes only what a flag names.
@@ -158,15 +156,6 @@ absl::StatusOr<Answer> Traffic(const AdminFlags& flags) {
                          CallAdmin(flags, &AdminStub::SetTraffic, fill(v1::SetTrafficRequest())));
 }
 
-template <typename List>
-ordered_json VersionsToJson(const List& versions) {
-  ordered_json json = ordered_json::array();
-  for (const v1::PolicyVersion& version : versions) {
-    json.push_back({{"policy", version.policy()}, {"version", version.version()}});
-  }
-  return json;
-}
-
 absl::StatusOr<Answer> Reload(const AdminFlags& flags) {
   ASSIGN_OR_RETURN(const auto response,
                    CallAdmin(flags, &AdminStub::ReloadPolicies, v1::ReloadPoliciesRequest()));
@@ -179,28 +168,10 @@ absl::StatusOr<Answer> Reload(const AdminFlags& flags) {
     absl::StrAppend(&text, "\nwaiting: ", setting);
   }
   return Answer{text,
-                {{"loaded", VersionsToJson(response.loaded())},
-                 {"unloaded", VersionsToJson(response.unloaded())},
+                {{"loaded", MessagesToList(response.loaded(), Numbers::kExact)},
+                 {"unloaded", MessagesToList(response.unloaded(), Numbers::kExact)},
                  {"refused", response.refused()},
                  {"waiting", response.waiting()}}};
-}
-
-ordered_json ToJson(const v1::SessionInfo& session) {
-  return {{"session_id", session.session_id()},
-          {"policy", session.policy()},
-          {"version", session.version()},
-          {"tenant", session.tenant()},
-          {"episode", session.episode()},
-          {"step", session.step()},
-          {"episode_return", session.episode_return()},
-          {"decisions", session.decisions()},
-          {"spikes", session.spikes()},
-          {"energy_joules", session.energy_joules()},
-          {"idle_seconds", session.idle_seconds()},
-          {"learning", session.learning()},
-          {"durability", v1::Durability_Name(session.durability())},
-          {"epoch", session.epoch()},
-          {"durable_decision", session.durable_decision()}};
 }
 
 constexpr int kPageSize = 1000;  // sessions
@@ -219,7 +190,7 @@ absl::StatusOr<Answer> Sessions(const AdminFlags& flags) {
   do {
     ASSIGN_OR_RETURN(const auto page, CallAdmin(flags, &AdminStub::ListSessions, request));
     for (const v1::SessionInfo& session : page.sessions()) {
-      sessions.push_back(ToJson(session));
+      sessions.push_back(MessageToFields(session, Numbers::kExact));
       absl::StrAppendFormat(
           &text, "\n%-32s %-17s %-9s %7d %6d %9d %7.1f %-6s", session.session_id(),
           absl::StrCat(session.policy(), "/", session.version()), session.tenant(),
@@ -283,16 +254,6 @@ void AddLabel(FlagGroup& group, AdminFlags* flags) {
   group.Add("label", "NAME", &flags->label, "Name of a version, such as stable");
 }
 
-void AddVersionAndLabel(FlagGroup& group, AdminFlags* flags) {
-  AddVersion(group, flags);
-  AddLabel(group, flags);
-}
-
-void AddPolicyAndLabel(FlagGroup& group, AdminFlags* flags) {
-  AddPolicy(group, flags);
-  AddLabel(group, flags);
-}
-
 void AddTraffic(FlagGroup& group, AdminFlags* flags) {
   AddPolicy(group, flags);
   group
@@ -309,16 +270,6 @@ void AddMakeDefault(FlagGroup& group, AdminFlags* flags) {
   group.AddSwitch("make_default", &flags->make_default, "Also make the version the default");
 }
 
-void AddLoad(FlagGroup& group, AdminFlags* flags) {
-  AddVersion(group, flags);
-  AddMakeDefault(group, flags);
-}
-
-void AddPromote(FlagGroup& group, AdminFlags* flags) {
-  AddHeadVersion(group, flags);
-  AddMakeDefault(group, flags);
-}
-
 // What a roll-out has besides its steps.
 void AddRolloutLimits(FlagGroup& group, AdminFlags* flags) {
   group.Add("hold", "DURATION", &flags->hold, "Time that each step is held")
@@ -330,10 +281,11 @@ void AddRolloutLimits(FlagGroup& group, AdminFlags* flags) {
            "Report of spiketrain ope --json, without which it does not start");
 }
 
-void AddRollout(FlagGroup& group, AdminFlags* flags) {
-  AddVersion(group, flags);
+void AddSteps(FlagGroup& group, AdminFlags* flags) {
   group.AddList("steps", "PERCENT,...", &flags->steps, "Shares of the new version");
-  AddRolloutLimits(group, flags);
+}
+
+void AddAbort(FlagGroup& group, AdminFlags* flags) {
   group.AddSwitch("abort", &flags->abort, "End the running roll-out");
 }
 
@@ -345,8 +297,6 @@ void AddPush(FlagGroup& group, AdminFlags* flags) {
       .Add("tenant", "NAME", &flags->tenant, "Tenant that it counts to; default: the token's")
       .AddList("rollout", "PERCENT,...", &flags->rollout,
                "Steps of a roll-out that begins at once, such as 5,50,100");
-  AddRolloutLimits(group, flags);
-  AddMakeDefault(group, flags);
 }
 
 void AddPull(FlagGroup& group, AdminFlags* flags) {
@@ -362,18 +312,15 @@ void AddUsage(FlagGroup& group, AdminFlags* flags) {
       .AddSwitch("csv", &flags->csv, "Print comma-separated values");
 }
 
-void AddHistory(FlagGroup& group, AdminFlags* flags) {
-  AddFilter(group, flags);
+void AddLimit(FlagGroup& group, AdminFlags* flags) {
   group.Add("limit", "N", &flags->limit, "Entries to show, at most");
 }
 
-void AddHead(FlagGroup& group, AdminFlags* flags) {
-  AddHeadVersion(group, flags);
+void AddWeights(FlagGroup& group, AdminFlags* flags) {
   group.AddSwitch("weights", &flags->weights, "Also print the weights; only with --json");
 }
 
-void AddVersionFilter(FlagGroup& group, AdminFlags* flags) {
-  AddFilter(group, flags);
+void AddAnyVersion(FlagGroup& group, AdminFlags* flags) {
   group.Add("version", "N", &flags->version, "Version; 0: every one");
 }
 
@@ -385,39 +332,56 @@ struct AdminAction {
   const char* name;
   const char* summary;
   bool needs_policy;
-  void (*add_flags)(FlagGroup& group, AdminFlags* flags);  // null for none
+  void (*add_flags[4])(FlagGroup& group, AdminFlags* flags);
   absl::StatusOr<Answer> (*run)(const AdminFlags& flags);
 };
 
 constexpr AdminAction kActions[] = {
-    {"load", "Loads a version from its file", true, AddLoad, Load},
-    {"unload", "Stops serving a version to new sessions", true, AddVersion, Unload},
-    {"default", "Makes a version the default", true, AddNewDefault, Default},
-    {"label", "Names a version", true, AddVersionAndLabel, Label},
-    {"unlabel", "Removes the name of a version", true, AddPolicyAndLabel, Unlabel},
-    {"traffic", "Splits new sessions among versions, or shadows them", true, AddTraffic, Traffic},
-    {"rollout", "Moves new sessions to a version step by step", true, AddRollout, ChangeRollout},
-    {"rollouts", "Shows the last roll-outs", false, nullptr, ShowRollouts},
-    {"history", "Shows who changed what", false, AddHistory, ShowHistory},
-    {"reload", "Looks for new, changed and removed policy files", false, nullptr, Reload},
-    {"sessions", "Lists open sessions", false, AddVersionFilter, Sessions},
-    {"drain", "Refuses new sessions", false, AddCancel, Drain},
-    {"head", "Shows the learned head of a fleet", true, AddHead, ShowHead},
-    {"promote_head", "Writes and loads a version with the learned head", true, AddPromote,
+    {"load", "Loads a version from its file", true, {AddVersion, AddMakeDefault}, Load},
+    {"unload", "Stops serving a version to new sessions", true, {AddVersion}, Unload},
+    {"default", "Makes a version the default", true, {AddNewDefault}, Default},
+    {"label", "Names a version", true, {AddVersion, AddLabel}, Label},
+    {"unlabel", "Removes the name of a version", true, {AddPolicy, AddLabel}, Unlabel},
+    {"traffic", "Splits new sessions among versions, or shadows them", true, {AddTraffic}, Traffic},
+    {"rollout",
+     "Moves new sessions to a version step by step",
+     true,
+     {AddVersion, AddSteps, AddRolloutLimits, AddAbort},
+     ChangeRollout},
+    {"rollouts", "Shows the last roll-outs", false, {}, ShowRollouts},
+    {"history", "Shows who changed what", false, {AddFilter, AddLimit}, ShowHistory},
+    {"reload", "Looks for new, changed and removed policy files", false, {}, Reload},
+    {"sessions", "Lists open sessions", false, {AddFilter, AddAnyVersion}, Sessions},
+    {"drain", "Refuses new sessions", false, {AddCancel}, Drain},
+    {"head", "Shows the learned head of a fleet", true, {AddHeadVersion, AddWeights}, ShowHead},
+    {"promote_head",
+     "Writes and loads a version with the learned head",
+     true,
+     {AddHeadVersion, AddMakeDefault},
      PromoteHead},
-    {"reset_head", "Forgets what a fleet has learned: the version's own head again", true,
-     AddHeadVersion, RollbackHead},
-    {"pause_learning", "Pauses learning", false, AddFilter, PauseLearning},
-    {"resume_learning", "Resumes learning", false, AddFilter, ResumeLearning},
+    {"reset_head",
+     "Forgets what a fleet has learned: the version's own head again",
+     true,
+     {AddHeadVersion},
+     RollbackHead},
+    {"pause_learning", "Pauses learning", false, {AddFilter}, PauseLearning},
+    {"resume_learning", "Resumes learning", false, {AddFilter}, ResumeLearning},
 };
 
 // The actions that are commands of their own.
 constexpr AdminAction kCommands[] = {
-    {"usage", "Shows what was used in a month, and what is left of budgets", false, AddUsage,
+    {"usage",
+     "Shows what was used in a month, and what is left of budgets",
+     false,
+     {AddUsage},
      ShowUsage},
-    {"push", "Sends a version to all servers, and may roll it out", true, AddPush, PushVersion},
-    {"pull", "Writes the file of a version", true, AddPull, PullVersion},
-    {"rm", "Removes a version that was pushed", true, AddVersion, RemoveVersion},
+    {"push",
+     "Sends a version to all servers, and may roll it out",
+     true,
+     {AddPush, AddRolloutLimits, AddMakeDefault},
+     PushVersion},
+    {"pull", "Writes the file of a version", true, {AddPull}, PullVersion},
+    {"rm", "Removes a version that was pushed", true, {AddVersion}, RemoveVersion},
 };
 
 // Names of earlier releases.
@@ -452,7 +416,9 @@ Command AddAction(Command admin, const AdminAction& action, const char* name,
   const auto flags = std::make_shared<AdminFlags>();
   flags->server = &server;
   FlagGroup group = command.Flags("Action");
-  if (action.add_flags != nullptr) action.add_flags(group, flags.get());
+  for (const auto add : action.add_flags) {
+    if (add != nullptr) add(group, flags.get());
+  }
   command.SetAction([&action, note, flags] {
     std::cerr << note;
     return RunAction(action, *flags);

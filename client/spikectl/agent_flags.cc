@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/spikectl/policy_choice.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -34,10 +35,7 @@ absl::StatusOr<std::unique_ptr<Environment>> MakeAgentEnvironment(const AgentFla
         absl::StrCat("--target_return: expected a finite number, received ", *flags.target_return));
   }
   auto environment = MakeEnvironment(flags.env);
-  if (!environment.ok()) {
-    return absl::Status(environment.status().code(),
-                        absl::StrCat("--env: ", environment.status().message()));
-  }
+  if (!environment.ok()) return Annotate(environment.status(), "--env");
   return environment;
 }
 

@@ -62,8 +62,7 @@ absl::Status Explain(const ExplainFlags& flags, const ServerFlags& server) {
     std::cout << text;
     return absl::OkStatus();
   }
-  ASSIGN_OR_RETURN(const auto json, MessageToJson(explained));
-  std::cout << json << "\n";
+  std::cout << MessageToFields(explained).dump() << "\n";
   return absl::OkStatus();
 }
 

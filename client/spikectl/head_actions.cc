@@ -6,6 +6,7 @@
 #include "client/spikectl/admin_call.h"
 #include "client/spikectl/traffic_report.h"
 #include "core/base/status_macros.h"
+#include "proto/json.h"
 
 namespace spikeserve {
 namespace {
@@ -25,20 +26,10 @@ absl::StatusOr<Answer> ShowHead(const AdminFlags& flags) {
   auto request = HeadRequest<v1::GetHeadRequest>(flags);
   request.set_include_weights(flags.weights);
   ASSIGN_OR_RETURN(const auto head, CallAdmin(flags, &AdminStub::GetHead, request));
-  ordered_json json = {{"policy", head.policy()},
-                       {"version", head.version()},
-                       {"base_norm", head.base_norm()},
-                       {"delta_norm", head.delta_norm()},
-                       {"drift", head.drift()},
-                       {"updates", head.updates()},
-                       {"rejected_updates", head.rejected_updates()},
-                       {"rollbacks", head.rollbacks()},
-                       {"watched_return", head.watched_return()},
-                       {"sessions", head.sessions()},
-                       {"paused", head.paused()}};
-  if (request.include_weights()) {
-    json["base"] = head.base();
-    json["delta"] = head.delta();
+  ordered_json json = MessageToFields(head, Numbers::kExact);
+  if (!request.include_weights()) {
+    json.erase("base");
+    json.erase("delta");
   }
   return Answer{absl::StrFormat("%s/%d: drift %.4g, %d updates, %d refused, %d rollbacks, %d fleet "
                                 "sessions%s",

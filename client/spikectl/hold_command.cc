@@ -15,7 +15,9 @@
 #include "absl/time/clock.h"
 #include "client/spikectl/commands.h"
 #include "client/spikectl/operator_servers.h"
+#include "client/spikectl/session_flags.h"
 #include "core/base/status_macros.h"
+#include "proto/json.h"
 
 namespace spikeserve {
 
@@ -57,14 +59,7 @@ absl::StatusOr<v1::HoldSessionsRequest> HoldRequest(const HoldFlags& flags) {
   selection.set_tenant(flags.tenant);
   selection.set_all(flags.all);
   selection.mutable_session_ids()->Add(flags.sessions.begin(), flags.sessions.end());
-  for (const std::string& label : flags.labels) {
-    const std::vector<std::string> parts = absl::StrSplit(label, absl::MaxSplits('=', 1));
-    if (parts.size() != 2) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("--label: expected KEY=VALUE, received \"", label, "\""));
-    }
-    (*selection.mutable_labels())[parts[0]] = parts[1];
-  }
+  RETURN_IF_ERROR(AddLabels("--label", flags.labels, selection.mutable_labels()));
   return request;
 }
 
@@ -118,13 +113,7 @@ void Print(const v1::HoldSessionsResponse& held, const Verdict& verdict, bool js
   if (json) {
     ordered_json robots = ordered_json::array();
     for (const auto& [key, robot] : verdict.robots) {
-      robots.push_back({{"session_id", robot.session_id()},
-                        {"policy", robot.policy()},
-                        {"version", robot.version()},
-                        {"tenant", robot.tenant()},
-                        {"at_neutral", robot.at_neutral()},
-                        {"idle_seconds", robot.idle_seconds()},
-                        {"silent", robot.silent()}});
+      robots.push_back(MessageToFields(robot, Numbers::kExact));
     }
     std::cout << ordered_json{{"id", held.hold().hold().id()},
                               {"kept", held.kept()},

@@ -13,7 +13,7 @@
 #include "client/spikectl/admin_call.h"
 #include "client/spikectl/commands.h"
 #include "core/base/status_macros.h"
-#include "nlohmann/json.hpp"
+#include "proto/json.h"
 
 namespace spikeserve {
 namespace {
@@ -27,42 +27,22 @@ ordered_json ToJson(const v1::ActionSpace& space) {
 
 using FeatureList = google::protobuf::RepeatedPtrField<v1::Feature>;
 
+// Leaves out what a feature does not have.
 ordered_json ToJson(const FeatureList& features) {
-  ordered_json list = ordered_json::array();
-  for (const v1::Feature& feature : features) {
-    ordered_json& json = list.emplace_back(ordered_json::object());
-    json["name"] = feature.name();
-    if (!feature.unit().empty()) json["unit"] = feature.unit();
-    if (feature.has_low()) json["low"] = feature.low();
-    if (feature.has_high()) json["high"] = feature.high();
-    if (!feature.frame().empty()) json["frame"] = feature.frame();
+  ordered_json list = MessagesToList(features, Numbers::kExact);
+  for (ordered_json& feature : list) {
+    for (const char* field : {"unit", "frame"}) {
+      if (feature[field] == "") feature.erase(field);
+    }
   }
   return list;
 }
 
 ordered_json ToJson(const v1::PolicyInfo& policy) {
-  ordered_json json = {{"name", policy.name()},
-                       {"version", policy.version()},
-                       {"is_default", policy.is_default()},
-                       {"environment", policy.environment()},
-                       {"mode", policy.mode()},
-                       {"observation_size", policy.observation_size()},
-                       {"action_space", ToJson(policy.action_space())},
-                       {"context_length", policy.context_length()},
-                       {"target_return", policy.target_return()}};
-  if (policy.has_training_return()) json["training_return"] = policy.training_return();
-  if (policy.has_traffic_percent()) json["traffic_percent"] = policy.traffic_percent();
-  if (policy.version_labels_size() > 0) json["version_labels"] = policy.version_labels();
-  if (policy.is_shadow()) json["is_shadow"] = true;
-  if (policy.observation_features_size() > 0) {
-    json["observation_features"] = ToJson(policy.observation_features());
-  }
-  if (policy.action_features_size() > 0) json["action_features"] = ToJson(policy.action_features());
-  if (policy.has_rate_hz()) {
-    json["rate_hz"] = policy.rate_hz();
-    json["rate_tolerance"] = policy.rate_tolerance();
-  }
-  json["checks_wiring"] = policy.checks_wiring();
+  ordered_json json = MessageToFields(policy, Numbers::kExact);
+  json["action_space"] = ToJson(policy.action_space());
+  json["observation_features"] = ToJson(policy.observation_features());
+  json["action_features"] = ToJson(policy.action_features());
   return json;
 }
 

@@ -7,6 +7,7 @@
 #include "client/spikectl/agent_flags.h"
 #include "client/spikectl/commands.h"
 #include "client/spikectl/replay.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/dataset/recordings.h"
 #include "nlohmann/json.hpp"
@@ -42,10 +43,7 @@ absl::Status ReplayRecording(const ReplayFlags& flags, const ServerFlags& server
     return absl::InvalidArgumentError("--recording: expected a directory or a file, received none");
   }
   const auto episodes = ReadRecordings(flags.recording);
-  if (!episodes.ok()) {
-    return absl::Status(episodes.status().code(),
-                        absl::StrCat("--recording: ", episodes.status().message()));
-  }
+  if (!episodes.ok()) return Annotate(episodes.status(), "--recording");
   RETURN_IF_ERROR(CheckReplayable(*episodes));
   ASSIGN_OR_RETURN(const auto client, Connect(server));
   ASSIGN_OR_RETURN(const auto result,

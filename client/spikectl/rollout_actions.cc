@@ -132,49 +132,24 @@ std::string ToText(const v1::Rollout& rollout) {
                       rollout.stable_version(), ": ", ToText(rollout.stable_version_evidence()));
 }
 
-// Returns null instead of a figure that nothing was measured for.
-ordered_json Unless(bool is_unknown, double value) {
-  return is_unknown ? ordered_json() : ordered_json(value);
-}
-
+// Figures that nothing was measured for are null.
 ordered_json ToJson(const v1::VersionEvidence& evidence) {
-  return {{"sessions", evidence.sessions()},
-          {"failed_sessions", evidence.failed_sessions()},
-          {"episodes", evidence.episodes()},
-          {"mean_return", Unless(evidence.episodes() == 0, evidence.mean_return())},
-          {"return_deviation", Unless(evidence.episodes() == 0, evidence.return_deviation())},
-          {"decisions", evidence.decisions()},
-          {"p99_seconds", Unless(evidence.decisions() == 0, evidence.p99_seconds())},
-          {"implausible_episodes", evidence.implausible_episodes()}};
+  ordered_json json = MessageToFields(evidence, Numbers::kExact);
+  if (evidence.episodes() == 0) json["mean_return"] = json["return_deviation"] = nullptr;
+  if (evidence.decisions() == 0) json["p99_seconds"] = nullptr;
+  return json;
 }
 
 ordered_json ToJson(const v1::Rollout& rollout) {
-  ordered_json conditions = ordered_json::array();
-  for (const v1::RolloutCondition& condition : rollout.abort_if()) {
-    conditions.push_back(
-        {{"measure", WordOf(v1::RolloutCondition::Measure_Name(condition.measure()), "MEASURE_")},
-         {"margin", condition.margin()}});
+  ordered_json json = MessageToFields(rollout, Numbers::kExact);
+  json["state"] = StateText(rollout);
+  for (ordered_json& condition : json["abort_if"]) {
+    condition["measure"] = WordOf(condition["measure"].get<std::string>(), "MEASURE_");
   }
-  ordered_json json = {{"policy", rollout.policy()},
-                       {"version", rollout.version()},
-                       {"stable_version", rollout.stable_version()},
-                       {"state", StateText(rollout)},
-                       {"steps", rollout.steps()},
-                       {"step", rollout.step()},
-                       {"percent", rollout.percent()},
-                       {"hold_seconds", rollout.hold_seconds()},
-                       {"min_episodes", rollout.min_episodes()},
-                       {"abort_if", conditions},
-                       {"reason", rollout.reason()},
-                       {"disputed", rollout.disputed()},
-                       {"started", rollout.started()},
-                       {"step_started", rollout.step_started()},
-                       {"ended", rollout.ended()},
-                       {"new_version_evidence", ToJson(rollout.new_version_evidence())},
-                       {"stable_version_evidence", ToJson(rollout.stable_version_evidence())}};
+  json["new_version_evidence"] = ToJson(rollout.new_version_evidence());
+  json["stable_version_evidence"] = ToJson(rollout.stable_version_evidence());
   if (rollout.has_offline_evaluation()) {
-    const auto offline = MessageToJson(rollout.offline_evaluation());
-    if (offline.ok()) json["offline_evaluation"] = ordered_json::parse(*offline);
+    json["offline_evaluation"] = MessageToFields(rollout.offline_evaluation());
   }
   return json;
 }
@@ -214,18 +189,11 @@ ordered_json ToJson(const v1::HistoryEntry& entry) {
     auto json = ordered_json::parse(text, /*cb=*/nullptr, /*allow_exceptions=*/false);
     return json.is_discarded() ? ordered_json() : json;
   };
-  return {{"time", entry.time()},
-          {"action", entry.action()},
-          {"token", entry.token()},
-          {"tenant", entry.tenant()},
-          {"certificate", entry.certificate()},
-          {"address", entry.address()},
-          {"policy", entry.policy()},
-          {"request", parse(entry.request())},
-          {"code", entry.code()},
-          {"message", entry.message()},
-          {"before", parse(entry.before())},
-          {"after", parse(entry.after())}};
+  ordered_json json = MessageToFields(entry, Numbers::kExact);
+  for (const char* field : {"request", "before", "after"}) {
+    json[field] = parse(json[field].get<std::string>());
+  }
+  return json;
 }
 
 }  // namespace

@@ -1,13 +1,12 @@
 #include "client/spikectl/session_flags.h"
 
-#include <fstream>
-#include <sstream>
 #include <utility>
 
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
+#include "core/base/file.h"
+#include "core/base/status_macros.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {
@@ -35,12 +34,9 @@ v1::Durability ToProto(Durability durability) {
 // Reads W - W_base from a file: a list of numbers, or an object with such a list as `delta` or
 // `head_delta`, as `spikectl admin head --weights --json` prints it.
 absl::Status ReadHeadDelta(const std::string& path, v1::OpenSessionRequest* request) {
-  std::ifstream file(path);
-  std::ostringstream text;
-  if (!file || !(text << file.rdbuf())) {
-    return absl::NotFoundError(absl::StrCat("--head_delta: cannot read ", path));
-  }
-  nlohmann::json json = nlohmann::json::parse(text.str(), nullptr, /*allow_exceptions=*/false);
+  const auto text = ReadFile(path);
+  if (!text.ok()) return absl::NotFoundError(absl::StrCat("--head_delta: cannot read ", path));
+  nlohmann::json json = nlohmann::json::parse(*text, nullptr, /*allow_exceptions=*/false);
   for (const char* key : {"delta", "head_delta"}) {
     if (json.is_object() && json.contains(key)) json = nlohmann::json(json[key]);
   }
@@ -135,6 +131,19 @@ absl::Status CheckLearning(Scope scope, const LearningFlags& flags, const Action
       absl::StrCat("--", absl::StripPrefix(status.message(), "learning.")));
 }
 
+absl::Status AddLabels(absl::string_view flag, const std::vector<std::string>& texts,
+                       google::protobuf::Map<std::string, std::string>* labels) {
+  for (const std::string& text : texts) {
+    const std::vector<std::string> parts = absl::StrSplit(text, absl::MaxSplits('=', 1));
+    if (parts.size() != 2) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(flag, ": expected KEY=VALUE, received \"", text, "\""));
+    }
+    (*labels)[parts[0]] = parts[1];
+  }
+  return absl::OkStatus();
+}
+
 absl::Status FillRequest(const SessionFlags& flags, v1::OpenSessionRequest* request) {
   if (!flags.learn && AnySet(flags.learning)) {
     return absl::InvalidArgumentError(
@@ -151,15 +160,7 @@ absl::Status FillRequest(const SessionFlags& flags, v1::OpenSessionRequest* requ
   request->set_routing_key(flags.routing_key);
   request->set_record(flags.record);
   if (flags.durability) request->set_durability(ToProto(*flags.durability));
-  for (const std::string& label : flags.labels) {
-    const std::pair<std::string, std::string> parts =
-        absl::StrSplit(label, absl::MaxSplits('=', 1));
-    if (!absl::StrContains(label, '=')) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("--labels: expected KEY=VALUE, received \"", label, "\""));
-    }
-    (*request->mutable_labels())[parts.first] = parts.second;
-  }
+  RETURN_IF_ERROR(AddLabels("--labels", flags.labels, request->mutable_labels()));
   return flags.head_delta.empty() ? absl::OkStatus() : ReadHeadDelta(flags.head_delta, request);
 }
 

@@ -54,6 +54,10 @@ v1::LearningConfig ToProto(Scope scope, const LearningFlags& flags);
 absl::Status CheckLearning(Scope scope, const LearningFlags& flags, const ActionSpace& space,
                            const ActionSelection& selection);
 
+// Adds KEY=VALUE texts to `labels`. Returns INVALID_ARGUMENT, which names `flag`.
+absl::Status AddLabels(absl::string_view flag, const std::vector<std::string>& texts,
+                       google::protobuf::Map<std::string, std::string>* labels);
+
 // Writes `flags` into `request`. Returns INVALID_ARGUMENT, which names the flag.
 absl::Status FillRequest(const SessionFlags& flags, v1::OpenSessionRequest* request);
 

@@ -5,11 +5,10 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "proto/json.h"
 
 namespace spikeserve {
 namespace {
-
-using nlohmann::ordered_json;
 
 std::map<std::string, int64_t> LabelsOf(const v1::Traffic& traffic) {
   return {traffic.labels().begin(), traffic.labels().end()};
@@ -41,20 +40,6 @@ std::string ToText(const v1::Traffic& traffic) {
   return absl::StrJoin(parts, "; ");
 }
 
-ordered_json ToJson(const v1::Traffic& traffic) {
-  ordered_json json = {{"versions", traffic.versions()},
-                       {"default_version", traffic.default_version()},
-                       {"default_follows_highest", traffic.default_follows_highest()},
-                       {"labels", LabelsOf(traffic)},
-                       {"shares", ordered_json::array()},
-                       {"shadow_version", traffic.shadow_version()},
-                       {"rollout_version", traffic.rollout_version()}};
-  for (const v1::TrafficShare& share : traffic.shares()) {
-    json["shares"].push_back({{"version", share.version()}, {"percent", share.percent()}});
-  }
-  return json;
-}
-
 }  // namespace
 
 std::string ToText(const v1::TrafficChange& change) {
@@ -62,9 +47,9 @@ std::string ToText(const v1::TrafficChange& change) {
                       "\n  after:  ", ToText(change.after()));
 }
 
-void AddTraffic(const v1::TrafficChange& change, ordered_json* json) {
-  (*json)["before"] = ToJson(change.before());
-  (*json)["after"] = ToJson(change.after());
+void AddTraffic(const v1::TrafficChange& change, nlohmann::ordered_json* json) {
+  (*json)["before"] = MessageToFields(change.before(), Numbers::kExact);
+  (*json)["after"] = MessageToFields(change.after(), Numbers::kExact);
 }
 
 }  // namespace spikeserve

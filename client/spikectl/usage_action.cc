@@ -9,6 +9,7 @@
 #include "absl/time/time.h"
 #include "client/spikectl/admin_actions.h"
 #include "core/base/status_macros.h"
+#include "proto/json.h"
 
 namespace spikeserve {
 namespace {
@@ -36,22 +37,16 @@ ordered_json KeysOf(const v1::UsageRow& row, const std::vector<std::string>& by)
 // Adds the counts to the keys of a row; joules of every model, so that all rows have equal columns.
 ordered_json RowOf(const v1::UsageRow& row, const std::vector<std::string>& by) {
   ordered_json json = KeysOf(row, by);
-  const v1::Usage& usage = row.usage();
-  json["decisions"] = usage.decisions();
-  json["spikes"] = usage.spikes();
-  for (const char* model : {"horowitz_45nm", "int_45nm", "int_sram_45nm"}) {
-    const auto joules = usage.joules().find(model);
-    json[absl::StrCat("joules_", model)] = joules == usage.joules().end() ? 0.0 : joules->second;
+  const ordered_json counts = MessageToFields(row.usage(), Numbers::kExact);
+  for (const auto& [name, value] : counts.items()) {
+    if (name != "joules") {
+      json[name] = value;
+      continue;
+    }
+    for (const char* model : {"horowitz_45nm", "int_45nm", "int_sram_45nm"}) {
+      json[absl::StrCat("joules_", model)] = value.value(model, 0.0);
+    }
   }
-  json["fresh"] = usage.fresh();
-  json["held"] = usage.held();
-  json["local"] = usage.local();
-  json["safe"] = usage.safe();
-  json["session_seconds"] = usage.session_seconds();
-  json["sessions"] = usage.sessions();
-  json["contributions"] = usage.contributions();
-  json["bytes"] = usage.bytes();
-  json["refused_calls"] = usage.refused_calls();
   return json;
 }
 

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/json.h"
 #include "core/base/status_macros.h"
 #include "server/admin/session_info.h"
 #include "server/admin/traffic.h"
@@ -52,36 +53,56 @@ void ToProto(const AuditEntry& entry, v1::HistoryEntry* proto) {
   proto->set_after(entry.after);
 }
 
+absl::Status SetShares(const CatalogPolicy& served, const std::string& policy,
+                       const std::vector<TrafficShare>& shares, int64_t shadow_version,
+                       PolicySettings* settings) {
+  RETURN_IF_ERROR(CheckNoRollout(*settings));
+  RETURN_IF_ERROR(served.CheckTraffic(policy, shares, shadow_version));
+  settings->shares = shares;
+  return absl::OkStatus();
+}
+
+// Changes the settings of the policy that `request` names.
+template <typename Request, typename Response>
+absl::Status ChangeSettings(
+    PolicyRegistry& registry, const Request& request, Response* response,
+    absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)> change) {
+  return ChangeTraffic(registry, request.policy(), response->mutable_traffic(),
+                       [&] { return registry.Change(request.policy(), change); });
+}
+
 }  // namespace
 
 absl::Status AdminHandler::LoadPolicy(CallContext& context, const v1::LoadPolicyRequest& request,
                                       v1::LoadPolicyResponse* response) const {
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> served;
   const auto load = [&] {
-    served = registry_->LoadVersion({.policy = request.policy(), .version = request.version()},
-                                    request.make_default(), &context.span);
+    served =
+        parts_.registry->LoadVersion({.policy = request.policy(), .version = request.version()},
+                                     request.make_default(), &context.span);
     return served.status();
   };
-  RETURN_IF_ERROR(ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), load));
-  const auto catalog = registry_->catalog();
+  RETURN_IF_ERROR(
+      ChangeTraffic(*parts_.registry, request.policy(), response->mutable_traffic(), load));
+  const auto catalog = parts_.registry->catalog();
   const auto policy = catalog->FindPolicy(request.policy());
   if (!policy.ok()) return policy.status();  // another call has unloaded it since
-  *response->mutable_policy() = spikeserve::ToProto(**policy, **served);
+  *response->mutable_policy() = ToProto(**policy, **served);
   return absl::OkStatus();
 }
 
 absl::Status AdminHandler::UnloadPolicy(CallContext& /*context*/,
                                         const v1::UnloadPolicyRequest& request,
                                         v1::UnloadPolicyResponse* response) const {
-  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
-    return registry_->Unload({.policy = request.policy(), .version = request.version()});
+  return ChangeTraffic(*parts_.registry, request.policy(), response->mutable_traffic(), [&] {
+    return parts_.registry->Unload({.policy = request.policy(), .version = request.version()});
   });
 }
 
 absl::Status AdminHandler::ReloadPolicies(CallContext& context,
                                           const v1::ReloadPoliciesRequest& /*request*/,
                                           v1::ReloadPoliciesResponse* response) const {
-  ASSIGN_OR_RETURN(const auto report, registry_->Reload(&context.span));
+  ASSIGN_OR_RETURN(const auto report, parts_.registry->Reload(&context.span));
   ToProto(report.loaded, response->mutable_loaded());
   ToProto(report.unloaded, response->mutable_unloaded());
   for (const absl::Status& refused : report.refused) {
@@ -94,8 +115,8 @@ absl::Status AdminHandler::ReloadPolicies(CallContext& context,
 absl::Status AdminHandler::SetDefaultVersion(CallContext& /*context*/,
                                              const v1::SetDefaultVersionRequest& request,
                                              v1::SetDefaultVersionResponse* response) const {
-  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
-    const auto version = registry_->SetDefault(request.policy(), request.version());
+  return ChangeTraffic(*parts_.registry, request.policy(), response->mutable_traffic(), [&] {
+    const auto version = parts_.registry->SetDefault(request.policy(), request.version());
     if (version.ok()) response->set_version(*version);
     return version.status();
   });
@@ -103,17 +124,28 @@ absl::Status AdminHandler::SetDefaultVersion(CallContext& /*context*/,
 
 absl::Status AdminHandler::SetLabel(CallContext& /*context*/, const v1::SetLabelRequest& request,
                                     v1::SetLabelResponse* response) const {
-  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
-    return registry_->SetLabel({.policy = request.policy(), .version = request.version()},
-                               request.label());
-  });
+  if (!IsPlainName(request.label())) {
+    return absl::InvalidArgumentError(absl::StrCat("label: expected at most ", kLongestName,
+                                                   " letters, digits, '.', '-', '_', received ",
+                                                   Quoted(request.label())));
+  }
+  const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
+    RETURN_IF_ERROR(served.CheckVersion({request.policy(), request.version()}));
+    settings->labels[request.label()] = request.version();
+    return absl::OkStatus();
+  };
+  return ChangeSettings(*parts_.registry, request, response, change);
 }
 
 absl::Status AdminHandler::RemoveLabel(CallContext& /*context*/,
                                        const v1::RemoveLabelRequest& request,
                                        v1::RemoveLabelResponse* response) const {
-  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
-                       [&] { return registry_->RemoveLabel(request.policy(), request.label()); });
+  const auto change = [&](const CatalogPolicy& /*served*/, PolicySettings* settings) {
+    if (settings->labels.erase(request.label()) == 1) return absl::OkStatus();
+    return absl::NotFoundError(absl::StrCat("label: expected one of policy ", request.policy(),
+                                            ", received ", Quoted(request.label())));
+  };
+  return ChangeSettings(*parts_.registry, request, response, change);
 }
 
 absl::Status AdminHandler::SetTraffic(CallContext& /*context*/,
@@ -121,9 +153,11 @@ absl::Status AdminHandler::SetTraffic(CallContext& /*context*/,
                                       v1::SetTrafficResponse* response) const {
   const auto shares = SharesFromProto(request.shares());
   RETURN_IF_ERROR(CheckServedByAll(request.policy(), shares));
-  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
-    return registry_->SetTraffic(request.policy(), shares, request.shadow_version());
-  });
+  const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
+    settings->shadow_version = request.shadow_version();
+    return SetShares(served, request.policy(), shares, request.shadow_version(), settings);
+  };
+  return ChangeSettings(*parts_.registry, request, response, change);
 }
 
 absl::Status AdminHandler::SetTrafficShares(CallContext& /*context*/,
@@ -131,16 +165,18 @@ absl::Status AdminHandler::SetTrafficShares(CallContext& /*context*/,
                                             v1::SetTrafficSharesResponse* response) const {
   const auto shares = SharesFromProto(request.shares());
   RETURN_IF_ERROR(CheckServedByAll(request.policy(), shares));
-  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
-                       [&] { return registry_->SetShares(request.policy(), shares); });
+  const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
+    return SetShares(served, request.policy(), shares, served.settings.shadow_version, settings);
+  };
+  return ChangeSettings(*parts_.registry, request, response, change);
 }
 
 absl::Status AdminHandler::CheckServedByAll(const std::string& policy,
                                             const std::vector<TrafficShare>& shares) const {
-  if (files_ == nullptr) return absl::OkStatus();
+  if (parts_.files == nullptr) return absl::OkStatus();
   for (const TrafficShare& share : shares) {
     if (share.percent > 0) {
-      RETURN_IF_ERROR(files_->CheckServedByAll({policy, share.version}));
+      RETURN_IF_ERROR(parts_.files->CheckServedByAll({policy, share.version}));
     }
   }
   return absl::OkStatus();
@@ -148,9 +184,11 @@ absl::Status AdminHandler::CheckServedByAll(const std::string& policy,
 
 absl::Status AdminHandler::SetShadow(CallContext& /*context*/, const v1::SetShadowRequest& request,
                                      v1::SetShadowResponse* response) const {
-  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
-    return registry_->SetShadow(request.policy(), request.shadow_version());
-  });
+  const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
+    settings->shadow_version = request.shadow_version();
+    return served.CheckShadow(request.policy(), served.settings.shares, request.shadow_version());
+  };
+  return ChangeSettings(*parts_.registry, request, response, change);
 }
 
 absl::Status AdminHandler::ListHistory(CallContext& context, const v1::ListHistoryRequest& request,
@@ -165,7 +203,7 @@ absl::Status AdminHandler::ListHistory(CallContext& context, const v1::ListHisto
     return (is_of_server || context.caller->CanRead(entry.tenant)) &&
            (request.policy().empty() || request.policy() == entry.policy);
   };
-  for (const AuditEntry& entry : history_->Last(wanted, static_cast<size_t>(limit))) {
+  for (const AuditEntry& entry : parts_.history->Last(wanted, static_cast<size_t>(limit))) {
     ToProto(entry, response->add_entries());
   }
   return absl::OkStatus();
@@ -173,9 +211,9 @@ absl::Status AdminHandler::ListHistory(CallContext& context, const v1::ListHisto
 
 absl::Status AdminHandler::Drain(CallContext& /*context*/, const v1::DrainRequest& request,
                                  v1::DrainResponse* response) const {
-  store_->SetDraining(!request.cancel());
-  on_draining_(!request.cancel());
-  response->set_open_sessions(store_->size());
+  parts_.store->SetDraining(!request.cancel());
+  parts_.on_draining(!request.cancel());
+  response->set_open_sessions(parts_.store->size());
   return absl::OkStatus();
 }
 
@@ -199,18 +237,18 @@ absl::Status AdminHandler::ListSessions(CallContext& context,
       static_cast<size_t>(request.page_size() == 0 ? kDefaultPageSize : request.page_size());
   // A page token is the id of the last session of the page before, so pages neither skip nor repeat
   // a session while others open and close.
-  const auto sessions = store_->ListAfter(request.page_token(), size + 1, wanted);
+  const auto sessions = parts_.store->ListAfter(request.page_token(), size + 1, wanted);
   for (size_t i = 0; i < std::min(size, sessions.size()); ++i) {
     ToProto(sessions[i], response->add_sessions());
   }
   if (sessions.size() > size) response->set_next_page_token(sessions[size - 1].id);
   response->set_open_sessions(open);
   response->set_open_stored_sessions(open_stored);
-  const auto stored = journals_ == nullptr ? std::nullopt : journals_->StoredSessions();
+  const auto stored = parts_.journals == nullptr ? std::nullopt : parts_.journals->StoredSessions();
   if (stored.has_value() && context.caller->CanReadAll()) {
     response->set_stored_sessions(*stored);
   }
-  response->set_replica(replicas_->self());
+  response->set_replica(parts_.replicas->self());
   return absl::OkStatus();
 }
 

@@ -10,7 +10,7 @@
 namespace spikeserve {
 namespace {
 
-using Json = nlohmann::json;
+using nlohmann::ordered_json;
 
 // What a line needs beside the request and the states: names, and the message of an error.
 constexpr size_t kNamesBytes = 4096;
@@ -19,17 +19,13 @@ constexpr size_t kRequestBytes = 16 << 10;
 // By how much a state may grow, and its text when it is escaped.
 constexpr size_t kEscaped = 2;
 
-Json MessageJson(const google::protobuf::Message& message) {
-  const auto text = MessageToJson(message);
-  return text.ok() ? Json::parse(*text, nullptr, /*allow_exceptions=*/false) : Json();
-}
-
 // Returns a request as JSON, or its beginning if it is long.
 std::string RequestText(const google::protobuf::Message& message) {
-  std::string text = MessageJson(message).dump();
+  std::string text = JsonText(MessageToFields(message));
   if (text.size() <= kRequestBytes) return text;
-  const Json shortened = {{"begins", text.substr(0, kRequestBytes / 4)}, {"bytes", text.size()}};
-  return shortened.dump(-1, ' ', /*ensure_ascii=*/true, Json::error_handler_t::replace);
+  const ordered_json shortened = {{"begins", text.substr(0, kRequestBytes / 4)},
+                                  {"bytes", text.size()}};
+  return shortened.dump(-1, ' ', /*ensure_ascii=*/true, ordered_json::error_handler_t::replace);
 }
 
 // Returns the policy that a request names, or an empty string.
@@ -41,8 +37,8 @@ std::string PolicyOf(const google::protobuf::Message& request) {
   return "";
 }
 
-Json PolicyState(const PolicyCatalog& catalog, const std::string& name) {
-  Json state = MessageJson(TrafficOf(catalog, name));
+ordered_json PolicyState(const PolicyCatalog& catalog, const std::string& name) {
+  ordered_json state = MessageToFields(TrafficOf(catalog, name));
   if (const auto policy = catalog.FindPolicy(name); policy.ok()) {
     state["learning_paused"] = (*policy)->versions.begin()->second->learning->paused();
   }
@@ -55,9 +51,9 @@ std::string Audit::StateOf(const google::protobuf::Message& request) const {
   const auto catalog = registry_->catalog();
   const std::string policy = PolicyOf(request);
   if (!policy.empty()) return PolicyState(*catalog, policy).dump();
-  Json state = {{"draining", store_->draining()}, {"policies", Json::object()}};
+  ordered_json state = {{"draining", store_->draining()}, {"policies", ordered_json::object()}};
   const auto holds = registry_->holds().Get();
-  for (const SessionHold& hold : *holds) state["holds"].push_back(HoldJson(hold));
+  for (const SessionHold& hold : *holds) state["holds"].push_back(ordered_json(HoldJson(hold)));
   for (const auto& [name, served] : catalog->policies()) {
     state["policies"][name] = PolicyState(*catalog, name);
   }
@@ -99,7 +95,7 @@ void Audit::Record(const RolloutManager::Change& change) const {
   (void)log_->Record({.time = absl::Now(),
                       .action = change.action,
                       .policy = change.policy,
-                      .request = Json({{"reason", change.reason}}).dump(),
+                      .request = ordered_json({{"reason", change.reason}}).dump(),
                       .before = PolicyState(*change.before, change.policy).dump(),
                       .after = PolicyState(*change.after, change.policy).dump()});
 }

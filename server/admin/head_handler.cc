@@ -1,5 +1,3 @@
-#include "server/admin/head_handler.h"
-
 #include <cstdint>
 #include <string>
 #include <utility>
@@ -11,7 +9,8 @@
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/learner.h"
 #include "nlohmann/json.hpp"
-#include "server/admin/version_handler.h"
+#include "server/admin/admin_handler.h"
+#include "server/admin/traffic.h"
 #include "server/policies/policy_repository.h"
 
 namespace spikeserve {
@@ -74,10 +73,10 @@ absl::Status CatchUp(const ServedPolicy& served) {
 
 }  // namespace
 
-absl::Status HeadHandler::GetHead(CallContext& context, const v1::GetHeadRequest& request,
-                                  v1::GetHeadResponse* response) const {
+absl::Status AdminHandler::GetHead(CallContext& context, const v1::GetHeadRequest& request,
+                                   v1::GetHeadResponse* response) const {
   ASSIGN_OR_RETURN(const auto served,
-                   registry_->catalog()->Find(request.policy(), request.version()));
+                   parts_.registry->catalog()->Find(request.policy(), request.version()));
   ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request.tenant()));
   const Policy& policy = served->policy();
   CatchUp(*served).IgnoreError();
@@ -96,7 +95,7 @@ absl::Status HeadHandler::GetHead(CallContext& context, const v1::GetHeadRequest
   const auto on_it = [&](const SessionEntry& entry) {
     return entry.served == served && (shared || entry.tenant == tenant);
   };
-  store_->ForEach(on_it, [&](const ListedSession& session) {
+  parts_.store->ForEach(on_it, [&](const ListedSession& session) {
     absl::MutexLock lock(&session.entry->mutex);
     const auto& learning = session.entry->agent.session().options.learning;
     if (learning.has_value() && learning->scope == Scope::kFleet) {
@@ -110,11 +109,11 @@ absl::Status HeadHandler::GetHead(CallContext& context, const v1::GetHeadRequest
   return absl::OkStatus();
 }
 
-absl::Status HeadHandler::PromoteHead(CallContext& context, const v1::PromoteHeadRequest& request,
-                                      v1::PromoteHeadResponse* response) const {
-  RETURN_IF_ERROR(registry_->CheckCanSign());
+absl::Status AdminHandler::PromoteHead(CallContext& context, const v1::PromoteHeadRequest& request,
+                                       v1::PromoteHeadResponse* response) const {
+  RETURN_IF_ERROR(parts_.registry->CheckCanSign());
   ASSIGN_OR_RETURN(const auto served,
-                   registry_->catalog()->Find(request.policy(), request.version()));
+                   parts_.registry->catalog()->Find(request.policy(), request.version()));
   ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request.tenant()));
   RETURN_IF_ERROR(CatchUp(*served));
   const auto snapshot = HeadOf(*served, tenant)->Read();
@@ -123,21 +122,22 @@ absl::Status HeadHandler::PromoteHead(CallContext& context, const v1::PromoteHea
         absl::StrCat("version: expected one whose shared head has learned, received ",
                      served->version, ", whose shared head equals that of its file"));
   }
-  ASSIGN_OR_RETURN(const auto files, registry_->FormatVersion(Promoted(*served, *snapshot)));
+  ASSIGN_OR_RETURN(const auto files, parts_.registry->FormatVersion(Promoted(*served, *snapshot)));
   ASSIGN_OR_RETURN(
       const auto version,
-      AddVersion(registry_, folder_, tenant,
+      AddVersion(tenant,
                  {.policy = served->name, .files = files, .make_default = request.make_default()},
                  response->mutable_traffic()));
   response->set_version(version.version);
-  response->set_path(PolicyFilePath(registry_->directory(), version));
+  response->set_path(PolicyFilePath(parts_.registry->directory(), version));
   return absl::OkStatus();
 }
 
-absl::Status HeadHandler::RollbackHead(CallContext& context, const v1::RollbackHeadRequest& request,
-                                       v1::RollbackHeadResponse* response) const {
+absl::Status AdminHandler::RollbackHead(CallContext& context,
+                                        const v1::RollbackHeadRequest& request,
+                                        v1::RollbackHeadResponse* response) const {
   ASSIGN_OR_RETURN(const auto served,
-                   registry_->catalog()->Find(request.policy(), request.version()));
+                   parts_.registry->catalog()->Find(request.policy(), request.version()));
   ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request.tenant()));
   if (served->log == nullptr) {
     response->set_drift(HeadOf(*served, tenant)->Rollback()->drift);
@@ -149,21 +149,21 @@ absl::Status HeadHandler::RollbackHead(CallContext& context, const v1::RollbackH
   return drift.status();
 }
 
-absl::Status HeadHandler::PauseLearning(CallContext& /*context*/,
-                                        const v1::PauseLearningRequest& request,
-                                        v1::PauseLearningResponse* /*response*/) const {
+absl::Status AdminHandler::PauseLearning(CallContext& /*context*/,
+                                         const v1::PauseLearningRequest& request,
+                                         v1::PauseLearningResponse* /*response*/) const {
   return SetPaused(request.policy(), true);
 }
 
-absl::Status HeadHandler::ResumeLearning(CallContext& /*context*/,
-                                         const v1::ResumeLearningRequest& request,
-                                         v1::ResumeLearningResponse* /*response*/) const {
+absl::Status AdminHandler::ResumeLearning(CallContext& /*context*/,
+                                          const v1::ResumeLearningRequest& request,
+                                          v1::ResumeLearningResponse* /*response*/) const {
   return SetPaused(request.policy(), false);
 }
 
-absl::Status HeadHandler::SetPaused(const std::string& policy, bool paused) const {
-  absl::Status status = registry_->SetLearningPaused(policy, paused);
-  const auto catalog = registry_->catalog();
+absl::Status AdminHandler::SetPaused(const std::string& policy, bool paused) const {
+  absl::Status status = parts_.registry->SetLearningPaused(policy, paused);
+  const auto catalog = parts_.registry->catalog();
   for (const auto& [name, served] : catalog->policies()) {
     if (!policy.empty() && name != policy) continue;
     for (const auto& [version, loaded] : served.versions) {

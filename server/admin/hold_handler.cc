@@ -1,5 +1,3 @@
-#include "server/admin/hold_handler.h"
-
 #include <algorithm>
 #include <string>
 #include <utility>
@@ -12,6 +10,7 @@
 #include "core/base/json.h"
 #include "core/base/status_macros.h"
 #include "core/session/session_id.h"
+#include "server/admin/admin_handler.h"
 #include "server/messages/convert.h"
 
 namespace spikeserve {
@@ -79,10 +78,10 @@ absl::StatusOr<SessionHold> HoldFromProto(const v1::HoldSessionsRequest& request
 
 }  // namespace
 
-void HoldHandler::ToProto(const SessionHold& hold, const Credential& caller,
-                          v1::HeldSelection* proto) const {
+void AdminHandler::Describe(const SessionHold& hold, const Credential& caller,
+                            v1::HeldSelection* proto) const {
   const SessionSelection& selection = hold.selection;
-  spikeserve::ToProto(hold.hold, proto->mutable_hold());
+  ToProto(hold.hold, proto->mutable_hold());
   proto->set_since(hold.since);
   v1::SessionSelection& selected = *proto->mutable_selection();
   selected.set_policy(selection.policy);
@@ -92,16 +91,17 @@ void HoldHandler::ToProto(const SessionHold& hold, const Credential& caller,
   selected.mutable_session_ids()->Add(selection.session_ids.begin(), selection.session_ids.end());
   selected.set_all(selection == SessionSelection());
   int64_t sessions = 0;
-  store_->ForEach([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); },
-                  [&](const ListedSession& listed) {
-                    absl::MutexLock lock(&listed.entry->mutex);
-                    sessions += selection.Covers(listed.entry->agent.session()) ? 1 : 0;
-                  });
+  parts_.store->ForEach([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); },
+                        [&](const ListedSession& listed) {
+                          absl::MutexLock lock(&listed.entry->mutex);
+                          sessions += selection.Covers(listed.entry->agent.session()) ? 1 : 0;
+                        });
   proto->set_sessions(sessions);
 }
 
-absl::Status HoldHandler::HoldSessions(CallContext& context, const v1::HoldSessionsRequest& request,
-                                       v1::HoldSessionsResponse* response) const {
+absl::Status AdminHandler::HoldSessions(CallContext& context,
+                                        const v1::HoldSessionsRequest& request,
+                                        v1::HoldSessionsResponse* response) const {
   ASSIGN_OR_RETURN(SessionHold hold, HoldFromProto(request, *context.caller));
   const auto add = [&](SessionHolds::List* holds) {
     const auto same = absl::c_find_if(
@@ -123,16 +123,16 @@ absl::Status HoldHandler::HoldSessions(CallContext& context, const v1::HoldSessi
     holds->push_back(hold);
     return absl::OkStatus();
   };
-  RETURN_IF_ERROR(registry_->ChangeHolds(add));
-  ToProto(hold, *context.caller, response->mutable_hold());
-  response->set_shared(registry_->shares_settings());
-  response->set_kept(registry_->keeps_settings());
+  RETURN_IF_ERROR(parts_.registry->ChangeHolds(add));
+  Describe(hold, *context.caller, response->mutable_hold());
+  response->set_shared(parts_.registry->shares_settings());
+  response->set_kept(parts_.registry->keeps_settings());
   return absl::OkStatus();
 }
 
-absl::Status HoldHandler::ResumeSessions(CallContext& context,
-                                         const v1::ResumeSessionsRequest& request,
-                                         v1::ResumeSessionsResponse* response) const {
+absl::Status AdminHandler::ResumeSessions(CallContext& context,
+                                          const v1::ResumeSessionsRequest& request,
+                                          v1::ResumeSessionsResponse* response) const {
   SessionHold resumed;
   const auto remove = [&](SessionHolds::List* holds) {
     const auto found = absl::c_find_if(*holds, [&](const SessionHold& hold) {
@@ -146,25 +146,25 @@ absl::Status HoldHandler::ResumeSessions(CallContext& context,
     holds->erase(found);
     return absl::OkStatus();
   };
-  RETURN_IF_ERROR(registry_->ChangeHolds(remove));
-  ToProto(resumed, *context.caller, response->mutable_hold());
-  response->set_shared(registry_->shares_settings());
+  RETURN_IF_ERROR(parts_.registry->ChangeHolds(remove));
+  Describe(resumed, *context.caller, response->mutable_hold());
+  response->set_shared(parts_.registry->shares_settings());
   return absl::OkStatus();
 }
 
-absl::Status HoldHandler::ListHolds(CallContext& context, const v1::ListHoldsRequest& request,
-                                    v1::ListHoldsResponse* response) const {
+absl::Status AdminHandler::ListHolds(CallContext& context, const v1::ListHoldsRequest& request,
+                                     v1::ListHoldsResponse* response) const {
   if (request.page_size() < 0 || request.page_size() > kLargestPage) {
     return absl::InvalidArgumentError(absl::StrCat("page_size: expected 0 to ", kLargestPage,
                                                    ", received ", request.page_size()));
   }
   const Credential& caller = *context.caller;
   std::vector<const SessionHold*> holds;
-  const auto all = registry_->holds().Get();
+  const auto all = parts_.registry->holds().Get();
   for (const SessionHold& hold : *all) {
     if (!MaySee(caller, hold) || (!request.id().empty() && request.id() != hold.hold.id)) continue;
     holds.push_back(&hold);
-    ToProto(hold, caller, response->add_holds());
+    Describe(hold, caller, response->add_holds());
   }
   if (request.page_size() == 0) return absl::OkStatus();
   std::vector<v1::HeldSession> held;
@@ -187,7 +187,8 @@ absl::Status HoldHandler::ListHolds(CallContext& context, const v1::ListHoldsReq
     proto.set_silent(IsSilent(entry.period, listed.idle));
     if (entry.journal != nullptr) proto.set_epoch(entry.journal->epoch());
   };
-  store_->ForEach([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); }, visit);
+  parts_.store->ForEach([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); },
+                        visit);
   absl::c_sort(held, [](const auto& a, const auto& b) { return a.session_id() < b.session_id(); });
   const size_t size = std::min(held.size(), static_cast<size_t>(request.page_size()));
   if (held.size() > size) response->set_next_page_token(held[size - 1].session_id());

@@ -1,5 +1,3 @@
-#include "server/admin/rollout_handler.h"
-
 #include <array>
 #include <cmath>
 #include <string>
@@ -11,6 +9,7 @@
 #include "absl/time/time.h"
 #include "core/base/status_macros.h"
 #include "proto/json.h"
+#include "server/admin/admin_handler.h"
 #include "server/admin/traffic.h"
 #include "server/rollouts/evidence_total.h"
 #include "server/rollouts/rollout_judge.h"
@@ -88,7 +87,7 @@ absl::StatusOr<Rollout> PlanFromProto(const v1::StartRolloutRequest& request) {
     plan.abort_if.push_back({.measure = measure, .margin = condition.margin()});
   }
   if (request.has_offline_evaluation()) {
-    ASSIGN_OR_RETURN(plan.offline_evaluation, MessageToJson(request.offline_evaluation()));
+    plan.offline_evaluation = JsonText(MessageToFields(request.offline_evaluation()));
   }
   return plan;
 }
@@ -168,22 +167,22 @@ void ToProto(const std::string& policy, const RolloutManager::Progress& progress
 
 }  // namespace
 
-void RolloutHandler::Describe(const std::string& policy, v1::Rollout* rollout) const {
-  const auto list = rollouts_->List();
+void AdminHandler::Describe(const std::string& policy, v1::Rollout* rollout) const {
+  const auto list = parts_.rollouts->List();
   if (const auto found = list.find(policy); found != list.end()) {
     ToProto(policy, found->second, rollout);
   }
 }
 
-absl::Status RolloutHandler::StartRollout(CallContext& /*context*/,
-                                          const v1::StartRolloutRequest& request,
-                                          v1::StartRolloutResponse* response) const {
+absl::Status AdminHandler::StartRollout(CallContext& /*context*/,
+                                        const v1::StartRolloutRequest& request,
+                                        v1::StartRolloutResponse* response) const {
   ASSIGN_OR_RETURN(const auto plan, PlanFromProto(request));
-  if (files_ != nullptr) {
-    RETURN_IF_ERROR(files_->CheckServedByAll({request.policy(), request.version()}));
-    if (const auto stable = registry_->catalog()->Find(request.policy(), /*version=*/0);
+  if (parts_.files != nullptr) {
+    RETURN_IF_ERROR(parts_.files->CheckServedByAll({request.policy(), request.version()}));
+    if (const auto stable = parts_.registry->catalog()->Find(request.policy(), /*version=*/0);
         stable.ok()) {
-      RETURN_IF_ERROR(files_->CheckServedByAll({request.policy(), (*stable)->version}));
+      RETURN_IF_ERROR(parts_.files->CheckServedByAll({request.policy(), (*stable)->version}));
     }
   }
   const auto check = [&](const ServedPolicy& stable, const ServedPolicy& fresh) {
@@ -191,25 +190,26 @@ absl::Status RolloutHandler::StartRollout(CallContext& /*context*/,
                ? CheckEvaluation(request.offline_evaluation(), stable, fresh)
                : absl::OkStatus();
   };
-  auto status = ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
-                              [&] { return rollouts_->Start(request.policy(), plan, check); });
+  auto status = ChangeTraffic(*parts_.registry, request.policy(), response->mutable_traffic(), [&] {
+    return parts_.rollouts->Start(request.policy(), plan, check);
+  });
   Describe(request.policy(), response->mutable_rollout());
   return status;
 }
 
-absl::Status RolloutHandler::AbortRollout(CallContext& /*context*/,
-                                          const v1::AbortRolloutRequest& request,
-                                          v1::AbortRolloutResponse* response) const {
-  auto status = ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(),
-                              [&] { return rollouts_->Cancel(request.policy()); });
+absl::Status AdminHandler::AbortRollout(CallContext& /*context*/,
+                                        const v1::AbortRolloutRequest& request,
+                                        v1::AbortRolloutResponse* response) const {
+  auto status = ChangeTraffic(*parts_.registry, request.policy(), response->mutable_traffic(),
+                              [&] { return parts_.rollouts->Cancel(request.policy()); });
   Describe(request.policy(), response->mutable_rollout());
   return status;
 }
 
-absl::Status RolloutHandler::ListRollouts(CallContext& /*context*/,
-                                          const v1::ListRolloutsRequest& /*request*/,
-                                          v1::ListRolloutsResponse* response) const {
-  for (const auto& [policy, progress] : rollouts_->List()) {
+absl::Status AdminHandler::ListRollouts(CallContext& /*context*/,
+                                        const v1::ListRolloutsRequest& /*request*/,
+                                        v1::ListRolloutsResponse* response) const {
+  for (const auto& [policy, progress] : parts_.rollouts->List()) {
     ToProto(policy, progress, response->add_rollouts());
   }
   return absl::OkStatus();

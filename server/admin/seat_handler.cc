@@ -1,5 +1,3 @@
-#include "server/admin/seat_handler.h"
-
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -8,6 +6,7 @@
 #include "core/base/json.h"
 #include "core/base/status_macros.h"
 #include "core/session/session_id.h"
+#include "server/admin/admin_handler.h"
 #include "server/agent/durable_answer.h"
 #include "server/agent/session_recovery.h"
 #include "server/messages/convert.h"
@@ -65,17 +64,17 @@ absl::StatusOr<Seat> SeatFromProto(const v1::TakeControlRequest& request,
 
 }  // namespace
 
-absl::StatusOr<std::shared_ptr<SessionEntry>> SeatHandler::Find(const CallContext& context,
-                                                                const std::string& id) const {
-  auto entry = store_->Peek(id, context.caller->tenant()->name());
+absl::StatusOr<std::shared_ptr<SessionEntry>> AdminHandler::Find(const CallContext& context,
+                                                                 const std::string& id) const {
+  auto entry = parts_.store->Peek(id, context.caller->tenant()->name());
   const bool is_here = entry != nullptr && context.caller->CanRead(entry->tenant) &&
                        (entry->journal == nullptr || !entry->journal->lost());
   if (is_here) return entry;
   return NoSuchSession(id);
 }
 
-absl::Status SeatHandler::TakeControl(CallContext& context, const v1::TakeControlRequest& request,
-                                      v1::TakeControlResponse* response) const {
+absl::Status AdminHandler::TakeControl(CallContext& context, const v1::TakeControlRequest& request,
+                                       v1::TakeControlResponse* response) const {
   ASSIGN_OR_RETURN(Seat seat, SeatFromProto(request, *context.caller));
   ASSIGN_OR_RETURN(const auto entry, Find(context, request.session_id()));
   absl::MutexLock lock(&entry->mutex);
@@ -98,8 +97,9 @@ absl::Status SeatHandler::TakeControl(CallContext& context, const v1::TakeContro
   return absl::OkStatus();
 }
 
-absl::Status SeatHandler::SteerSession(CallContext& context, const v1::SteerSessionRequest& request,
-                                       v1::SteerSessionResponse* response) const {
+absl::Status AdminHandler::SteerSession(CallContext& context,
+                                        const v1::SteerSessionRequest& request,
+                                        v1::SteerSessionResponse* response) const {
   ASSIGN_OR_RETURN(const auto entry, Find(context, request.session_id()));
   absl::MutexLock lock(&entry->mutex);
   AgentSession& agent = entry->agent;
@@ -117,9 +117,9 @@ absl::Status SeatHandler::SteerSession(CallContext& context, const v1::SteerSess
   return absl::OkStatus();
 }
 
-absl::Status SeatHandler::ReturnControl(CallContext& context,
-                                        const v1::ReturnControlRequest& request,
-                                        v1::ReturnControlResponse* response) const {
+absl::Status AdminHandler::ReturnControl(CallContext& context,
+                                         const v1::ReturnControlRequest& request,
+                                         v1::ReturnControlResponse* response) const {
   ASSIGN_OR_RETURN(const auto entry, Find(context, request.session_id()));
   absl::MutexLock lock(&entry->mutex);
   const Seat seat = entry->agent.session().seat.value_or(Seat());

@@ -1,5 +1,3 @@
-#include "server/admin/usage_handler.h"
-
 #include <array>
 #include <cstdint>
 #include <map>
@@ -12,6 +10,7 @@
 #include "core/base/enum_names.h"
 #include "core/base/json.h"
 #include "core/base/status_macros.h"
+#include "server/admin/admin_handler.h"
 
 namespace spikeserve {
 namespace {
@@ -63,9 +62,9 @@ void ToProto(const UsageCounts& counts, v1::Usage* usage) {
 
 }  // namespace
 
-absl::Status UsageHandler::GetUsage(CallContext& context, const v1::GetUsageRequest& request,
+absl::Status AdminHandler::GetUsage(CallContext& context, const v1::GetUsageRequest& request,
                                     v1::GetUsageResponse* response) const {
-  const absl::Time now = ledger_.Now();
+  const absl::Time now = parts_.ledger->Now();
   ASSIGN_OR_RETURN(const auto month, ParseMonth(request.month(), now));
   std::array<bool, 6> by = {};
   for (const std::string& name : request.by()) {
@@ -76,7 +75,7 @@ absl::Status UsageHandler::GetUsage(CallContext& context, const v1::GetUsageRequ
   const absl::Time from = absl::FromCivil(month, absl::UTCTimeZone());
   const absl::Time to = absl::FromCivil(month + 1, absl::UTCTimeZone());
   const int64_t first_hour = absl::ToInt64Hours(from - absl::UnixEpoch());
-  ASSIGN_OR_RETURN(const auto rows, ledger_.Read(from, to));
+  ASSIGN_OR_RETURN(const auto rows, parts_.ledger->Read(from, to));
   std::map<Group, UsageCounts> groups;
   for (const UsageRow& row : rows) {
     const UsageSeries series = UsageSeries::FromKey(row.series);
@@ -103,7 +102,7 @@ absl::Status UsageHandler::GetUsage(CallContext& context, const v1::GetUsageRequ
     row->set_start(start * 3600);
     ToProto(counts, row->mutable_usage());
   }
-  for (const TenantBudgets& tenant : ledger_.Budgets()) {
+  for (const TenantBudgets& tenant : parts_.ledger->Budgets()) {
     if (!context.caller->CanRead(tenant.tenant)) continue;
     for (const BudgetState& state : tenant.budgets) {
       v1::TenantBudget* const budget = response->add_budgets();
@@ -114,8 +113,8 @@ absl::Status UsageHandler::GetUsage(CallContext& context, const v1::GetUsageRequ
     }
   }
   response->set_month(absl::FormatCivilTime(month));
-  response->set_label_key(ledger_.label());
-  response->set_shared(ledger_.is_shared());
+  response->set_label_key(parts_.ledger->label());
+  response->set_shared(parts_.ledger->is_shared());
   const auto next = absl::ToCivilMonth(now, absl::UTCTimeZone()) + 1;
   response->set_resets_at(absl::ToUnixSeconds(absl::FromCivil(next, absl::UTCTimeZone())));
   return absl::OkStatus();

@@ -1,5 +1,3 @@
-#include "server/admin/version_handler.h"
-
 #include <iterator>
 #include <memory>
 #include <set>
@@ -10,6 +8,7 @@
 #include "core/base/json.h"
 #include "core/base/status_macros.h"
 #include "core/digest/sha256.h"
+#include "server/admin/admin_handler.h"
 #include "server/admin/traffic.h"
 #include "server/base/log.h"
 #include "server/policies/signature_bundle.h"
@@ -55,16 +54,18 @@ std::shared_ptr<const ServedPolicy> FindSame(const PolicyCatalog& catalog, const
 
 }  // namespace
 
-absl::StatusOr<std::string> TenantOf(const Credential& caller, const std::string& named) {
+absl::StatusOr<std::string> AdminHandler::TenantOf(const Credential& caller,
+                                                   const std::string& named) {
   const std::string& tenant = named.empty() ? caller.tenant()->name() : named;
   if (caller.CanRead(tenant)) return tenant;
   return absl::PermissionDeniedError(
       absl::StrCat("tenant: expected that of the token, received ", Quoted(named)));
 }
 
-absl::StatusOr<PolicyVersion> AddVersion(PolicyRegistry* registry, SharedFolder* folder,
-                                         const std::string& tenant, const NewVersion& added,
-                                         v1::TrafficChange* traffic) {
+absl::StatusOr<PolicyVersion> AdminHandler::AddVersion(const std::string& tenant,
+                                                       const NewVersion& added,
+                                                       v1::TrafficChange* traffic) const {
+  SharedFolder* const folder = parts_.folder;
   folder->Measure();
   const auto place = folder->Take(
       tenant, static_cast<int64_t>(added.files.policy.size() + added.files.signature.size()));
@@ -75,8 +76,8 @@ absl::StatusOr<PolicyVersion> AddVersion(PolicyRegistry* registry, SharedFolder*
                      " as are free; remove versions that are not needed"));
   }
   absl::StatusOr<PolicyVersion> version;
-  RETURN_IF_ERROR(ChangeTraffic(*registry, added.policy, traffic, [&] {
-    version = registry->AddVersion(added);
+  RETURN_IF_ERROR(ChangeTraffic(*parts_.registry, added.policy, traffic, [&] {
+    version = parts_.registry->AddVersion(added);
     return version.status();
   }));
   folder->Keep(*place);
@@ -94,22 +95,22 @@ v1::PushPolicyRequest WithoutData(const v1::PushPolicyRequest& request) {
   return header;
 }
 
-absl::Status VersionHandler::PushPolicy(CallContext& context, const v1::PushPolicyRequest& request,
-                                        v1::PushPolicyResponse* response) const {
+absl::Status AdminHandler::PushPolicy(CallContext& context, const v1::PushPolicyRequest& request,
+                                      v1::PushPolicyResponse* response) const {
   ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request.tenant()));
   ASSIGN_OR_RETURN(const auto added, FromProto(request));
-  if (const auto same = FindSame(*registry_->catalog(), added, request.sha256()); same != nullptr) {
+  if (const auto same = FindSame(*parts_.registry->catalog(), added, request.sha256());
+      same != nullptr) {
     response->set_version(same->version);
     response->set_existed(true);
-    return ChangeTraffic(*registry_, added.policy, response->mutable_traffic(), [&] {
-      return added.make_default ? registry_->SetDefault(added.policy, same->version).status()
+    return ChangeTraffic(*parts_.registry, added.policy, response->mutable_traffic(), [&] {
+      return added.make_default ? parts_.registry->SetDefault(added.policy, same->version).status()
                                 : absl::OkStatus();
     });
   }
-  RETURN_IF_ERROR(registry_->CheckPushed(added));
+  RETURN_IF_ERROR(parts_.registry->CheckPushed(added));
   ASSIGN_OR_RETURN(const auto surplus, Surplus(added.policy));
-  ASSIGN_OR_RETURN(const auto version,
-                   AddVersion(registry_, folder_, tenant, added, response->mutable_traffic()));
+  ASSIGN_OR_RETURN(const auto version, AddVersion(tenant, added, response->mutable_traffic()));
   response->set_version(version.version);
   for (const PolicyVersion& old : surplus) {
     if (auto status = Remove(old, tenant); status.ok()) {
@@ -121,17 +122,16 @@ absl::Status VersionHandler::PushPolicy(CallContext& context, const v1::PushPoli
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::vector<PolicyVersion>> VersionHandler::Surplus(
-    const std::string& policy) const {
-  const auto pushed = registry_->PushedVersions(policy);
-  const int64_t count = std::ssize(pushed) + 1 - max_pushed_;
+absl::StatusOr<std::vector<PolicyVersion>> AdminHandler::Surplus(const std::string& policy) const {
+  const auto pushed = parts_.registry->PushedVersions(policy);
+  const int64_t count = std::ssize(pushed) + 1 - parts_.max_pushed;
   std::vector<PolicyVersion> surplus;
   if (count <= 0) return surplus;
   std::set<int64_t> used;
-  store_->ForEach(
+  parts_.store->ForEach(
       [&](const SessionEntry& entry) { return entry.served->name == policy; },
       [&](const ListedSession& session) { used.insert(session.entry->served->version); });
-  const auto catalog = registry_->catalog();
+  const auto catalog = parts_.registry->catalog();
   const auto served = catalog->FindPolicy(policy);
   for (const PolicyVersion& version : pushed) {
     if (std::ssize(surplus) == count) break;
@@ -140,23 +140,23 @@ absl::StatusOr<std::vector<PolicyVersion>> VersionHandler::Surplus(
   }
   if (std::ssize(surplus) == count) return surplus;
   return absl::ResourceExhaustedError(
-      absl::StrCat("--max_pushed_versions: expected fewer than ", max_pushed_,
+      absl::StrCat("--max_pushed_versions: expected fewer than ", parts_.max_pushed,
                    " versions of policy ", policy, " that settings or open sessions use, received ",
                    pushed.size(), " versions, of which ", surplus.size(), " are not used"));
 }
 
-absl::Status VersionHandler::Remove(const PolicyVersion& version, const std::string& tenant) const {
-  const auto bytes = registry_->RemoveStored(version);
-  if (bytes.ok()) folder_->Remove(tenant, *bytes);
+absl::Status AdminHandler::Remove(const PolicyVersion& version, const std::string& tenant) const {
+  const auto bytes = parts_.registry->RemoveStored(version);
+  if (bytes.ok()) parts_.folder->Remove(tenant, *bytes);
   return bytes.status();
 }
 
-absl::Status VersionHandler::PullPolicy(CallContext& /*context*/,
-                                        const v1::PullPolicyRequest& request,
-                                        v1::PullPolicyResponse* response) const {
+absl::Status AdminHandler::PullPolicy(CallContext& /*context*/,
+                                      const v1::PullPolicyRequest& request,
+                                      v1::PullPolicyResponse* response) const {
   ASSIGN_OR_RETURN(const auto served,
-                   registry_->catalog()->Find(request.policy(), request.version()));
-  ASSIGN_OR_RETURN(const auto files, registry_->ReadFiles({served->name, served->version}));
+                   parts_.registry->catalog()->Find(request.policy(), request.version()));
+  ASSIGN_OR_RETURN(const auto files, parts_.registry->ReadFiles({served->name, served->version}));
   const int64_t size = std::ssize(files.policy);
   if (request.offset() < 0 || request.offset() > size) {
     return absl::InvalidArgumentError(
@@ -170,10 +170,10 @@ absl::Status VersionHandler::PullPolicy(CallContext& /*context*/,
   return absl::OkStatus();
 }
 
-absl::Status VersionHandler::RemovePolicy(CallContext& context,
-                                          const v1::RemovePolicyRequest& request,
-                                          v1::RemovePolicyResponse* response) const {
-  return ChangeTraffic(*registry_, request.policy(), response->mutable_traffic(), [&] {
+absl::Status AdminHandler::RemovePolicy(CallContext& context,
+                                        const v1::RemovePolicyRequest& request,
+                                        v1::RemovePolicyResponse* response) const {
+  return ChangeTraffic(*parts_.registry, request.policy(), response->mutable_traffic(), [&] {
     return Remove({.policy = request.policy(), .version = request.version()},
                   context.caller->tenant()->name());
   });

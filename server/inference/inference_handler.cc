@@ -229,9 +229,7 @@ absl::Status InferenceHandler::ModelInfer(CallContext& context, const ModelInfer
   }
   ASSIGN_OR_RETURN(const auto input, ReadInputs(request));
   if (sequence.start) {
-    if (auto status = Start(context, request, sequence, response); !status.ok()) {
-      return status;
-    }
+    RETURN_IF_ERROR(Start(context, request, sequence, response));
   }
   ASSIGN_OR_RETURN(const auto served, FindRunning(context, request, sequence));
   const std::string& name = served->name;
@@ -266,10 +264,7 @@ absl::Status InferenceHandler::Start(CallContext& context, const ModelInferReque
   if (auto status = Close(context, sequence); !status.ok() && !absl::IsNotFound(status))
     return status;
   v1::OpenSessionResponse opened;
-  if (auto status = sessions_->OpenSessionAs(context, sequence.session_id, opening, &opened);
-      !status.ok()) {
-    return status;
-  }
+  RETURN_IF_ERROR(sessions_->OpenSessionAs(context, sequence.session_id, opening, &opened));
   if (!opened.recording().empty()) {
     (*response->mutable_parameters())["recording"].set_string_param(opened.recording());
   }
@@ -320,9 +315,7 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunnin
 absl::Status InferenceHandler::Decide(CallContext& context, const ModelInferRequest& request,
                                       const InferenceInput& input, const SequenceRequest& sequence,
                                       const ServedPolicy& served, v1::ActResponse* answer) const {
-  if (auto status = CheckOutputs(request, OutputSpecs(served.policy())); !status.ok()) {
-    return status;
-  }
+  RETURN_IF_ERROR(CheckOutputs(request, OutputSpecs(served.policy())));
   if (!sequence.start && !input.reward.has_value()) {
     return absl::InvalidArgumentError(
         "inputs: expected reward, for the previous action, in every request after the first of a "

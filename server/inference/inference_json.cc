@@ -14,6 +14,7 @@
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "nlohmann/json.hpp"
+#include "proto/json.h"
 
 namespace spikeserve {
 
@@ -221,11 +222,6 @@ OrderedJson ToJson(const inference::InferParameter& parameter) {
   }
 }
 
-// Texts of clients and of policies may be no UTF-8.
-std::string Dump(const OrderedJson& json) {
-  return json.dump(-1, ' ', /*ensure_ascii=*/false, OrderedJson::error_handler_t::replace);
-}
-
 template <typename Tensors>
 OrderedJson TensorsToJson(const Tensors& tensors) {
   OrderedJson list = OrderedJson::array();
@@ -279,30 +275,18 @@ HttpInferResponse WriteHttpInfer(const inference::ModelInferResponse& message,
       output["data"] = NumbersOf<float>(raw);
     }
   }
-  HttpInferResponse response = {.body = Dump(json), .json_bytes = std::nullopt};
+  HttpInferResponse response = {.body = JsonText(json), .json_bytes = std::nullopt};
   if (!bytes.empty()) response.json_bytes = response.body.size();
   response.body += bytes;
   return response;
 }
 
-std::string ToHttpBody(const inference::ServerMetadataResponse& message) {
-  const auto& extensions = message.extensions();
-  return Dump({{"name", message.name()},
-               {"version", message.version()},
-               {"extensions", std::vector<std::string>(extensions.begin(), extensions.end())}});
-}
-
-std::string ToHttpBody(const inference::ModelMetadataResponse& message) {
-  const auto& versions = message.versions();
-  return Dump({{"name", message.name()},
-               {"versions", std::vector<std::string>(versions.begin(), versions.end())},
-               {"platform", message.platform()},
-               {"inputs", TensorsToJson(message.inputs())},
-               {"outputs", TensorsToJson(message.outputs())}});
+std::string ToHttpBody(const google::protobuf::Message& message) {
+  return JsonText(MessageToFields(message, Numbers::kExact));
 }
 
 std::string HttpErrorBody(absl::string_view message) {
-  return Dump({{"error", std::string(message)}});
+  return JsonText({{"error", std::string(message)}});
 }
 
 }  // namespace spikeserve

@@ -44,9 +44,8 @@ struct HttpInferResponse {
 HttpInferResponse WriteHttpInfer(const inference::ModelInferResponse& message,
                                  const BinaryOutputs& outputs);
 
-// Write the bodies of the answers about the server, and about a model.
-std::string ToHttpBody(const inference::ServerMetadataResponse& message);
-std::string ToHttpBody(const inference::ModelMetadataResponse& message);
+// Writes the body of the answer about the server, or about a model.
+std::string ToHttpBody(const google::protobuf::Message& message);
 
 // Returns {"error": message}.
 std::string HttpErrorBody(absl::string_view message);

@@ -3,7 +3,6 @@
 #include <utility>
 
 #include "absl/algorithm/container.h"
-#include "absl/cleanup/cleanup.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
 #include "core/base/json.h"
@@ -21,24 +20,19 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(RegistryOpt
   const std::string settings_path = options.settings_path;
   auto registry = std::unique_ptr<PolicyRegistry>(
       new PolicyRegistry(std::move(options), std::move(new_observer)));
+  absl::MutexLock change(&registry->change_mutex_);
   if (!settings_path.empty()) {
     auto settings = ReadSettings(settings_path);
     if (!settings.ok()) return Annotate(settings.status(), "--policy_settings");
-    absl::MutexLock change(&registry->change_mutex_);
-    registry->settings_ = *std::move(settings);
-    registry->holds_.Set(registry->settings_.holds);
+    registry->holds_.Set(settings->holds);
     // A file that cannot be written would refuse the first change of an operator.
-    if (auto status = registry->Save(registry->settings_); !status.ok()) {
+    if (auto status = registry->Commit(*std::move(settings)); !status.ok()) {
       return Annotate(
           status, "--policy_settings: expected a file in a directory that the server can write");
     }
   }
   SweepUnfinishedVersions(registry->directory());
-  absl::StatusOr<ReloadReport> loaded;
-  {
-    absl::MutexLock change(&registry->change_mutex_);
-    loaded = registry->ReloadOnce();
-  }
+  auto loaded = registry->ReloadOnce();
   if (!loaded.ok()) return Annotate(loaded.status(), "--policies");
   *report = *std::move(loaded);
   return registry;
@@ -119,6 +113,12 @@ absl::Status PolicyRegistry::SaveFile(const Settings& settings) const {
                                         : WriteSettings(settings, options_.settings_path);
 }
 
+absl::Status PolicyRegistry::Commit(Settings settings) {
+  RETURN_IF_ERROR(Save(settings));
+  settings_ = std::move(settings);
+  return absl::OkStatus();
+}
+
 std::shared_ptr<const PolicyCatalog> PolicyRegistry::catalog() const {
   absl::MutexLock lock(&mutex_);
   return catalog_;
@@ -178,18 +178,13 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::Read(
 }
 
 absl::StatusOr<ReloadReport> PolicyRegistry::Reload(const Span* call) {
-  absl::MutexLock change(&change_mutex_);
-  call_ = call;
-  const absl::Cleanup forget = [this] {
-    change_mutex_.AssertHeld();
-    call_ = nullptr;
-  };
   absl::StatusOr<ReloadReport> report;
-  RETURN_IF_ERROR(WithLatest([&] {
+  const auto attempt = [&] {
     change_mutex_.AssertHeld();
     report = ReloadOnce();
     return report.status();
-  }));
+  };
+  RETURN_IF_ERROR(WithLatest(attempt, call));
   return report;
 }
 
@@ -273,18 +268,13 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadVersion(
     return absl::NotFoundError(absl::StrCat(PolicyFilePath(options_.directory, version),
                                             ": expected a file that can be read"));
   }
-  absl::MutexLock change(&change_mutex_);
-  call_ = call;
-  const absl::Cleanup forget = [this] {
-    change_mutex_.AssertHeld();
-    call_ = nullptr;
-  };
   absl::StatusOr<std::shared_ptr<const ServedPolicy>> served;
-  RETURN_IF_ERROR(WithLatest([&] {
+  const auto attempt = [&] {
     change_mutex_.AssertHeld();
     served = LoadOnce(version, make_default);
     return served.status();
-  }));
+  };
+  RETURN_IF_ERROR(WithLatest(attempt, call));
   return served;
 }
 
@@ -300,10 +290,7 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadOnce(
     changed = true;
   }
   ASSIGN_OR_RETURN(auto served, Read(version));
-  if (changed) {
-    RETURN_IF_ERROR(Save(settings));
-    settings_ = std::move(settings);
-  }
+  if (changed) RETURN_IF_ERROR(Commit(std::move(settings)));
   PolicyCatalog catalog = *this->catalog();
   catalog.policies()[version.policy].versions[version.version] = served;
   ApplySettings(&catalog);
@@ -313,7 +300,6 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadOnce(
 }
 
 absl::Status PolicyRegistry::Unload(const PolicyVersion& version) {
-  absl::MutexLock change(&change_mutex_);
   return WithLatest([&] {
     change_mutex_.AssertHeld();
     return UnloadOnce(version);
@@ -337,8 +323,7 @@ absl::Status PolicyRegistry::UnloadOnce(const PolicyVersion& version) {
   settings.unloaded.insert(version);
   // Otherwise a later load of this version would take the default from another one.
   if (is_last) settings.policies[version.policy].default_version = 0;
-  RETURN_IF_ERROR(Save(settings));
-  settings_ = std::move(settings);
+  RETURN_IF_ERROR(Commit(std::move(settings)));
   policy.versions.erase(version.version);
   if (policy.versions.empty()) catalog.policies().erase(version.policy);
   files_.erase(version);
@@ -349,25 +334,17 @@ absl::Status PolicyRegistry::UnloadOnce(const PolicyVersion& version) {
 absl::Status PolicyRegistry::Change(
     const std::string& policy,
     absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)> change) {
-  absl::MutexLock lock(&change_mutex_);
   return WithLatest([&] {
     change_mutex_.AssertHeld();
-    return ChangeOnce(policy, change);
+    PolicyCatalog catalog = *this->catalog();
+    ASSIGN_OR_RETURN(const auto found, catalog.FindPolicy(policy));
+    Settings settings = settings_;
+    RETURN_IF_ERROR(change(*found, &settings.policies[policy]));
+    RETURN_IF_ERROR(Commit(std::move(settings)));
+    ApplySettings(&catalog);
+    Publish(std::move(catalog));
+    return absl::OkStatus();
   });
-}
-
-absl::Status PolicyRegistry::ChangeOnce(
-    const std::string& policy,
-    absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)> change) {
-  PolicyCatalog catalog = *this->catalog();
-  ASSIGN_OR_RETURN(const auto found, catalog.FindPolicy(policy));
-  Settings settings = settings_;
-  RETURN_IF_ERROR(change(*found, &settings.policies[policy]));
-  RETURN_IF_ERROR(Save(settings));
-  settings_ = std::move(settings);
-  ApplySettings(&catalog);
-  Publish(std::move(catalog));
-  return absl::OkStatus();
 }
 
 absl::StatusOr<int64_t> PolicyRegistry::SetDefault(const std::string& policy, int64_t version) {
@@ -387,99 +364,32 @@ absl::StatusOr<int64_t> PolicyRegistry::SetDefault(const std::string& policy, in
   return result;
 }
 
-absl::Status PolicyRegistry::SetLabel(const PolicyVersion& version, const std::string& label) {
-  if (!IsPlainName(label)) {
-    return absl::InvalidArgumentError(absl::StrCat("label: expected at most ", kLongestName,
-                                                   " letters, digits, '.', '-', '_', received ",
-                                                   Quoted(label)));
-  }
-  const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
-    auto status = served.CheckVersion(version);
-    if (status.ok()) settings->labels[label] = version.version;
-    return status;
-  };
-  return Change(version.policy, change);
-}
-
-absl::Status PolicyRegistry::RemoveLabel(const std::string& policy, const std::string& label) {
-  return Change(policy, [&](const CatalogPolicy& /*served*/, PolicySettings* settings) {
-    if (settings->labels.erase(label) == 1) return absl::OkStatus();
-    return absl::NotFoundError(
-        absl::StrCat("label: expected one of policy ", policy, ", received ", Quoted(label)));
-  });
-}
-
-absl::Status PolicyRegistry::SetTraffic(const std::string& policy,
-                                        const std::vector<TrafficShare>& shares,
-                                        int64_t shadow_version) {
-  return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
-    RETURN_IF_ERROR(CheckNoRollout(*settings));
-    RETURN_IF_ERROR(served.CheckTraffic(policy, shares, shadow_version));
-    settings->shares = shares;
-    settings->shadow_version = shadow_version;
+absl::Status PolicyRegistry::ChangeHolds(
+    absl::FunctionRef<absl::Status(SessionHolds::List* holds)> change) {
+  return WithLatest([&] {
+    change_mutex_.AssertHeld();
+    Settings settings = settings_;
+    RETURN_IF_ERROR(change(&settings.holds));
+    if (settings.holds == settings_.holds) return absl::OkStatus();
+    RETURN_IF_ERROR(Commit(std::move(settings)));
+    holds_.Set(settings_.holds);
     return absl::OkStatus();
   });
 }
 
-absl::Status PolicyRegistry::SetShares(const std::string& policy,
-                                       const std::vector<TrafficShare>& shares) {
-  return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
-    RETURN_IF_ERROR(CheckNoRollout(*settings));
-    auto status = served.CheckTraffic(policy, shares, served.settings.shadow_version);
-    if (status.ok()) settings->shares = shares;
-    return status;
-  });
-}
-
-absl::Status PolicyRegistry::SetShadow(const std::string& policy, int64_t shadow_version) {
-  return Change(policy, [&](const CatalogPolicy& served, PolicySettings* settings) {
-    auto status = served.CheckShadow(policy, served.settings.shares, shadow_version);
-    if (status.ok()) settings->shadow_version = shadow_version;
-    return status;
-  });
-}
-
-absl::Status PolicyRegistry::ChangeHolds(
-    absl::FunctionRef<absl::Status(SessionHolds::List* holds)> change) {
-  absl::MutexLock lock(&change_mutex_);
-  return WithLatest([&] {
-    change_mutex_.AssertHeld();
-    return ChangeHoldsOnce(change);
-  });
-}
-
-absl::Status PolicyRegistry::ChangeHoldsOnce(
-    absl::FunctionRef<absl::Status(SessionHolds::List* holds)> change) {
-  Settings settings = settings_;
-  RETURN_IF_ERROR(change(&settings.holds));
-  if (settings.holds == settings_.holds) return absl::OkStatus();
-  RETURN_IF_ERROR(Save(settings));
-  settings_ = std::move(settings);
-  holds_.Set(settings_.holds);
-  return absl::OkStatus();
-}
-
 absl::Status PolicyRegistry::SetLearningPaused(const std::string& policy, bool paused) {
-  absl::MutexLock lock(&change_mutex_);
   return WithLatest([&] {
     change_mutex_.AssertHeld();
-    return PauseOnce(policy, paused);
+    const auto catalog = this->catalog();
+    if (!policy.empty()) RETURN_IF_ERROR(catalog->FindPolicy(policy).status());
+    Settings settings = settings_;
+    for (const auto& [name, served] : catalog->policies()) {
+      if (policy.empty() || name == policy) settings.policies[name].learning_paused = paused;
+    }
+    RETURN_IF_ERROR(Commit(std::move(settings)));
+    SwitchLearning();
+    return absl::OkStatus();
   });
-}
-
-absl::Status PolicyRegistry::PauseOnce(const std::string& policy, bool paused) {
-  const auto catalog = this->catalog();
-  if (!policy.empty()) {
-    if (const auto found = catalog->FindPolicy(policy); !found.ok()) return found.status();
-  }
-  Settings settings = settings_;
-  for (const auto& [name, served] : catalog->policies()) {
-    if (policy.empty() || name == policy) settings.policies[name].learning_paused = paused;
-  }
-  RETURN_IF_ERROR(Save(settings));
-  settings_ = std::move(settings);
-  SwitchLearning();
-  return absl::OkStatus();
 }
 
 void PolicyRegistry::SwitchLearning() {

@@ -156,28 +156,10 @@ class PolicyRegistry {
   // has other versions.
   absl::Status Unload(const PolicyVersion& version);
 
-  // The next methods return FAILED_PRECONDITION while a roll-out of the policy is running, because
-  // it sets the default and the shares.
-
   // Sets the default version; 0 makes the default follow the highest version, now and after later
-  // loads. Returns the version that is the default now.
+  // loads. Returns the version that is the default now, and FAILED_PRECONDITION while a roll-out of
+  // the policy is running, because it sets the default.
   absl::StatusOr<int64_t> SetDefault(const std::string& policy, int64_t version);
-
-  // Sets how new sessions that name no version are divided between versions (empty: all to the
-  // default), and the version that shadows the others (0: none). Returns INVALID_ARGUMENT unless
-  // `shares` passes CheckShares, and FAILED_PRECONDITION if the shadow has other observations or
-  // actions than a version it would shadow.
-  absl::Status SetTraffic(const std::string& policy, const std::vector<TrafficShare>& shares,
-                          int64_t shadow_version);
-  // As SetTraffic, but keeps the shadow.
-  absl::Status SetShares(const std::string& policy, const std::vector<TrafficShare>& shares);
-
-  // As SetTraffic, but keeps the shares, also during a roll-out.
-  absl::Status SetShadow(const std::string& policy, int64_t shadow_version);
-
-  // Points `label` at a version. Returns INVALID_ARGUMENT unless IsPlainName(label).
-  absl::Status SetLabel(const PolicyVersion& version, const std::string& label);
-  absl::Status RemoveLabel(const std::string& policy, const std::string& label);
 
   // Applies `change` to the settings of the policy, saves them and puts them into force. `policy`
   // is the state before the change. If `change` returns an error, nothing changes. `change` is
@@ -212,10 +194,10 @@ class PolicyRegistry {
         new_observer_(std::move(new_observer)),
         joined_(options_.shared == nullptr) {}
 
-  // Calls `attempt`, and calls it again with the new settings whenever it returns ABORTED because
-  // another server has changed them.
-  absl::Status WithLatest(absl::FunctionRef<absl::Status()> attempt)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  // Calls `attempt` with the mutex held, and calls it again with the new settings whenever it
+  // returns ABORTED because another server has changed them. `call`: the change belongs to it.
+  absl::Status WithLatest(absl::FunctionRef<absl::Status()> attempt, const Span* call = nullptr)
+      ABSL_LOCKS_EXCLUDED(change_mutex_);
   // As Follow().
   absl::Status Refresh() ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
   // Puts the settings of other servers into force.
@@ -237,14 +219,6 @@ class PolicyRegistry {
                                                                bool make_default)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
   absl::Status UnloadOnce(const PolicyVersion& version)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
-  absl::Status ChangeOnce(
-      const std::string& policy,
-      absl::FunctionRef<absl::Status(const CatalogPolicy& policy, PolicySettings* settings)> change)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
-  absl::Status ChangeHoldsOnce(absl::FunctionRef<absl::Status(SessionHolds::List* holds)> change)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
-  absl::Status PauseOnce(const std::string& policy, bool paused)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
   absl::StatusOr<PolicyVersion> AddOnce(const NewVersion& added)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
@@ -279,6 +253,8 @@ class PolicyRegistry {
   absl::Status Save(const Settings& settings) ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
   absl::Status SaveFile(const Settings& settings) const
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
+  // As Save(), and puts the settings into force if that succeeds.
+  absl::Status Commit(Settings settings) ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);
 
   // Begins the span of a load.
   Span StartLoad(const PolicyVersion& version) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(change_mutex_);

@@ -20,12 +20,17 @@ constexpr int kMostAttempts = 20;
 
 }  // namespace
 
-absl::Status PolicyRegistry::WithLatest(absl::FunctionRef<absl::Status()> attempt) {
-  absl::Status status;
-  for (int i = 0; i < kMostAttempts; ++i) {
-    if (status = Refresh(); !status.ok()) return status;
-    if (status = attempt(); !absl::IsAborted(status)) return status;
+absl::Status PolicyRegistry::WithLatest(absl::FunctionRef<absl::Status()> attempt,
+                                        const Span* call) {
+  absl::MutexLock change(&change_mutex_);
+  call_ = call;
+  absl::Status status = absl::AbortedError("");
+  for (int i = 0; i < kMostAttempts && absl::IsAborted(status); ++i) {
+    status = Refresh();
+    if (status.ok()) status = attempt();
   }
+  call_ = nullptr;
+  if (!absl::IsAborted(status)) return status;
   return absl::UnavailableError(absl::StrCat(status.message(), "; try again"));
 }
 

@@ -166,7 +166,6 @@ absl::Status PolicyRegistry::CheckPushed(const NewVersion& added) const {
 }
 
 absl::StatusOr<PolicyVersion> PolicyRegistry::AddVersion(const NewVersion& added) {
-  absl::MutexLock change(&change_mutex_);
   absl::StatusOr<PolicyVersion> version;
   RETURN_IF_ERROR(WithLatest([&] {
     change_mutex_.AssertHeld();
@@ -238,17 +237,18 @@ std::vector<PolicyVersion> PolicyRegistry::PushedVersions(const std::string& pol
 }
 
 absl::StatusOr<int64_t> PolicyRegistry::RemoveStored(const PolicyVersion& version) {
-  absl::MutexLock change(&change_mutex_);
   std::string sha256;
+  bool is_used = false;
   RETURN_IF_ERROR(WithLatest([&] {
     change_mutex_.AssertHeld();
     const auto stored = settings_.promoted.find(version);
     sha256 = stored == settings_.promoted.end() ? "" : stored->second;
-    return RemoveOnce(version);
+    auto status = RemoveOnce(version);
+    is_used =
+        absl::c_any_of(settings_.promoted, [&](const auto& left) { return left.second == sha256; });
+    return status;
   }));
   if (!sha256.empty()) {
-    const bool is_used = absl::c_any_of(
-        settings_.promoted, [&](const auto& stored) { return stored.second == sha256; });
     options_.shared->RemoveFile(PushedName(version, sha256)).IgnoreError();
     if (!is_used) {
       options_.shared->RemoveFile(sha256).IgnoreError();
@@ -278,9 +278,7 @@ absl::Status PolicyRegistry::RemoveOnce(const PolicyVersion& version) {
   }
   settings.promoted.erase(version);
   RememberRemoval(options_.directory, version, &settings.unloaded);
-  RETURN_IF_ERROR(Save(settings));
-  settings_ = std::move(settings);
-  return absl::OkStatus();
+  return Commit(std::move(settings));
 }
 
 }  // namespace spikeserve

@@ -137,29 +137,24 @@ void Services::AddPolicyAdmin() {
   AddAdmin(admin, &AdminHandler::ListHistory);
   AddAdmin(admin, &AdminHandler::ListSessions);
   AddAdmin(admin, &AdminHandler::Drain);
-  AddAdmin(handlers_.usage, &UsageHandler::GetUsage);
-  const VersionHandler* versions = handlers_.versions;
-  AddAdmin(versions, &VersionHandler::PushPolicy);
-  AddAdmin(versions, &VersionHandler::PullPolicy);
-  AddAdmin(versions, &VersionHandler::RemovePolicy);
-  const RolloutHandler* rollouts = handlers_.rollouts;
-  AddAdmin(rollouts, &RolloutHandler::StartRollout);
-  AddAdmin(rollouts, &RolloutHandler::AbortRollout);
-  AddAdmin(rollouts, &RolloutHandler::ListRollouts);
-  const HeadHandler* heads = handlers_.heads;
-  AddAdmin(heads, &HeadHandler::GetHead);
-  AddAdmin(heads, &HeadHandler::PromoteHead);
-  AddAdmin(heads, &HeadHandler::RollbackHead);
-  AddAdmin(heads, &HeadHandler::PauseLearning);
-  AddAdmin(heads, &HeadHandler::ResumeLearning);
-  const HoldHandler* holds = handlers_.holds;
-  AddAdmin(holds, &HoldHandler::HoldSessions);
-  AddAdmin(holds, &HoldHandler::ResumeSessions);
-  AddAdmin(holds, &HoldHandler::ListHolds);
-  const SeatHandler* seats = handlers_.seats;
-  AddAdmin(seats, &SeatHandler::TakeControl);
-  Add(seats, &SeatHandler::SteerSession);  // as often as an agent acts, so it is not recorded
-  AddAdmin(seats, &SeatHandler::ReturnControl);
+  AddAdmin(admin, &AdminHandler::GetUsage);
+  AddAdmin(admin, &AdminHandler::PushPolicy);
+  AddAdmin(admin, &AdminHandler::PullPolicy);
+  AddAdmin(admin, &AdminHandler::RemovePolicy);
+  AddAdmin(admin, &AdminHandler::StartRollout);
+  AddAdmin(admin, &AdminHandler::AbortRollout);
+  AddAdmin(admin, &AdminHandler::ListRollouts);
+  AddAdmin(admin, &AdminHandler::GetHead);
+  AddAdmin(admin, &AdminHandler::PromoteHead);
+  AddAdmin(admin, &AdminHandler::RollbackHead);
+  AddAdmin(admin, &AdminHandler::PauseLearning);
+  AddAdmin(admin, &AdminHandler::ResumeLearning);
+  AddAdmin(admin, &AdminHandler::HoldSessions);
+  AddAdmin(admin, &AdminHandler::ResumeSessions);
+  AddAdmin(admin, &AdminHandler::ListHolds);
+  AddAdmin(admin, &AdminHandler::TakeControl);
+  Add(admin, &AdminHandler::SteerSession);  // as often as an agent acts, so it is not recorded
+  AddAdmin(admin, &AdminHandler::ReturnControl);
 }
 
 void Services::AddInferenceService() {

@@ -9,12 +9,6 @@
 #include "absl/status/status.h"
 #include "server/admin/admin_handler.h"
 #include "server/admin/audit.h"
-#include "server/admin/head_handler.h"
-#include "server/admin/hold_handler.h"
-#include "server/admin/rollout_handler.h"
-#include "server/admin/seat_handler.h"
-#include "server/admin/usage_handler.h"
-#include "server/admin/version_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
 #include "server/base/method.h"
@@ -32,12 +26,6 @@ namespace spikeserve {
 struct Handlers {
   const PolicyHandler* policy;
   const AdminHandler* admin;
-  const HeadHandler* heads;
-  const HoldHandler* holds;
-  const SeatHandler* seats;
-  const RolloutHandler* rollouts;
-  const VersionHandler* versions;
-  const UsageHandler* usage;
   const Audit* audit;
   const InferenceHandler* inference;
   HealthService* health;

@@ -27,8 +27,7 @@ std::string Event(absl::string_view name, absl::string_view json) {
 }
 
 std::string ToEvent(absl::string_view name, const v1::ExplainResponse& decision) {
-  const auto json = MessageToJson(decision);
-  return json.ok() ? Event(name, *json) : "";
+  return Event(name, JsonText(MessageToFields(decision)));
 }
 
 // What a feed saw of a session.

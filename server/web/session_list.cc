@@ -20,7 +20,7 @@
 #include "core/base/json.h"
 #include "core/base/status_macros.h"
 #include "core/session/session_id.h"
-#include "nlohmann/json.hpp"
+#include "proto/json.h"
 #include "server/admin/session_info.h"
 #include "server/agent/datagram_channels.h"
 #include "server/metrics/policy_metrics.h"
@@ -28,7 +28,7 @@
 namespace spikeserve {
 namespace {
 
-using Json = nlohmann::json;
+using nlohmann::ordered_json;
 
 constexpr int64_t kDefaultPageSize = 50;
 constexpr int64_t kLargestPageSize = 1000;
@@ -150,16 +150,16 @@ absl::StatusOr<Order> OrderOf(const HttpQuery& query) {
 // A page token is the place of the last session of the page before, as CBOR in base64. It names
 // the order, because places of different orders cannot be compared.
 std::string TokenOf(const ListPlace& place, const Order& order) {
-  const auto cbor = Json::to_cbor({order.column, order.descending, place.key.text, place.key.number,
-                                   place.key.missing, place.id});
+  const auto cbor = ordered_json::to_cbor({order.column, order.descending, place.key.text,
+                                           place.key.number, place.key.missing, place.id});
   return absl::WebSafeBase64Escape(std::string(cbor.begin(), cbor.end()));
 }
 
 absl::StatusOr<std::optional<ListPlace>> PlaceOf(const std::string& token, const Order& order) {
   if (token.empty()) return std::optional<ListPlace>();
   std::string cbor;
-  Json parts;
-  if (absl::WebSafeBase64Unescape(token, &cbor)) parts = ParseCbor(cbor).value_or(Json());
+  nlohmann::json parts;
+  if (absl::WebSafeBase64Unescape(token, &cbor)) parts = ParseCbor(cbor).value_or(nullptr);
   const bool valid = parts.is_array() && parts.size() == 6 && parts[0] == order.column &&
                      parts[1] == order.descending && parts[2].is_string() && parts[3].is_number() &&
                      parts[4].is_boolean() && parts[5].is_string();
@@ -297,73 +297,26 @@ ListSelection FirstInOrder(SessionStore& store, const Credential& caller, const 
   return found;
 }
 
-// Does not throw for texts that are not UTF-8.
-std::string TextOf(const Json& json) {
-  return json.dump(/*indent=*/-1, /*indent_char=*/' ', /*ensure_ascii=*/false,
-                   Json::error_handler_t::replace);
-}
-
-// The JSON mapping of proto3 writes 64-bit integers as strings.
-Json Integer(uint64_t value) { return absl::StrCat(value); }
-Json Integer(int64_t value) { return absl::StrCat(value); }
-
-Json BeatsJson(const v1::BeatReport& beats) {
-  return {{"fresh", Integer(beats.fresh())},
-          {"held", Integer(beats.held())},
-          {"local", Integer(beats.local())},
-          {"safe", Integer(beats.safe())},
-          {"late_answers", Integer(beats.late_answers())},
-          {"cancelled_calls", Integer(beats.cancelled_calls())},
-          {"reconnects", Integer(beats.reconnects())},
-          {"invalid_observations", Integer(beats.invalid_observations())},
-          {"longest_gap_seconds", beats.longest_gap_seconds()},
-          {"oldest_age_seconds", beats.oldest_age_seconds()}};
-}
-
-// Returns a SessionInfo as JSON, with the returns of the ended episodes. Writes each field itself,
-// because protobuf's conversion takes five times as long.
-Json InfoJson(const ListedSession& listed) {
+// Returns a SessionInfo as JSON, with the returns of the ended episodes.
+ordered_json InfoJson(const ListedSession& listed) {
   v1::SessionInfo info;
   ToProto(listed, &info);
-  Json json;
-  json["session_id"] = info.session_id();
-  json["policy"] = info.policy();
-  json["version"] = Integer(info.version());
-  json["tenant"] = info.tenant();
-  json["episode"] = Integer(info.episode());
-  json["step"] = Integer(info.step());
-  json["episode_return"] = info.episode_return();
-  json["decisions"] = Integer(info.decisions());
-  json["spikes"] = Integer(info.spikes());
-  json["energy_joules"] = info.energy_joules();
-  json["idle_seconds"] = info.idle_seconds();
-  json["learning"] = info.learning();
-  json["head_drift"] = info.head_drift();
-  json["durability"] = v1::Durability_Name(info.durability());
-  json["epoch"] = Integer(info.epoch());
-  json["durable_decision"] = Integer(info.durable_decision());
-  json["period_seconds"] = info.has_period_seconds() ? Json(info.period_seconds()) : Json();
-  json["silent"] = info.silent();
-  json["hold"] =
-      info.has_hold() ? Json(absl::StrCat(info.hold().id(), ": ", info.hold().reason())) : Json();
-  json["at_neutral"] = info.at_neutral();
-  json["operator_id"] = info.operator_id();
-  json["beats"] = info.has_beats() ? BeatsJson(info.beats()) : Json();
-  Json& labels = json["labels"] = Json::object();
-  for (const auto& [key, value] : info.labels()) labels[key] = value;
+  ordered_json json = MessageToFields(info, Numbers::kMapped, Absent::kNull);
+  if (info.has_hold()) json["hold"] = absl::StrCat(info.hold().id(), ": ", info.hold().reason());
   absl::MutexLock lock(&listed.entry->mutex);
   const SessionLife& life = listed.entry->agent.life();
   const bool ended = life.ended_episodes() > 0;
   json["ended_episodes"] = life.ended_episodes();
-  json["mean_return"] = ended ? Json(life.mean_return()) : Json();
-  json["last_return"] = ended ? Json(life.last_return()) : Json();
+  json["mean_return"] = ended ? ordered_json(life.mean_return()) : ordered_json();
+  json["last_return"] = ended ? ordered_json(life.last_return()) : ordered_json();
   json["unusual_observations"] = UnusualOf(listed.entry->agent.session());
   return json;
 }
 
 // Returns the elements of the last observation with what the training data were like.
-Json ObservationJson(const Session& session, const Policy& policy, double unusual_deviations) {
-  Json elements = Json::array();
+ordered_json ObservationJson(const Session& session, const Policy& policy,
+                             double unusual_deviations) {
+  ordered_json elements = ordered_json::array();
   if (!session.last_answer.has_value()) return elements;
   const auto usual = UsualObservations::Of(policy, unusual_deviations);
   const auto observation = session.history.observation(session.history.size() - 1);
@@ -375,8 +328,8 @@ Json ObservationJson(const Session& session, const Policy& policy, double unusua
                         {"value", observation[i]},
                         {"mean", policy.weights.observation_mean.values[i]},
                         {"deviation", policy.weights.observation_std.values[i]},
-                        {"low", bounded ? Json(usual.low[i]) : Json()},
-                        {"high", bounded ? Json(usual.high[i]) : Json()},
+                        {"low", bounded ? ordered_json(usual.low[i]) : ordered_json()},
+                        {"high", bounded ? ordered_json(usual.high[i]) : ordered_json()},
                         {"unusual", bounded && !(observation[i] >= usual.low[i] &&
                                                  observation[i] <= usual.high[i])}});
   }
@@ -404,19 +357,19 @@ absl::StatusOr<std::string> SessionsJson(SessionStore& store, const Credential& 
     rows.resize(limit);
     next = TokenOf({.key = rows.back().key, .id = rows.back().session.id}, order);
   }
-  Json sessions = Json::array();
+  ordered_json sessions = ordered_json::array();
   for (const Row& row : rows) sessions.push_back(InfoJson(row.session));
-  return TextOf({{"open", found.open},
-                 {"matching", found.matching},
-                 {"sessions", std::move(sessions)},
-                 {"next_page_token", next}});
+  return JsonText({{"open", found.open},
+                   {"matching", found.matching},
+                   {"sessions", std::move(sessions)},
+                   {"next_page_token", next}});
 }
 
 absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& caller,
                                         const std::string& id, double unusual_deviations) {
   const std::optional<ListedSession> found = store.PeekListed(id, caller.tenant()->name());
   if (!found.has_value() || !caller.CanRead(found->entry->tenant)) return NoSuchSession(id);
-  Json json = InfoJson(*found);
+  ordered_json json = InfoJson(*found);
 
   SessionEntry& entry = *found->entry;
   absl::MutexLock lock(&entry.mutex);
@@ -426,13 +379,13 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
   json["environment"] = entry.served->policy().environment;
   json["observation"] = ObservationJson(session, entry.served->policy(), unusual_deviations);
   const auto& source = entry.agent.life().last_source();
-  json["last_source"] = source.has_value() ? Json(ToString(*source)) : Json();
+  json["last_source"] = source.has_value() ? ordered_json(ToString(*source)) : ordered_json();
   json["transport"] = DatagramChannels::CarriesSteps(entry) ? "datagrams" : "gRPC";
   const auto& verdict = session.wiring.verdict;
-  json["wiring"] =
-      verdict.has_value() ? Json(WiringText(entry.served->policy(), *verdict)) : Json();
+  json["wiring"] = verdict.has_value() ? ordered_json(WiringText(entry.served->policy(), *verdict))
+                                       : ordered_json();
   json["age_seconds"] = absl::ToDoubleSeconds(entry.agent.Age());
-  Json& decisions = json["history"]["decisions"] = Json::array();
+  ordered_json& decisions = json["history"]["decisions"] = ordered_json::array();
   for (const auto& [first, count, sum] : entry.agent.life().decisions()) {
     const auto n = static_cast<double>(count);
     decisions.push_back({{"first", first},
@@ -441,13 +394,13 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
                          {"spikes_per_decision", sum.spikes / n},
                          {"mean_seconds", sum.seconds / n}});
   }
-  Json& episodes = json["history"]["episodes"] = Json::array();
+  ordered_json& episodes = json["history"]["episodes"] = ordered_json::array();
   for (const auto& [first, count, sum] : entry.agent.life().episodes()) {
     episodes.push_back({{"first", first},
                         {"count", count},
                         {"mean_return", sum.episode_return / static_cast<double>(count)}});
   }
-  return TextOf(json);
+  return JsonText(json);
 }
 
 }  // namespace spikeserve

@@ -3,7 +3,6 @@
 #include <utility>
 
 #include "absl/time/time.h"
-#include "core/base/status_macros.h"
 #include "core/base/version.h"
 #include "core/engine/energy.h"
 #include "nlohmann/json.hpp"
@@ -77,13 +76,9 @@ Json ServersToJson(const ServerStatus& server) {
 
 }  // namespace
 
-absl::StatusOr<std::string> StatusJson(Json figures,
-                                       const std::vector<prometheus::MetricFamily>& families,
-                                       const v1::ListPoliciesResponse& policies,
-                                       const v1::ListRolloutsResponse& rollouts,
-                                       const ServerStatus& server) {
-  ASSIGN_OR_RETURN(const auto policies_json, MessageToJson(policies));
-  ASSIGN_OR_RETURN(const auto rollouts_json, MessageToJson(rollouts));
+std::string StatusJson(Json figures, const std::vector<prometheus::MetricFamily>& families,
+                       const v1::ListPoliciesResponse& policies,
+                       const v1::ListRolloutsResponse& rollouts, const ServerStatus& server) {
   Json status = std::move(figures);
   status["time"] = server.time;
   status["version"] = std::string(Version());
@@ -92,8 +87,8 @@ absl::StatusOr<std::string> StatusJson(Json figures,
   status["replica"] = server.replica;
   status["replicas"] = server.replicas;
   status["servers"] = ServersToJson(server);
-  status["policies"] = Json::parse(policies_json)["policies"];
-  status["rollouts"] = Json::parse(rollouts_json)["rollouts"];
+  status["policies"] = MessagesToList(policies.policies());
+  status["rollouts"] = MessagesToList(rollouts.rollouts());
   status["energy_models"] = EnergyModelsToJson();
   status["metrics"] = Json::object();
   for (const prometheus::MetricFamily& family : families) {

@@ -30,11 +30,10 @@ struct ServerStatus {
 // the list of ListPolicies, "rollouts" that of ListRollouts. "metrics" maps the name of each metric
 // family to a list of {"labels", "value"}, or of {"labels", "count", "sum", "buckets"}, where
 // "buckets" holds cumulative [upper bound, count] pairs and the last bound, infinity, is null.
-absl::StatusOr<std::string> StatusJson(nlohmann::json figures,
-                                       const std::vector<prometheus::MetricFamily>& families,
-                                       const v1::ListPoliciesResponse& policies,
-                                       const v1::ListRolloutsResponse& rollouts,
-                                       const ServerStatus& server);
+std::string StatusJson(nlohmann::json figures,
+                       const std::vector<prometheus::MetricFamily>& families,
+                       const v1::ListPoliciesResponse& policies,
+                       const v1::ListRolloutsResponse& rollouts, const ServerStatus& server);
 
 // Returns what this server reports to the others: `summary`, which ServerHistory::Summary returns,
 // with "address" of the status page, "version" and "serving".

@@ -164,8 +164,7 @@ absl::StatusOr<std::string> StatusPages::Status(const Credential& caller,
   if (auto status = parts_.handler->ListPolicies(context, {}, &policies); !status.ok())
     return status;
   v1::ListRolloutsResponse rollouts;
-  if (auto status = parts_.rollouts->ListRollouts(context, {}, &rollouts); !status.ok())
-    return status;
+  if (auto status = parts_.admin->ListRollouts(context, {}, &rollouts); !status.ok()) return status;
   std::vector<prometheus::MetricFamily> families;
   if (metrics == "true") families = parts_.metrics->Collect();
   return StatusJson(parts_.history->Status(absl::Seconds(window)), families, policies, rollouts,
@@ -209,8 +208,8 @@ absl::StatusOr<std::string> StatusPages::Usage(const Credential& caller,
   }
   CallContext context{.caller = &caller};
   v1::GetUsageResponse response;
-  RETURN_IF_ERROR(parts_.usage->GetUsage(context, usage, &response));
-  return MessageToJson(response);
+  RETURN_IF_ERROR(parts_.admin->GetUsage(context, usage, &response));
+  return JsonText(MessageToFields(response));
 }
 
 void StatusPages::Explain(const std::shared_ptr<const Credential>& caller,
@@ -230,7 +229,8 @@ void StatusPages::Explain(const std::shared_ptr<const Credential>& caller,
     v1::ExplainResponse response;
     CallContext context{.caller = caller.get()};
     const absl::Status explained = handler->Explain(context, explain, &response);
-    done(JsonResponse(explained.ok() ? MessageToJson(response) : explained));
+    if (!explained.ok()) return done(JsonResponse(explained));
+    done(JsonResponse(JsonText(MessageToFields(response))));
   };
   const absl::Status accepted = parts_.worker->Submit(caller->tenant()->name(), work);
   if (!accepted.ok()) done(JsonResponse(accepted));

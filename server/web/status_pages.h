@@ -10,8 +10,7 @@
 #include "core/base/clock.h"
 #include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
-#include "server/admin/rollout_handler.h"
-#include "server/admin/usage_handler.h"
+#include "server/admin/admin_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
 #include "server/base/replica_reports.h"
@@ -31,8 +30,7 @@ class StatusPages {
   struct Parts {
     const Authenticator* authenticator;
     const PolicyHandler* handler;
-    const RolloutHandler* rollouts;
-    const UsageHandler* usage;
+    const AdminHandler* admin;
     SessionStore* store;
     const Metrics* metrics;
     const ServerHistory* history;
