@@ -7,6 +7,7 @@
 #include "absl/strings/strip.h"
 #include "core/base/file.h"
 #include "core/base/status_macros.h"
+#include "core/learning/learning_request.h"
 #include "nlohmann/json.hpp"
 
 namespace spikeserve {
@@ -56,11 +57,13 @@ absl::Status ReadHeadDelta(const std::string& path, v1::OpenSessionRequest* requ
 
 void AddLearningFlags(Command command, LearningFlags* flags) {
   FlagGroup group = command.Flags(kLearning);
-  group.Add("rule", EnumKind<Rule>(), &flags->rule, "Learning rule; default: policy_gradient")
+  group
+      .Add("rule", EnumKind<Rule>(), &flags->rule,
+           "Learning rule; corrections: operators teach; default: policy_gradient")
       .Add("modulator", EnumKind<Modulator>(), &flags->modulator,
            "Return that modulates it; default: realized")
       .Add("learning_rate", "RATE", &flags->learning_rate,
-           "Learning rate; default: the server's default for the modulator")
+           "Learning rate; default: the server's for the rule and the modulator")
       .Add("trace_decay", "FACTOR", &flags->trace_decay,
            "Decay of the eligibility trace per decision; default: the server's")
       .Add("discount", "FACTOR", &flags->discount,
@@ -106,26 +109,17 @@ v1::LearningConfig ToProto(Scope scope, const LearningFlags& flags) {
 
 absl::Status CheckLearning(Scope scope, const LearningFlags& flags, const ActionSpace& space,
                            const ActionSelection& selection) {
-  if (scope == Scope::kFleet && (flags.max_drift || flags.guard_margin)) {
-    return absl::InvalidArgumentError(
-        "--max_drift and --guard_margin: expected neither for a fleet, whose head the server "
-        "bounds, received one");
-  }
-  LearningOptions options = {.scope = scope};
-  if (flags.rule) options.rule = *flags.rule;
-  if (flags.modulator) options.modulator = *flags.modulator;
-  if (flags.discount && options.modulator != Modulator::kRealized) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--discount: expected none unless --modulator is realized, received ", *flags.discount));
-  }
-  options.learning_rate =
-      flags.learning_rate.value_or(LearningOptions::DefaultLearningRate(options.modulator));
-  options.trace_decay = flags.trace_decay.value_or(options.trace_decay);
-  options.discount = flags.discount.value_or(options.discount);
-  options.clip = flags.clip.value_or(options.clip);
-  options.max_drift = flags.max_drift.value_or(options.max_drift);
-  options.guard_margin = flags.guard_margin.value_or(options.guard_margin);
-  const absl::Status status = options.Validate(space, selection);
+  const LearningRequest request = {
+      .scope = scope,
+      .rule = flags.rule ? std::string(ToString(*flags.rule)) : "",
+      .modulator = flags.modulator ? std::string(ToString(*flags.modulator)) : "",
+      .learning_rate = flags.learning_rate,
+      .trace_decay = flags.trace_decay,
+      .discount = flags.discount,
+      .clip = flags.clip,
+      .max_drift = flags.max_drift,
+      .guard_margin = flags.guard_margin};
+  const absl::Status status = ResolveLearning(request, space, selection).status();
   if (status.ok()) return status;
   return absl::InvalidArgumentError(
       absl::StrCat("--", absl::StripPrefix(status.message(), "learning.")));

@@ -96,6 +96,7 @@ void AgentSession::TakeExecuted(const Action& executed, const ReportedSource& so
     session_.executed_source = {.kind = static_cast<SourceKind>(source.kind),
                                 .operator_id = std::string(source.operator_id)};
   }
+  if (session_.executed_source.kind == SourceKind::kOperator) head_.OnOperator(executed, &session_);
   if (is_known) return;
   context_.OnExecuted();
   head_.OnExecuted(executed, &session_);

@@ -199,10 +199,12 @@ void AgentSession::DecisionPass::Record(Step& step, Answer answer, absl::Span<co
                            .noise = noise,
                            .is_beat = step.is_past,
                            .after_gap = std::exchange(agent.before_skipped_, nullptr) != nullptr};
+  const bool is_corrected =
+      agent.session_.learner.has_value() && inputs.source.kind == SourceKind::kOperator;
   agent.blind_rewards_.clear();
   CountDecision(agent.policy(), std::move(answer), step.observation, inputs.reward,
                 &agent.session_);
-  inputs.needs_snapshot = Overrule(agent, step.is_past) || inputs.after_gap;
+  inputs.needs_snapshot = Overrule(agent, step.is_past) || inputs.after_gap || is_corrected;
   if (agent.session_.step > 1 && !inputs.after_gap) agent.CountSource(inputs.source);
   for (const auto& listener : agent.listeners_) listener->OnDecision(agent.session_, inputs);
   if (lacks_reward) agent.CountMissingRewards(1);
@@ -223,6 +225,7 @@ bool AgentSession::DecisionPass::Overrule(AgentSession& agent, bool is_past) {
     agent.seat_.CountStep(space, answer.action, &session);
     action = seat->action;
     answer.source = {SourceKind::kOperator, seat->operator_id};
+    agent.head_.OnOperator(action, &session);
   } else if (agent.wiring_response_ == WiringResponse::kSafe &&
              session.wiring.verdict.has_value()) {
     action = NeutralAction(space);

@@ -80,6 +80,16 @@ void SessionHead::OnExecuted(const Action& executed, Session* session) {
   if (*outcome != UpdateOutcome::kApplied) served_->observer->OnHeadUpdate(*outcome);
 }
 
+void SessionHead::OnOperator(const Action& executed, Session* session) {
+  if (!session->learner.has_value()) return;
+  SPIKESERVE_DCHECK(session->last_answer.has_value());
+  SuspendIfPaused(session);
+  OnUpdate(session->learner->OnOperator(*session->options.learning, served_->policy(),
+                                        session->last_answer->logits, executed,
+                                        session->options.head_delta),
+           *session);
+}
+
 std::optional<LearningSummary> SessionHead::OnEpisodeEnd(const EpisodeEnd& end,
                                                          double episode_return, const Clock& clock,
                                                          Session* session) {
@@ -109,6 +119,7 @@ void SessionHead::MergeIntoFleet(double episode_return, const Clock& clock, Sess
   Contribution contribution = {.episode = session->episode,
                                .contributor = member_->contributor(),
                                .held_out = member_->held_out(),
+                               .corrected = learner.corrections.in_episode > 0,
                                .delta = learner.head_delta,
                                .episode_return = episode_return};
   const auto snapshot = fleet.Read();

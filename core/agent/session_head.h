@@ -38,6 +38,9 @@ class SessionHead {
   // Puts `executed` in the place of the last answered action, in the history too. REQUIRES: the
   // running episode has a decision; `executed` belongs to the action space.
   void OnExecuted(const Action& executed, Session* session);
+  // Takes an operator's step: the action that was executed in the place of the last answered one,
+  // or is answered in its place. REQUIRES: as OnExecuted.
+  void OnOperator(const Action& executed, Session* session);
   // Returns what the session has learned in the episode that `end` ends; nullopt if it is frozen.
   std::optional<LearningSummary> OnEpisodeEnd(const EpisodeEnd& end, double episode_return,
                                               const Clock& clock, Session* session);

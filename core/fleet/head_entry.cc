@@ -17,6 +17,7 @@ constexpr size_t kFields = 7;
 // Stands before the contributor of a session that is held out. No session and no tenant has it in
 // its name. Entries of earlier releases have no mark, and count as contributing.
 constexpr absl::string_view kHeldOutMark = "held out: ";
+constexpr absl::string_view kCorrectedMark = "corrected: ";  // behind it
 
 }  // namespace
 
@@ -26,7 +27,7 @@ void VisitFields(T& entry, Visitor&& visit) {
   visit("session", entry.contribution.session);
   visit("episode", entry.contribution.episode);
   visit("head", entry.contribution.head);
-  visit("contributor", entry.contribution.contributor);  // with kHeldOutMark
+  visit("contributor", entry.contribution.contributor);  // with the marks
   visit("delta", entry.contribution.delta);
   visit("episode_return", entry.contribution.episode_return);
 }
@@ -47,6 +48,7 @@ std::string SerializeHeadEntry(const HeadEntry& entry) {
   codec::Writer writer(&bytes);
   writer.Write(entry.contribution.head);
   writer.Write(absl::StrCat(entry.contribution.held_out ? kHeldOutMark : "",
+                            entry.contribution.corrected ? kCorrectedMark : "",
                             entry.contribution.contributor));
   writer.Write(entry.contribution.delta);
   writer.Write(entry.contribution.episode_return);
@@ -57,6 +59,7 @@ absl::StatusOr<HeadEntry> ParseHeadEntry(const std::string& bytes) {
   ASSIGN_OR_RETURN(HeadEntry entry, codec::Parse<HeadEntry>(bytes, "head entry", kEntryFormat));
   absl::string_view contributor = entry.contribution.contributor;
   entry.contribution.held_out = absl::ConsumePrefix(&contributor, kHeldOutMark);
+  entry.contribution.corrected = absl::ConsumePrefix(&contributor, kCorrectedMark);
   entry.contribution.contributor = std::string(contributor);
   return entry;
 }

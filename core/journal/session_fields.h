@@ -56,6 +56,13 @@ SPIKESERVE_FIELDS(ReturnGuard, returns, beginning, good, has_reference, referenc
 SPIKESERVE_FIELDS(Learner, head_delta, returns, guard, trace, episode, trace_sum, discounted_trace,
                   credit, updates, rejected, suspended, post, readout, before_update)
 
+SPIKESERVE_FIELDS(Corrections, steps, in_episode, measured, error, start_error, size)
+
+inline size_t MoreFields(const Learner& learner) {
+  return learner.corrections == Corrections() ? 0 : 1;
+}
+SPIKESERVE_MORE_FIELDS(Learner, corrections)
+
 SPIKESERVE_FIELDS(EpisodeEnd, reward, terminated, target_return, truncated, observation,
                   executed_action)
 
@@ -71,6 +78,10 @@ SPIKESERVE_FIELDS(SessionOptions, policy, version, target_return, seed, action_s
 
 // The session itself has the other members of a contribution.
 SPIKESERVE_FIELDS(Contribution, episode, delta, episode_return, summary)
+inline size_t MoreFields(const Contribution& contribution) {
+  return contribution.corrected ? 1 : 0;
+}
+SPIKESERVE_MORE_FIELDS(Contribution, corrected)
 
 SPIKESERVE_FIELDS(WiringHypothesis, number, evidence, total)
 

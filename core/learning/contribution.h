@@ -31,7 +31,8 @@ struct Contribution {
   std::string head = "";  // tenant whose head it is for (TenantHeads)
   // The session, or its tenant if several share the head; empty: no client, no budget applies.
   std::string contributor = "";
-  bool held_out = false;  // of the session, see held_out.h
+  bool held_out = false;   // of the session, see held_out.h
+  bool corrected = false;  // an operator acted, so that no guard judges the return
   // [act * d]: sum of the updates, in the precision in which it is stored, sent and applied.
   Eigen::VectorXf delta = {};
   double episode_return = 0.0;

@@ -75,7 +75,8 @@ UpdateOutcome FleetHead::Take(const Contribution& contribution, bool held_out) {
   const UpdateBounds bounds = {.clip = options_.clip, .max_norm = options_.clip};
   const UpdateOutcome outcome = ApplyUpdate(1.0, delta, bounds, &clipped);
   if (outcome != UpdateOutcome::kApplied) return outcome;
-  if (!contributor.empty()) state_.norms.Add(contributor, FrobeniusNorm(clipped));
+  const double norm = FrobeniusNorm(clipped);
+  if (!contributor.empty() && norm > 0.0) state_.norms.Add(contributor, norm);
   if (held_out) return UpdateOutcome::kHeldOut;
   if (state_.budget.IsSuspended(contributor)) return UpdateOutcome::kOverBudget;
   if (state_.guard.on_probation) return UpdateOutcome::kHeldOut;
@@ -98,6 +99,7 @@ UpdateOutcome FleetHead::Add(const Eigen::VectorXf& delta, const std::string& co
 }
 
 bool FleetHead::Judge(const Contribution& contribution, absl::Duration now, bool held_out) {
+  if (contribution.corrected) return false;
   const double margin = options_.guard_margin;
   if (state_.guard.OnEpisode(contribution.episode_return, margin, &state_.delta)) {
     state_.held_out_guard.OnRestored(state_.delta);

@@ -42,6 +42,11 @@ std::optional<UpdateOutcome> Learner::OnDecision(const LearningOptions& options,
   if (suspended) return std::nullopt;
   if (episode.decisions > 0) AddReward(reward);
   episode.AddDecision(Discount(options));
+  if (options.rule == Rule::kCorrections) {
+    post.setZero(static_cast<Eigen::Index>(choice.logits.size()));
+    readout = AsVector(rates);
+    return std::nullopt;
+  }
 
   thread_local std::vector<float> y;  // reused, so that a decision allocates no memory
   PostsynapticActivity(options.rule, policy.action_space, choice, &y);
@@ -68,7 +73,7 @@ std::optional<UpdateOutcome> Learner::OnExecuted(const LearningOptions& options,
                                                  absl::Span<const float> logits,
                                                  const Action& answered, const Action& executed,
                                                  double return_to_go) {
-  if (suspended || post.size() == 0) return std::nullopt;
+  if (suspended || post.size() == 0 || options.rule == Rule::kCorrections) return std::nullopt;
   const Eigen::VectorXf y = std::exchange(post, {});
   std::vector<float> corrected(y.begin(), y.end());
   ReplaceAction(options.rule, policy.action_space, logits, selection.temperature, answered,
@@ -84,6 +89,45 @@ std::optional<UpdateOutcome> Learner::OnExecuted(const LearningOptions& options,
   trace_sum += change.cast<double>();
   discounted_trace += change.cast<double>();
   return std::nullopt;
+}
+
+std::optional<UpdateOutcome> Learner::OnOperator(const LearningOptions& options,
+                                                 const Policy& policy,
+                                                 absl::Span<const float> logits,
+                                                 const Action& executed,
+                                                 const Eigen::VectorXf& start_delta) {
+  if (suspended || post.size() == 0) return std::nullopt;
+  ++corrections.steps;
+  ++corrections.in_episode;
+  if (options.rule != Rule::kCorrections) return std::nullopt;
+  const auto act = static_cast<Eigen::Index>(logits.size());
+  post.resize(0);
+  // A fleet's head answered without what this episode has learned.
+  const bool in_fleet = options.scope == Scope::kFleet;
+  Eigen::VectorXf learned = head_delta;
+  if (!in_fleet && start_delta.size() > 0) learned -= start_delta;
+  const Eigen::VectorXf change = AsMatrix(learned, act) * readout;
+  Eigen::VectorXf now = AsVector(logits);
+  Eigen::VectorXf start = now;
+  in_fleet ? now += change : start -= change;
+
+  const Eigen::VectorXf target = Target(policy.action_space, executed);
+  const Eigen::VectorXf at_start = Prediction(policy.action_space, start);
+  const Eigen::VectorXf error = target - Prediction(policy.action_space, now);
+  corrections.Measure(error.squaredNorm(), (target - at_start).squaredNorm(),
+                      target.squaredNorm() + at_start.squaredNorm());
+  if (corrections.DoesHarm()) {
+    head_delta -= learned;
+    corrections.PutBack();
+    if (!in_fleet) ++guard.rollbacks;
+    return UpdateOutcome::kApplied;
+  }
+  const float energy = readout.squaredNorm();
+  if (energy == 0.0f || AgreesWith(policy.action_space, now, executed)) return std::nullopt;
+  Eigen::VectorXf direction(head_delta.size());
+  AsMatrix(direction, act).noalias() = error * readout.transpose();
+  const double rate = options.learning_rate * corrections.Weight();
+  return Apply(options, policy, rate / static_cast<double>(energy), direction);
 }
 
 UpdateOutcome Learner::ApplyTarget(const LearningOptions& options, const Policy& policy,
@@ -111,7 +155,9 @@ std::optional<UpdateOutcome> Learner::OnEpisodeEnd(const LearningOptions& option
     AddReward(discount / (1.0 - discount) * episode.mean_reward());
   }
   returns.Merge(episode);
-  if (options.modulator == Modulator::kTarget) return std::nullopt;
+  const bool learns_at_end =
+      options.modulator == Modulator::kRealized && options.rule != Rule::kCorrections;
+  if (!learns_at_end) return std::nullopt;
 
   const Eigen::VectorXd direction = credit - returns.mean * trace_sum;
   const double scale = std::max(returns.deviation(), std::sqrt(episode.SquaresAbout(returns.mean)));
@@ -129,6 +175,7 @@ void Learner::StartEpisode(const LearningOptions& options) {
   rejected = 0;
   suspended = false;
   post.resize(0);
+  corrections.in_episode = 0;
   if (options.scope == Scope::kFleet) head_delta.setZero();
 }
 

@@ -25,6 +25,9 @@
 // after the last one is assumed to earn the mean reward of the episode, which adds
 // gamma / (1 - gamma) mean_k r_k to the last reward. Nothing is added if gamma is 1.
 //
+// Rule::kCorrections has no trace and no modulator: operators teach it (correction.h), and rewards
+// only enter mu and sigma.
+//
 // Plain values; their size does not depend on the length of the episode. Not thread-safe.
 #pragma once
 
@@ -34,6 +37,7 @@
 #include "Eigen/Core"
 #include "absl/types/span.h"
 #include "core/action/action_head.h"
+#include "core/learning/correction.h"
 #include "core/learning/head_update.h"
 #include "core/learning/learning_options.h"
 #include "core/learning/return_guard.h"
@@ -64,6 +68,7 @@ struct Learner {
   Eigen::VectorXf post;           // [act]: y
   Eigen::VectorXf readout;        // [d]: r
   Eigen::VectorXf before_update;  // kTarget only: head_delta before the decision's update
+  Corrections corrections;  // under every rule, how operators acted; errors: kCorrections only
 
   // Returns a learner for the head W_base + head_delta. `options` must be valid. All later calls
   // take the same `options` and `policy`.
@@ -89,6 +94,14 @@ struct Learner {
                                           absl::Span<const float> logits, const Action& answered,
                                           const Action& executed, double return_to_go);
 
+  // Takes an operator's step: `executed` is what was done in the place of the last decision, whose
+  // answer was chosen from `logits`. For kCorrections, updates the head, or puts `start_delta`
+  // back, the head_delta that the session was opened with (empty: zero), if what was learned since
+  // does harm. Returns the outcome of the update, if there was one. Does nothing a second time.
+  std::optional<UpdateOutcome> OnOperator(const LearningOptions& options, const Policy& policy,
+                                          absl::Span<const float> logits, const Action& executed,
+                                          const Eigen::VectorXf& start_delta);
+
   // Takes a step of which only the `reward` of the action before is known: the reward belongs to
   // the decisions before it, and the traces decay, but no activity enters them.
   void OnSkipped(const LearningOptions& options, double reward);
@@ -102,6 +115,7 @@ struct Learner {
   // Scope::kSession: passes the return of an episode to the guard. Returns true if the guard
   // restored an earlier head.
   bool Watch(const LearningOptions& options, double episode_return) {
+    if (corrections.in_episode > 0) return false;     // the return is not the head's alone
     if (guard.on_probation) head_delta = guard.good;  // a head that is measured does not learn
     return guard.OnEpisode(episode_return, options.guard_margin, &head_delta);
   }

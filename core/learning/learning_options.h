@@ -12,8 +12,9 @@
 
 namespace spikeserve {
 
-// Selects the postsynaptic factor y of eq. 4.1; see postsynaptic.h.
-enum class Rule { kPolicyGradient, kHebbian, kHebbianAction };
+// Selects the postsynaptic factor y of eq. 4.1 (postsynaptic.h), or learning from the steps of
+// operators alone (correction.h).
+enum class Rule { kPolicyGradient, kHebbian, kHebbianAction, kCorrections };
 
 // Selects the return G of eq. 4.2: the return-to-go that conditioned the decision (target), or the
 // return that followed it (realized); see learner.h.
@@ -24,10 +25,11 @@ enum class Modulator { kTarget, kRealized };
 enum class Scope { kSession, kFleet };
 
 // Names on the wire and in a stored session; see enum_names.h.
-constexpr std::array<EnumName<Rule>, 3> EnumNames(Rule) {
+constexpr std::array<EnumName<Rule>, 4> EnumNames(Rule) {
   return {{{Rule::kPolicyGradient, "policy_gradient"},
            {Rule::kHebbian, "hebbian"},
-           {Rule::kHebbianAction, "hebbian_action"}}};
+           {Rule::kHebbianAction, "hebbian_action"},
+           {Rule::kCorrections, "corrections"}}};
 }
 constexpr std::array<EnumName<Modulator>, 2> EnumNames(Modulator) {
   return {{{Modulator::kTarget, "target"}, {Modulator::kRealized, "realized"}}};
@@ -40,16 +42,19 @@ struct LearningOptions {
   Scope scope = Scope::kSession;
   Rule rule = Rule::kPolicyGradient;
   Modulator modulator = Modulator::kRealized;
-  double learning_rate = DefaultLearningRate(Modulator::kRealized);  // eta of eq. 4.3, > 0
-  double trace_decay = 0.9;                                          // lambda of eq. 4.1, in [0, 1]
+  // eta of eq. 4.3, or of correction.h, > 0
+  double learning_rate = DefaultLearningRate(Rule::kPolicyGradient, Modulator::kRealized);
+  double trace_decay = 0.9;    // lambda of eq. 4.1, in [0, 1]
   double discount = 0.97;      // gamma of the realized return-to-go, in [0, 1]; see learner.h
   double clip = 0.5;           // largest Frobenius norm of one update of the head, > 0
   double max_drift = 2.0;      // largest |W - W_base| / |W_base| of a private head, > 0
   double guard_margin = 0.02;  // of the guard of a private head, >= 0; see return_guard.h
 
   // target updates the head after every decision. realized updates it once an episode, and its
-  // deltas are relative to the returns of that episode, so its steps are larger.
-  static constexpr double DefaultLearningRate(Modulator modulator) {
+  // deltas are relative to the returns of that episode, so its steps are larger. A correction's
+  // step is relative to the one that would repeat the operator's action.
+  static constexpr double DefaultLearningRate(Rule rule, Modulator modulator) {
+    if (rule == Rule::kCorrections) return 0.5;
     return modulator == Modulator::kTarget ? 1e-3 : 0.3;
   }
 

@@ -15,6 +15,15 @@ absl::Status CheckApplies(const LearningRequest& request, const LearningOptions&
     return InvalidArgument(absl::StrCat("learning.", field), absl::StrCat("unset unless ", unless),
                            received);
   };
+  if (options.rule == Rule::kCorrections) {
+    const char* const unless = "rule learns from rewards";
+    if (!request.modulator.empty()) {
+      return absl::InvalidArgumentError(absl::StrCat("learning.modulator: expected unset unless ",
+                                                     unless, ", received ", request.modulator));
+    }
+    if (request.discount.has_value()) return unset("discount", unless, *request.discount);
+    if (request.trace_decay.has_value()) return unset("trace_decay", unless, *request.trace_decay);
+  }
   if (request.discount.has_value() && options.modulator != Modulator::kRealized) {
     return unset("discount", "modulator is realized", *request.discount);
   }
@@ -45,8 +54,8 @@ absl::StatusOr<LearningOptions> ResolveLearning(const LearningRequest& request,
                      ParseEnum<Modulator>("learning.modulator", request.modulator));
   }
   RETURN_IF_ERROR(CheckApplies(request, options));
-  options.learning_rate =
-      request.learning_rate.value_or(LearningOptions::DefaultLearningRate(options.modulator));
+  options.learning_rate = request.learning_rate.value_or(
+      LearningOptions::DefaultLearningRate(options.rule, options.modulator));
   options.trace_decay = request.trace_decay.value_or(options.trace_decay);
   options.discount = request.discount.value_or(options.discount);
   options.clip = request.clip.value_or(options.clip);

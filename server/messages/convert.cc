@@ -293,6 +293,11 @@ v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delt
     proto.set_modulator_mean(session.learner->returns.mean);
     proto.set_modulator_std(session.learner->returns.deviation());
     proto.set_rollbacks(agent.Rollbacks());
+    if (const Corrections& corrections = session.learner->corrections; corrections.steps > 0) {
+      proto.mutable_corrections()->set_steps(corrections.steps);
+      proto.mutable_corrections()->set_disagreement(corrections.Disagreement());
+      proto.mutable_corrections()->set_start_disagreement(corrections.StartDisagreement());
+    }
   }
   if (const auto& verdict = session.wiring.verdict) {
     *proto.mutable_wiring() = ToProto(*verdict, agent.policy());

@@ -104,6 +104,10 @@ absl::Status TrainOptions::Validate() const {
   check(plasticity.rate >= 0.0, "local_rate", "0 or more", plasticity.rate);
   check(plasticity.trace_decay >= 0.0 && plasticity.trace_decay <= 1.0, "trace_decay", "0 to 1",
         plasticity.trace_decay);
+  if (status.ok() && plasticity.rule == Rule::kCorrections) {
+    return absl::InvalidArgumentError(
+        "local_rule: expected a rule that learns from rewards, received corrections");
+  }
   if (status.ok() && norm == NormTraining::kFade && arithmetic != Arithmetic::kFloat32) {
     return absl::InvalidArgumentError(absl::StrCat("norm: expected layer with arithmetic ",
                                                    std::string(ToString(arithmetic)),

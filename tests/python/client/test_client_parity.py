@@ -268,7 +268,7 @@ def test_spikectls_options_reach_the_server(server, tmp_path):
     played(f"--head_delta={head}")
     for flags, message in (
         (["--rule=hebbian"], "--learn: expected session or fleet with flags of the learning"),
-        (["--learn=session", "--rule=habit"], '--rule: expected policy_gradient, hebbian or hebbian_action, received "habit"'),
+        (["--learn=session", "--rule=habit"], '--rule: expected policy_gradient, hebbian, hebbian_action or corrections, received "habit"'),
         (["--temperature=2"], "--temperature: expected --sample with it, received 2"),
         (["--labels=robot"], '--labels: expected KEY=VALUE, received "robot"'),
         (["--head_delta=/nowhere"], "--head_delta: cannot read /nowhere"),

@@ -135,13 +135,13 @@ def test_evaluate_takes_an_environment_and_leaves_it_open(client):
 @pytest.mark.parametrize(
     "flags, message",
     [
-        (["--rule=foo"], '--rule: expected policy_gradient, hebbian or hebbian_action, received "foo"'),
+        (["--rule=foo"], '--rule: expected policy_gradient, hebbian, hebbian_action or corrections, received "foo"'),
         (["--modulator=foo"], '--modulator: expected target or realized, received "foo"'),
         (["--scope=foo"], '--scope: expected session or fleet, received "foo"'),
         (["--learning_rate=-1"], "--learning_rate: expected a finite number above 0, received -1"),
         (["--trace_decay=2"], "--trace_decay: expected a number from 0 to 1, received 2"),
         (["--temperature=0"], "--temperature: expected a finite number above 0, received 0"),
-        (["--modulator=target", "--discount=0.9"], "--discount: expected none unless --modulator"),
+        (["--modulator=target", "--discount=0.9"], "--discount: expected unset unless modulator is realized"),
         (["--scope=fleet", "--max_drift=1"], "--max_drift and --guard_margin: expected neither"),
     ],
 )

@@ -260,7 +260,7 @@ MISTAKES = [
     ([*ADAPT, "--perturb=glue=1"], "--perturb: expected one of wind, length"),
     ([*ADAPT, "--scope=town"], '--scope: expected session or fleet, received "town"'),
     ([*ADAPT, "--scope=fleet", "--fleet=0"], "--fleet: expected 1 to 1000, received 0"),
-    ([*ADAPT, "--rule=habit"], '--rule: expected policy_gradient, hebbian or hebbian_action, received "habit"'),
+    ([*ADAPT, "--rule=habit"], '--rule: expected policy_gradient, hebbian, hebbian_action or corrections, received "habit"'),
     ([*ADAPT, "--learning_rate=-1"], "--learning_rate: expected"),
     (["adapt", "--env=CartPole-v1", "--episodes=0"], "--episodes: expected at least 1, received 0"),
     (["admin", "fly"], "expected one of load, unload"),

@@ -35,7 +35,7 @@ OPENINGS = [
 LEARNING = [
     ({"scope": "FLEET", "max_drift": 5.0}, "max_drift: expected unset unless scope is SESSION"),
     ({"scope": 7}, "scope: expected SESSION or FLEET, received 7"),
-    ({"rule": "sarsa"}, 'rule: expected policy_gradient, hebbian or hebbian_action, received "sarsa"'),
+    ({"rule": "sarsa"}, 'rule: expected policy_gradient, hebbian, hebbian_action or corrections, received "sarsa"'),
     ({"modulator": "dopamine"}, 'modulator: expected target or realized, received "dopamine"'),
     ({"learning_rate": -1}, "learning_rate: expected a finite number above 0"),
     ({"trace_decay": 2}, "trace_decay: expected a number from 0 to 1, received 2"),

@@ -77,7 +77,7 @@ FleetRun PlayFleet(const std::shared_ptr<const Policy>& policy, uint64_t seed) {
     options.action_selection = {.sample = true, .temperature = 4.0f};
     options.learning = LearningOptions{.scope = Scope::kFleet};
     options.learning->learning_rate =
-        LearningOptions::DefaultLearningRate(options.learning->modulator);
+        LearningOptions::DefaultLearningRate(options.learning->rule, options.learning->modulator);
     agents.emplace_back(served, NewSession(absl::StrCat("s", seed, "-", i), std::move(options)),
                         &clock);
   }

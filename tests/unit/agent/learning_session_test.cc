@@ -152,7 +152,8 @@ TEST(ParseLearningSessionTest, WrongFieldsAreNamed) {
   };
   refuse("/1/7/0", "universe", "session.options.learning.scope: expected session or fleet");
   refuse("/1/7/1", "sarsa",
-         "session.options.learning.rule: expected policy_gradient, hebbian or hebbian_action");
+         "session.options.learning.rule: expected policy_gradient, hebbian, hebbian_action or "
+         "corrections");
   refuse("/1/7", nullptr, "session.learner: expected one if and only if");
   refuse("/15/1/1", -1.0, "session.learner.returns.variance: expected at least 0");
   refuse("/15/2/2", Json::array(), "session.learner.guard.good: expected 32 numbers, received 0");

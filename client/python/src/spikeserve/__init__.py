@@ -46,6 +46,7 @@ from spikeserve.spaces import ActionSpace, Box, Discrete
 from spikeserve.stream import ActStream
 from spikeserve.values import (
     Action,
+    Corrections,
     Decision,
     EpisodeSummary,
     Feature,
@@ -84,6 +85,7 @@ __all__ = [
     "Client",
     "ClientOptions",
     "Control",
+    "Corrections",
     "DeadlineExceededError",
     "Decision",
     "Discrete",

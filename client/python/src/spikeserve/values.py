@@ -50,6 +50,15 @@ class WiringVerdict(FromMessage):
 
 
 @dataclass(frozen=True)
+class Corrections(FromMessage):
+    """How far a head is from operators: 0 if it acts as they do, up to 2 if they are opposite."""
+
+    steps: int  # in which an operator acted
+    disagreement: float  # on each step before it was learned from
+    start_disagreement: float  # of the head that the session was opened with
+
+
+@dataclass(frozen=True)
 class Policy(FromMessage, message="PolicyInfo"):
     """One version of a policy that the server serves."""
 
@@ -78,7 +87,7 @@ class Learning:
     """How a session learns. None or an empty string selects the default of the server."""
 
     scope: str = "SESSION"  # SESSION: a private copy of the action head; FLEET: the shared head
-    rule: str = ""  # policy_gradient (default), hebbian or hebbian_action
+    rule: str = ""  # policy_gradient (default), hebbian, hebbian_action or corrections
     learning_rate: float | None = None
     trace_decay: float | None = None
     clip: float | None = None
@@ -286,6 +295,7 @@ class SessionState(FromMessage, message="GetSessionResponse"):
     # the session plays on the head of the policy.
     head_delta: NDArray[np.float32] | None
     wiring: WiringVerdict | None  # None: nothing speaks against the wiring
+    corrections: Corrections | None  # None: no operator has acted in a session that learns
 
     @classmethod
     def _others(cls, message: Message) -> dict[str, Any]:

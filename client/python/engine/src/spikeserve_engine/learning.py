@@ -13,7 +13,7 @@ class Learning:
     """
 
     scope: str = "SESSION"  # SESSION: a private copy of the action head; FLEET: the shared head
-    rule: str = ""  # policy_gradient (default), hebbian or hebbian_action
+    rule: str = ""  # policy_gradient (default), hebbian, hebbian_action or corrections
     modulator: str = ""  # realized (default) or target
     learning_rate: float | None = None
     trace_decay: float | None = None

@@ -1,0 +1,268 @@
+#!/usr/bin/env python3
+"""Plays changed tasks with an operator whose corrections teach the head, and prints what the head returns without him.
+
+usage: lab/bench/corrections.py [--seeds=10] [--starts=20] [TASK...]
+
+Needs spikeserve_engine, whose sessions learn as the server's do, bit for bit. In each seed, an operator plays whole episodes
+until STEPS steps are corrected. Then the head plays from starts that no operator has seen, in a frozen session.
+"""
+
+import argparse
+import glob
+import itertools
+import pathlib
+import statistics
+from types import SimpleNamespace
+
+import gymnasium
+import numpy as np
+from spikeserve_engine import Engine, Learning
+
+POLICIES = pathlib.Path(__file__).parents[2] / "deploy/policies"
+STEPS = (25, 100, 1000)
+UNSEEN = 2_000_000
+
+
+def shipped(name):
+    return Engine(max(glob.glob(str(POLICIES / name / "*" / "policy.safetensors"))))
+
+
+class ReversedCartPole:
+    """The motor pushes the other way. The operator balances by a linear rule."""
+
+    policy = "cartpole"
+
+    def make(self):
+        self.env = gymnasium.make("CartPole-v1")
+        return self.env
+
+    def execute(self, action):
+        return 1 - action
+
+    def operator(self, observation, _):
+        return 1 - int(np.dot([0.1, 0.3, 3.0, 1.0], observation) > 0)
+
+
+class ReversedPendulum:
+    """The motor turns the other way. The operator does what the policy would with a motor that does not."""
+
+    policy = "pendulum"
+
+    def make(self):
+        return gymnasium.make("Pendulum-v1")
+
+    def execute(self, action):
+        return -action
+
+    def operator(self, observation, twin):
+        return -twin.act(observation)
+
+
+class HeavyPendulum:
+    """1.5 times the mass. The operator follows the value function of the heavy pendulum, on a grid."""
+
+    policy = "pendulum"
+    mass, torques = 1.5, np.linspace(-2, 2, 21)
+    angles, speeds = np.linspace(-np.pi, np.pi, 141), np.linspace(-8, 8, 81)
+
+    def __init__(self):
+        angle, speed = np.meshgrid(self.angles, self.speeds, indexing="ij")
+        self.value = np.zeros(angle.shape)
+        for _ in range(300):
+            self.value = np.min(
+                [self.cost(angle, speed, torque) for torque in self.torques], axis=0
+            )
+
+    def cost(self, angle, speed, torque):
+        """Returns the cost of a step and what follows it, interpolated."""
+        after = np.clip(
+            speed + (15 * np.sin(angle) + 3 / self.mass * torque) * 0.05, -8, 8
+        )
+        turned = (angle + after * 0.05 + np.pi) % (2 * np.pi)
+        a, b = turned / (2 * np.pi) * 140, (after + 8) / 16 * 80
+        i, j = np.minimum(a.astype(int), 139), np.minimum(b.astype(int), 79)
+        a, b = a - i, b - j
+        corners = [(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b]
+        places = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)]
+        following = sum(
+            weight * self.value[place] for weight, place in zip(corners, places)
+        )
+        return angle**2 + 0.1 * speed**2 + 0.001 * torque**2 + 0.99 * following
+
+    def make(self):
+        env = gymnasium.make("Pendulum-v1")
+        env.unwrapped.m = self.mass
+        return env
+
+    def execute(self, action):
+        return action
+
+    def operator(self, observation, _):
+        angle = np.arctan2(observation[1], observation[0])
+        costs = self.cost(angle, np.full(21, observation[2]), self.torques)
+        return np.array([self.torques[np.argmin(costs)]], np.float32)
+
+
+class WeakAcrobot:
+    """The motor has 0.6 of its torque. The operator looks 20 steps ahead for energy, which is no better than the policy."""
+
+    policy = "acrobot"
+    torque = 0.6
+    plans = np.array(list(itertools.product((0, 1, 2), repeat=5)))
+
+    def make(self):
+        self.env = gymnasium.make("Acrobot-v1")
+        self.env.unwrapped.AVAIL_TORQUE = [-self.torque, 0.0, self.torque]
+        return self.env
+
+    def execute(self, action):
+        return action
+
+    def operator(self, observation, _):
+        first, second = (
+            np.arctan2(observation[1], observation[0]),
+            np.arctan2(observation[3], observation[2]),
+        )
+        state = np.tile(
+            np.array([first, second, *observation[4:6]])[:, None], len(self.plans)
+        )
+        energy, reached = (
+            np.full(len(self.plans), -np.inf),
+            np.full(len(self.plans), np.inf),
+        )
+        for step in range(20):
+            state = self.following(state, self.torque * (self.plans[:, step // 4] - 1))
+            first, second, speed1, speed2 = state
+            is_up = -np.cos(first) - np.cos(first + second) > 1
+            reached = np.where(is_up & np.isinf(reached), step, reached)
+            kinetic = (
+                0.625 * speed1**2 + 0.625 * (speed1 + speed2) ** 2 + 0.5 * speed1**2
+            )
+            kinetic += 0.5 * speed1 * (speed1 + speed2) * np.cos(second)
+            height = -1.5 * np.cos(first) - 0.5 * np.cos(first + second)
+            energy = np.maximum(energy, kinetic + 9.8 * height)
+        return int(
+            self.plans[np.argmax(np.where(np.isinf(reached), energy, 1e6 - reached)), 0]
+        )
+
+    def following(self, state, torque):
+        """Returns the state after 0.2 s, by Runge and Kutta's method as Gymnasium has it."""
+        changes, before = [], np.zeros_like(state)
+        for part in (0.0, 0.1, 0.1, 0.2):
+            before = self.change(state + part * before, torque)
+            changes.append(before)
+        return state + 0.2 / 6 * (
+            changes[0] + 2 * changes[1] + 2 * changes[2] + changes[3]
+        )
+
+    def change(self, state, torque):
+        """Returns the derivative; the equations of Sutton and Barto's book, as Gymnasium has them."""
+        first, second, speed1, speed2 = state
+        d1 = 0.25 + 1.25 + np.cos(second) + 2
+        d2 = 0.25 + 0.5 * np.cos(second) + 1
+        phi2 = 4.9 * np.sin(first + second)
+        phi1 = (
+            -0.5 * speed2**2 * np.sin(second)
+            - speed2 * speed1 * np.sin(second)
+            + 14.7 * np.sin(first)
+            + phi2
+        )
+        turn2 = (torque + d2 / d1 * phi1 - 0.5 * speed1**2 * np.sin(second) - phi2) / (
+            1.25 - d2**2 / d1
+        )
+        return np.array([speed1, speed2, -(d2 * turn2 + phi1) / d1, turn2])
+
+
+TASKS = {
+    kind.__name__: kind
+    for kind in (ReversedCartPole, ReversedPendulum, HeavyPendulum, WeakAcrobot)
+}
+
+
+class Twin:
+    """The policy as it is, beside the operator."""
+
+    def __init__(self, engine):
+        self.session, self.reward = engine.session(), 0.0
+
+    def act(self, observation):
+        return self.session.act(observation, self.reward).action
+
+
+def play(task, engine, session, start, corrects=0):
+    """Plays an episode; an operator takes its first `corrects` steps. Returns the return and the corrected steps."""
+    env, twin = task.make(), Twin(engine)
+    observation, _ = env.reset(seed=start)
+    rewards, executed, over = [], None, False
+    while not over:
+        action = session.act(
+            observation, rewards[-1] if rewards else 0.0, executed_action=executed
+        ).action
+        executed = None
+        if len(rewards) < corrects:
+            action = task.operator(observation, twin)
+            executed = SimpleNamespace(action=action, kind=2, operator_id="anna")
+        observation, reward, terminated, truncated, _ = env.step(task.execute(action))
+        rewards.append(float(reward))
+        twin.reward = rewards[-1]
+        over = terminated or truncated
+    session.end_episode(rewards[-1], terminated, executed_action=executed)
+    return sum(rewards), min(corrects, len(rewards))
+
+
+def mean_return(task, engine, starts, delta=None):
+    returns = [
+        play(task, engine, engine.session(head_delta=delta), UNSEEN + i)[0]
+        for i in range(starts)
+    ]
+    return statistics.fmean(returns)
+
+
+def learn(task, engine, seed, starts):
+    """Returns the return of the head after each number of STEPS, and the operator's own."""
+    session = engine.session(learning=Learning(rule="corrections"))
+    corrected, episode, after, operated = 0, 0, {}, []
+    for steps in STEPS:
+        while corrected < steps:
+            total, taken = play(
+                task, engine, session, 1000 * seed + episode, corrects=steps - corrected
+            )
+            corrected, episode = corrected + taken, episode + 1
+            operated.append(total)
+        after[steps] = mean_return(task, engine, starts, session.state().head_delta)
+    return after, statistics.fmean(operated)
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="lab/bench/corrections.py")
+    parser.add_argument(
+        "tasks", nargs="*", default=list(TASKS), metavar="TASK", help=", ".join(TASKS)
+    )
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument(
+        "--starts", type=int, default=20, help="unseen ones of each evaluation"
+    )
+    arguments = parser.parse_args()
+    print(
+        f"| task | the policy as it is | {' | '.join(f'after {steps} steps' for steps in STEPS)} |"
+    )
+    print("| --- | ---: | " + " | ".join(["---"] * len(STEPS)) + " |")
+    for name in arguments.tasks:
+        task = TASKS[name]()
+        engine = shipped(task.policy)
+        frozen = mean_return(task, engine, arguments.starts)
+        runs = [
+            learn(task, engine, seed, arguments.starts)[0]
+            for seed in range(1, arguments.seeds + 1)
+        ]
+        cells = []
+        for steps in STEPS:
+            returns = sorted(run[steps] for run in runs)
+            cells.append(
+                f"{statistics.median(returns):.1f} ({returns[0]:.1f} to {returns[-1]:.1f})"
+            )
+        print(f"| {name} | {frozen:.1f} | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
