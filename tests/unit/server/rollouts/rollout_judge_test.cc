@@ -410,7 +410,7 @@ TEST(VersionEvidence, CountsOnlyWhileItIsWatched) {
   VersionEvidence evidence;
   EXPECT_EQ(evidence.NewSession(kTenant), nullptr);
   VersionEvidence::Counts start;
-  start[kTenant] = {.sessions = 1, .episodes = 2, .returning = 1, .returns = {{2, 3.0}}};
+  start[kTenant] = {{.sessions = 1, .episodes = 2, .returning = 1, .returns = {{2, 3.0}}}};
   evidence.Watch(start, /*most_per_session=*/4, kAnyReturn);
   const auto session = evidence.NewSession(kTenant);
   Decide(*session, 1e-3);
