@@ -32,9 +32,9 @@ Settings SomeSettings() {
                          .ended = 3.5,
                          .reason = "worse",
                          .disputed = "one tenant",
-                         .new_evidence = {{"", {1, 2, 3, 4, 5, 2, {1, 2}, {4.5, 5.5}}},
+                         .new_evidence = {{"", {1, 2, 3, 4, 5, 2, {{1, 4.5}, {2, 5.5}}}},
                                           {"fleet", {.sessions = 6}}},
-                         .stable_evidence = {{"", {6, 7, 8, 9, 10, 0, {}, {}}}}}};
+                         .stable_evidence = {{"", {6, 7, 8, 9, 10, 0, {}}}}}};
   settings.policies["pendulum"] = {.default_follows_highest = true};
   settings.unloaded = {{.policy = "cartpole", .version = 4}};
   return settings;
