@@ -38,7 +38,9 @@ absl::Status CheckLearner(const LearningOptions& options, const Learner& learner
       return Inconsistent("learner.readout", "one number for each input of the head",
                           learner.readout.size());
     }
-    const int64_t before = options.modulator == Modulator::kTarget ? size : 0;
+    const bool may_be_undone =
+        options.modulator == Modulator::kTarget && options.rule != Rule::kCorrections;
+    const int64_t before = may_be_undone ? size : 0;
     if (learner.before_update.size() != before) {
       return Inconsistent("learner.before_update", absl::StrCat(before, " numbers"),
                           learner.before_update.size());

@@ -142,7 +142,7 @@ def test_evaluate_takes_an_environment_and_leaves_it_open(client):
         (["--trace_decay=2"], "--trace_decay: expected a number from 0 to 1, received 2"),
         (["--temperature=0"], "--temperature: expected a finite number above 0, received 0"),
         (["--modulator=target", "--discount=0.9"], "--discount: expected unset unless modulator is realized"),
-        (["--scope=fleet", "--max_drift=1"], "--max_drift and --guard_margin: expected neither"),
+        (["--scope=fleet", "--max_drift=1"], "--max_drift: expected unset unless scope is SESSION"),
     ],
 )
 def test_adapt_refuses_before_it_plays(flags, message):
