@@ -81,6 +81,7 @@ class LearningSessionTest : public ::testing::TestWithParam<LearningCase> {
 TEST_P(LearningSessionTest, ExecutedActionsAreLearnedBitForBitAfterARestart) {
   const ActionSpace& space = served_->policy().action_space;
   const auto fleet = GetParam().learning.scope == Scope::kFleet;
+  const bool corrects = GetParam().learning.rule == Rule::kCorrections;
   AgentSession steady = NewAgent();
   AgentSession answered = NewAgent();
   AgentSession moved = fleet ? NewAgentElsewhere() : NewAgent();
@@ -89,6 +90,9 @@ TEST_P(LearningSessionTest, ExecutedActionsAreLearnedBitForBitAfterARestart) {
     std::optional<ReportedAction> executed;
     if (t % 2 == 1 && space.is_discrete()) executed = t % 3;
     if (t % 2 == 1 && !space.is_discrete()) executed = absl::MakeConstSpan(values);
+    if (executed.has_value() && corrects) {
+      executed->source.kind = static_cast<int>(SourceKind::kOperator);
+    }
     ASSERT_TRUE(answered.Act(t, ObservationAt(t), RewardAt(t)).ok());
     const auto expected = steady.Act(t, ObservationAt(t), RewardAt(t), executed);
     auto restored = ParseSession(SerializeSession(moved.session()));
@@ -101,11 +105,14 @@ TEST_P(LearningSessionTest, ExecutedActionsAreLearnedBitForBitAfterARestart) {
   }
   EXPECT_EQ(SerializeSession(moved.session()), SerializeSession(steady.session()));
   const bool changed = GetParam().learning.rule != Rule::kHebbian;
-  const auto difference = (answered.session().learner->trace - steady.session().learner->trace);
+  const Learner& without = *answered.session().learner;
+  const Learner& with = *steady.session().learner;
   if (changed) {
+    const auto difference =
+        corrects ? without.head_delta - with.head_delta : without.trace - with.trace;
     EXPECT_GT(difference.norm(), 0.0f);
   }
-  EXPECT_EQ(steady.session().learner->updates, answered.session().learner->updates);
+  EXPECT_EQ(with.updates > without.updates, corrects);
 }
 
 TEST_P(LearningSessionTest, OthersOfThePolicyAreUntouched) {
@@ -122,7 +129,8 @@ TEST_P(LearningSessionTest, OthersOfThePolicyAreUntouched) {
     End(frozen);
     End(alone);
   }
-  EXPECT_GT(learning.HeadDrift(), 0.0);
+  const bool without_operator = GetParam().learning.rule != Rule::kCorrections;
+  EXPECT_EQ(learning.HeadDrift() > 0.0, without_operator);
   EXPECT_EQ(frozen.HeadDrift(), 0.0);
   EXPECT_FALSE(frozen.session().learner.has_value());
 }
