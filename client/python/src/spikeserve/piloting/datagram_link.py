@@ -37,7 +37,7 @@ def require_ciphers() -> None:
     if ciphers is None:
         raise ImportError(
             "transport: expected the package cryptography for datagram, received none; "
-            "pip install spikeserve[datagrams] brings it"
+            "pip install cryptography brings it"
         )
 
 

@@ -50,7 +50,7 @@ class PilotOptions:
     fallback: Callable[[NDArray[np.float32]], ActionLike] | None = None
     in_flight: int | None = None  # most requests without an answer; None: those of `max_age`
     # How steps go to the server. "auto": as datagrams where the server takes them and they come
-    # through, if `cryptography` is installed (pip install spikeserve[datagrams]). "stream": over
+    # through, if `cryptography` is installed (the extra `datagrams` of the package). "stream": over
     # the stream. "datagram": as "auto"; a server that takes no datagrams is refused.
     transport: str = "auto"
     redundancy: int = 1  # how often each datagram is sent, 1 or 2
