@@ -4,7 +4,8 @@
 usage: lab/bench/corrections.py [--seeds=10] [--starts=20] [TASK...]
 
 Needs spikeserve_engine, whose sessions learn as the server's do, bit for bit. In each seed, an operator plays whole episodes
-until STEPS steps are corrected. Then the head plays from starts that no operator has seen, in a frozen session.
+until STEPS steps are corrected. Then the head plays from starts that no operator has seen, in a frozen session; from the same
+starts, the operator and the policy play alone.
 """
 
 import argparse
@@ -12,6 +13,7 @@ import glob
 import itertools
 import pathlib
 import statistics
+import sys
 from types import SimpleNamespace
 
 import gymnasium
@@ -69,24 +71,18 @@ class HeavyPendulum:
         angle, speed = np.meshgrid(self.angles, self.speeds, indexing="ij")
         self.value = np.zeros(angle.shape)
         for _ in range(300):
-            self.value = np.min(
-                [self.cost(angle, speed, torque) for torque in self.torques], axis=0
-            )
+            self.value = np.min([self.cost(angle, speed, torque) for torque in self.torques], axis=0)
 
     def cost(self, angle, speed, torque):
         """Returns the cost of a step and what follows it, interpolated."""
-        after = np.clip(
-            speed + (15 * np.sin(angle) + 3 / self.mass * torque) * 0.05, -8, 8
-        )
+        after = np.clip(speed + (15 * np.sin(angle) + 3 / self.mass * torque) * 0.05, -8, 8)
         turned = (angle + after * 0.05 + np.pi) % (2 * np.pi)
         a, b = turned / (2 * np.pi) * 140, (after + 8) / 16 * 80
         i, j = np.minimum(a.astype(int), 139), np.minimum(b.astype(int), 79)
         a, b = a - i, b - j
         corners = [(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b]
         places = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)]
-        following = sum(
-            weight * self.value[place] for weight, place in zip(corners, places)
-        )
+        following = sum(weight * self.value[place] for weight, place in zip(corners, places))
         return angle**2 + 0.1 * speed**2 + 0.001 * torque**2 + 0.99 * following
 
     def make(self):
@@ -123,9 +119,7 @@ class WeakAcrobot:
             np.arctan2(observation[1], observation[0]),
             np.arctan2(observation[3], observation[2]),
         )
-        state = np.tile(
-            np.array([first, second, *observation[4:6]])[:, None], len(self.plans)
-        )
+        state = np.tile(np.array([first, second, *observation[4:6]])[:, None], len(self.plans))
         energy, reached = (
             np.full(len(self.plans), -np.inf),
             np.full(len(self.plans), np.inf),
@@ -135,15 +129,11 @@ class WeakAcrobot:
             first, second, speed1, speed2 = state
             is_up = -np.cos(first) - np.cos(first + second) > 1
             reached = np.where(is_up & np.isinf(reached), step, reached)
-            kinetic = (
-                0.625 * speed1**2 + 0.625 * (speed1 + speed2) ** 2 + 0.5 * speed1**2
-            )
+            kinetic = 0.625 * speed1**2 + 0.625 * (speed1 + speed2) ** 2 + 0.5 * speed1**2
             kinetic += 0.5 * speed1 * (speed1 + speed2) * np.cos(second)
             height = -1.5 * np.cos(first) - 0.5 * np.cos(first + second)
             energy = np.maximum(energy, kinetic + 9.8 * height)
-        return int(
-            self.plans[np.argmax(np.where(np.isinf(reached), energy, 1e6 - reached)), 0]
-        )
+        return int(self.plans[np.argmax(np.where(np.isinf(reached), energy, 1e6 - reached)), 0])
 
     def following(self, state, torque):
         """Returns the state after 0.2 s, by Runge and Kutta's method as Gymnasium has it."""
@@ -151,9 +141,7 @@ class WeakAcrobot:
         for part in (0.0, 0.1, 0.1, 0.2):
             before = self.change(state + part * before, torque)
             changes.append(before)
-        return state + 0.2 / 6 * (
-            changes[0] + 2 * changes[1] + 2 * changes[2] + changes[3]
-        )
+        return state + 0.2 / 6 * (changes[0] + 2 * changes[1] + 2 * changes[2] + changes[3])
 
     def change(self, state, torque):
         """Returns the derivative; the equations of Sutton and Barto's book, as Gymnasium has them."""
@@ -161,22 +149,12 @@ class WeakAcrobot:
         d1 = 0.25 + 1.25 + np.cos(second) + 2
         d2 = 0.25 + 0.5 * np.cos(second) + 1
         phi2 = 4.9 * np.sin(first + second)
-        phi1 = (
-            -0.5 * speed2**2 * np.sin(second)
-            - speed2 * speed1 * np.sin(second)
-            + 14.7 * np.sin(first)
-            + phi2
-        )
-        turn2 = (torque + d2 / d1 * phi1 - 0.5 * speed1**2 * np.sin(second) - phi2) / (
-            1.25 - d2**2 / d1
-        )
+        phi1 = -0.5 * speed2**2 * np.sin(second) - speed2 * speed1 * np.sin(second) + 14.7 * np.sin(first) + phi2
+        turn2 = (torque + d2 / d1 * phi1 - 0.5 * speed1**2 * np.sin(second) - phi2) / (1.25 - d2**2 / d1)
         return np.array([speed1, speed2, -(d2 * turn2 + phi1) / d1, turn2])
 
 
-TASKS = {
-    kind.__name__: kind
-    for kind in (ReversedCartPole, ReversedPendulum, HeavyPendulum, WeakAcrobot)
-}
+TASKS = {kind.__name__: kind for kind in (ReversedCartPole, ReversedPendulum, HeavyPendulum, WeakAcrobot)}
 
 
 class Twin:
@@ -195,9 +173,7 @@ def play(task, engine, session, start, corrects=0):
     observation, _ = env.reset(seed=start)
     rewards, executed, over = [], None, False
     while not over:
-        action = session.act(
-            observation, rewards[-1] if rewards else 0.0, executed_action=executed
-        ).action
+        action = session.act(observation, rewards[-1] if rewards else 0.0, executed_action=executed).action
         executed = None
         if len(rewards) < corrects:
             action = task.operator(observation, twin)
@@ -210,58 +186,42 @@ def play(task, engine, session, start, corrects=0):
     return sum(rewards), min(corrects, len(rewards))
 
 
-def mean_return(task, engine, starts, delta=None):
-    returns = [
-        play(task, engine, engine.session(head_delta=delta), UNSEEN + i)[0]
-        for i in range(starts)
-    ]
+def mean_return(task, engine, starts, delta=None, corrects=0):
+    returns = [play(task, engine, engine.session(head_delta=delta), UNSEEN + i, corrects)[0] for i in range(starts)]
     return statistics.fmean(returns)
 
 
 def learn(task, engine, seed, starts):
-    """Returns the return of the head after each number of STEPS, and the operator's own."""
+    """Returns the return of the head after each number of STEPS."""
     session = engine.session(learning=Learning(rule="corrections"))
-    corrected, episode, after, operated = 0, 0, {}, []
+    corrected, episode, after = 0, 0, {}
     for steps in STEPS:
         while corrected < steps:
-            total, taken = play(
-                task, engine, session, 1000 * seed + episode, corrects=steps - corrected
-            )
+            _, taken = play(task, engine, session, 1000 * seed + episode, corrects=steps - corrected)
             corrected, episode = corrected + taken, episode + 1
-            operated.append(total)
         after[steps] = mean_return(task, engine, starts, session.state().head_delta)
-    return after, statistics.fmean(operated)
+    return after
 
 
 def main():
     parser = argparse.ArgumentParser(prog="lab/bench/corrections.py")
-    parser.add_argument(
-        "tasks", nargs="*", default=list(TASKS), metavar="TASK", help=", ".join(TASKS)
-    )
+    parser.add_argument("tasks", nargs="*", default=list(TASKS), metavar="TASK", help=", ".join(TASKS))
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument(
-        "--starts", type=int, default=20, help="unseen ones of each evaluation"
-    )
+    parser.add_argument("--starts", type=int, default=20, help="unseen ones of each evaluation")
     arguments = parser.parse_args()
-    print(
-        f"| task | the policy as it is | {' | '.join(f'after {steps} steps' for steps in STEPS)} |"
-    )
-    print("| --- | ---: | " + " | ".join(["---"] * len(STEPS)) + " |")
+    print(f"| task | the operator | the policy | {' | '.join(f'after {steps} steps' for steps in STEPS)} |")
+    print("| --- | ---: | ---: | " + " | ".join(["---"] * len(STEPS)) + " |")
     for name in arguments.tasks:
         task = TASKS[name]()
         engine = shipped(task.policy)
+        operated = mean_return(task, engine, arguments.starts, corrects=sys.maxsize)
         frozen = mean_return(task, engine, arguments.starts)
-        runs = [
-            learn(task, engine, seed, arguments.starts)[0]
-            for seed in range(1, arguments.seeds + 1)
-        ]
+        runs = [learn(task, engine, seed, arguments.starts) for seed in range(1, arguments.seeds + 1)]
         cells = []
         for steps in STEPS:
             returns = sorted(run[steps] for run in runs)
-            cells.append(
-                f"{statistics.median(returns):.1f} ({returns[0]:.1f} to {returns[-1]:.1f})"
-            )
-        print(f"| {name} | {frozen:.1f} | {' | '.join(cells)} |", flush=True)
+            cells.append(f"{statistics.median(returns):.1f} ({returns[0]:.1f} to {returns[-1]:.1f})")
+        print(f"| {name} | {operated:.1f} | {frozen:.1f} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

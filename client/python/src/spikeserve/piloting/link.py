@@ -281,18 +281,7 @@ class Link:
     # On the thread of the stream.
 
     def _on_reply(self, stream: StreamCall, reply: Message) -> None:
-        now, robot_now = time.monotonic_ns(), robot_clock.now_ns()
-        with self.changed:
-            if stream is not self._stream:
-                return
-            self._opener.answered()
-            settled, has_work = take_reply(self.machine, reply, now, robot_now)
-            self._take_channel(reply)
-            self.changed.notify_all()
-        if has_work:
-            self._woken.set()
-        if settled is not None:
-            self._complete(settled, reply.ended)
+        self._take(reply, stream=stream)
 
     def _on_end(self, stream: StreamCall, error: SpikeserveError) -> None:
         with self.changed:
@@ -304,8 +293,20 @@ class Link:
     # On the thread of the datagrams.
 
     def _on_datagram(self, number: int, reply: Message) -> None:
+        self._take(reply, number=number)
+
+    # On both.
+
+    def _take(
+        self, reply: Message, *, stream: StreamCall | None = None, number: int | None = None
+    ) -> None:
+        """Takes an answer: of a stream, unless another one has its place, or of a datagram."""
         now, robot_now = time.monotonic_ns(), robot_clock.now_ns()
         with self.changed:
+            if stream is not None:
+                if stream is not self._stream:
+                    return
+                self._opener.answered()
             settled, has_work = take_reply(self.machine, reply, now, robot_now, number)
             self._take_channel(reply)
             self.changed.notify_all()
