@@ -199,8 +199,9 @@ void AgentSession::DecisionPass::Record(Step& step, Answer answer, absl::Span<co
                            .noise = noise,
                            .is_beat = step.is_past,
                            .after_gap = std::exchange(agent.before_skipped_, nullptr) != nullptr};
-  const bool is_corrected =
-      agent.session_.learner.has_value() && inputs.source.kind == SourceKind::kOperator;
+  const auto& learning = agent.session_.options.learning;
+  const bool is_corrected = learning.has_value() && learning->rule == Rule::kCorrections &&
+                            inputs.source.kind == SourceKind::kOperator;
   agent.blind_rewards_.clear();
   CountDecision(agent.policy(), std::move(answer), step.observation, inputs.reward,
                 &agent.session_);

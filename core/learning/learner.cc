@@ -96,10 +96,9 @@ std::optional<UpdateOutcome> Learner::OnOperator(const LearningOptions& options,
                                                  absl::Span<const float> logits,
                                                  const Action& executed,
                                                  const Eigen::VectorXf& start_delta) {
-  if (suspended || post.size() == 0) return std::nullopt;
+  if (suspended || post.size() == 0 || options.rule != Rule::kCorrections) return std::nullopt;
   ++corrections.steps;
   ++corrections.in_episode;
-  if (options.rule != Rule::kCorrections) return std::nullopt;
   const auto act = static_cast<Eigen::Index>(logits.size());
   post.resize(0);
   // A fleet's head answered without what this episode has learned.

@@ -64,11 +64,11 @@ struct Learner {
   int64_t updates = 0;               // steps of the head that were applied
   int64_t rejected = 0;              // steps of the head that were refused
   bool suspended = false;            // learning was paused, so the episode learns nothing more
-  // What OnExecuted needs of the last decision; empty: nothing to change.
+  // What OnExecuted and OnOperator need of the last decision; `post` empty: nothing to change.
   Eigen::VectorXf post;           // [act]: y
   Eigen::VectorXf readout;        // [d]: r
   Eigen::VectorXf before_update;  // kTarget only: head_delta before the decision's update
-  Corrections corrections;  // under every rule, how operators acted; errors: kCorrections only
+  Corrections corrections;        // kCorrections only
 
   // Returns a learner for the head W_base + head_delta. `options` must be valid. All later calls
   // take the same `options` and `policy`.

@@ -295,7 +295,7 @@ class SessionState(FromMessage, message="GetSessionResponse"):
     # the session plays on the head of the policy.
     head_delta: NDArray[np.float32] | None
     wiring: WiringVerdict | None  # None: nothing speaks against the wiring
-    corrections: Corrections | None  # None: no operator has acted in a session that learns
+    corrections: Corrections | None  # None: another rule, or no operator has acted
 
     @classmethod
     def _others(cls, message: Message) -> dict[str, Any]:
