@@ -40,7 +40,11 @@ void RobotSession::Queue(uint64_t number, bool sees, Time now) {
 
 void RobotSession::AskAgain(Now now) {
   if (log_.running().steps == 0 || !in_flight_.empty() || queued_.has_value()) return;
-  if (!datagrams_.empty() && now.steady - datagrams_.front().sent < settings_.oldest) return;
+  if (!datagrams_.empty()) {  // the answer may come, unless the datagram is lost
+    const Time sent = datagrams_[datagrams_.size() - 1].sent;
+    const bool is_lost = transport_.IsLate(sent, now.steady);
+    if (!is_lost && now.steady - sent < settings_.oldest) return;
+  }
   const uint64_t newest = log_.next() - 1;
   Queue(newest, !log_.At(newest).observation.empty(), now.steady);
 }

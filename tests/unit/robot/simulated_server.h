@@ -77,6 +77,8 @@ class SimulatedServer {
   void Store(size_t count);
   // Loses what is not in the store.
   void Kill();
+  // Loses the session, also in the store.
+  void Lose() { session_ = stored_ = {}; }
   // Takes a step of another robot with the session's id. Returns whether it is the first one.
   bool Intrude();
 

@@ -4,6 +4,9 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cstdint>
+#include <functional>
+#include <iterator>
 #include <map>
 #include <random>
 #include <sstream>
@@ -19,8 +22,6 @@ using std::chrono::milliseconds;
 using std::chrono::seconds;
 
 constexpr Time kPeriod = milliseconds(20);
-constexpr Time kOldest = milliseconds(250);
-constexpr int kHoldSteps = 3;
 constexpr int64_t kMostActions = 1 << 30;
 constexpr int64_t kLocal = kMostActions / 2;  // added to a decision of the engine on the robot
 constexpr int64_t kNeutral = kMostActions - 1;
@@ -38,9 +39,9 @@ class Simulator {
         robot_({.observation_size = 1,
                 .neutral = {.discrete = kNeutral, .continuous = {}},
                 .period = kPeriod,
-                .oldest = kOldest,
-                .oldest_held = kOldest + kHoldSteps * kPeriod,
-                .hold_steps = kHoldSteps,
+                .oldest = kind.oldest,
+                .oldest_held = kind.oldest + kind.hold_steps * kPeriod,
+                .hold_steps = kind.hold_steps,
                 .most_in_flight = 1 + Draw(16),
                 .kept_steps = kind.kept_steps,
                 .servers = kind.servers,
@@ -61,6 +62,34 @@ class Simulator {
       Step();
       if (Draw(40) == 0) End();
     }
+    Finish();
+  }
+
+  void Replay(const std::vector<LinkEvent>& events) {
+    Step();
+    for (const LinkEvent& event : events) {
+      TakeAnswer();
+      StepBy(2);
+      name_ = event.kinds.front() + " before step " + std::to_string(all_.size());
+      for (const std::string& kind : event.kinds) Set(kind, true);
+      const size_t before = sources_.size();
+      StepBy(event.steps);
+      CheckSources({sources_.begin() + static_cast<ptrdiff_t>(before), sources_.end()}, event);
+      if (event.ends) {
+        End();
+        StepBy(2);
+      }
+      if (event.source == "back") TakeAnswer();
+      for (const std::string& kind : event.kinds) Set(kind, false);
+      if (failures_.size() > 0) return;
+    }
+    TakeAnswer();
+    End();
+    Finish();
+  }
+
+  // Ends the flight, and checks what is left of it.
+  void Finish() {
     Heal();
     Step();
     End();
@@ -109,7 +138,8 @@ class Simulator {
   bool IsDone() const {
     return robot_.link() == LinkState::kOnline && !robot_.step_log().oldest().has_ended();
   }
-  size_t Draw(size_t below) { return random_() % below; }
+  size_t Draw(size_t below) { return kind_.is_calm ? below - 1 : random_() % below; }
+  double DrawReward() { return static_cast<double>(kind_.is_calm ? all_.size() % 8 : Draw(8)); }
   Now Clock() const { return {now_, now_ + asleep_}; }
   bool is_stored() const { return kind_.is_stored; }
   Time Delay() {
@@ -124,7 +154,7 @@ class Simulator {
     // Old servers know no other steps, and of these a server compares no observations.
     const bool sees = Draw(12) > 0 || kind_.is_old || kind_.is_shared;
     const KnownStep step = {.observation = sees ? std::optional(number) : std::nullopt,
-                            .reward = static_cast<double>(Draw(8))};
+                            .reward = DrawReward()};
     const std::vector<float> observation(sees ? 1 : 0, number);
     std::vector<KnownStep>& steps = episodes_.back().steps;
     const ActionView replaced = {.discrete = static_cast<int64_t>(Draw(100))};
@@ -160,6 +190,7 @@ class Simulator {
     const StepResult result = robot_.FinishStep(Clock());
     steps.back().executed = all_.back().executed = result.action.discrete;
     choosers_.push_back(result.chooser.kind);
+    sources_.push_back(result.source);
     CheckAction(result, sees);
     RunUntil(begin + kPeriod);
   }
@@ -176,13 +207,14 @@ class Simulator {
         ASSERT_TRUE(sees);
         ASSERT_GE(action, static_cast<int64_t>(std::max(first, next_fresh_))) << "an old answer";
         ASSERT_LE(action, static_cast<int64_t>(number));
-        ASSERT_LE(Clock().robot - observed_[static_cast<size_t>(action)], kOldest) << "stale";
+        ASSERT_LE(Clock().robot - observed_[static_cast<size_t>(action)], kind_.oldest) << "stale";
         next_fresh_ = static_cast<uint64_t>(action) + 1;
         held_ = 0;
         break;
       case Source::kHeld:
-        ASSERT_LE(++held_, kHoldSteps);
-        ASSERT_LE(observed_.back() - fresh_at_, kOldest + kHoldSteps * kPeriod) << "held for long";
+        ASSERT_LE(++held_, kind_.hold_steps);
+        ASSERT_LE(observed_.back() - fresh_at_, kind_.oldest + kind_.hold_steps * kPeriod)
+            << "held for long";
         break;
       case Source::kLocal:
         ASSERT_TRUE(sees);
@@ -196,7 +228,7 @@ class Simulator {
   }
 
   void End() {
-    const double reward = static_cast<double>(Draw(8));
+    const double reward = DrawReward();
     const auto serial = robot_.EndEpisode({.reward = reward, .terminated = true}, nullptr);
     // A session that begins with the next step has none of this episode.
     if (!serial.has_value()) return;
@@ -268,9 +300,11 @@ class Simulator {
 
   // Sends a datagram, which may be lost, doubled or overtaken.
   void Throw(const Event& event) {
-    if (IsAway() || now_ < firewall_until_ || Draw(10) == 0) return;
-    for (size_t i = 0; i < 1 + (Draw(10) == 0 ? 1U : 0U); ++i) {
-      Push(now_ + Delay() + milliseconds(Draw(10) == 0 ? Draw(60) : 0), event);
+    const bool is_second = ++thrown_ % 2 == 0;
+    if (IsAway() || now_ < firewall_until_ || Draw(10) == 0 || (loses_ && is_second)) return;
+    for (size_t i = 0; i < 1 + (Draw(10) == 0 || doubles_ ? 1U : 0U); ++i) {
+      const bool is_late = Draw(10) == 0 || (reorders_ && is_second);
+      Push(now_ + Delay() + milliseconds(is_late ? Draw(60) : 0), event);
     }
   }
 
@@ -507,6 +541,57 @@ class Simulator {
     }
   }
 
+  // Begins or ends a kind of event.
+  void Set(const std::string& kind, bool begins) {
+    const Time until = begins ? kNever : kLongAgo;
+    if (kind == "loss") loses_ = begins;
+    if (kind == "duplicate") doubles_ = begins;
+    if (kind == "reorder") reorders_ = begins;
+    if (kind == "late") delay_ = milliseconds(begins ? 100 : 2);
+    if (kind == "full") is_full_ = begins;
+    if (kind == "black-hole" || kind == "suspend") silent_until_ = firewall_until_ = until;
+    if (kind == "cut" || kind == "kill") cut_until_ = until;
+    if (!begins) return;
+    if (kind == "suspend") asleep_ += seconds(60);
+    if (kind == "drain") server_.Store(SIZE_MAX);
+    if (kind == "take-over" || kind == "fail-over" || kind == "kill" || kind == "drain") {
+      server_.Kill();
+    }
+    if (kind == "lost") server_.Lose();
+    losses_ += kind == "lost" ? 1 : 0;
+    if (kind == "cut" || kind == "fail-over" || kind == "kill" || kind == "drain") CutStream();
+  }
+
+  void StepBy(int steps) {
+    for (int i = 0; i < steps && failures_.size() == 0; ++i) {
+      if (!is_full_) server_.Store(8);
+      Step();
+    }
+  }
+
+  // Waits for an answer, as a robot that stands still, and takes it.
+  void TakeAnswer() {
+    for (int i = 0; i < 1000 && !robot_.HasAnswer(); ++i) {
+      robot_.AskAgain(Clock());
+      RunUntil(now_ + kPeriod);
+    }
+    StepBy(1);
+    ASSERT_EQ(sources_.back(), Source::kFresh) << "no answer, " << name_;
+  }
+
+  void CheckSources(const std::vector<Source>& sources, const LinkEvent& event) {
+    const auto safe = std::ranges::find(sources, Source::kSafe);
+    if (event.source == "fresh") {
+      EXPECT_EQ(safe, sources.end()) << name_;
+    }
+    if (event.source != "safe" && event.source != "stale") return;
+    ASSERT_NE(safe, sources.end()) << name_;
+    EXPECT_EQ(std::count(safe, sources.end(), Source::kSafe), sources.end() - safe) << name_;
+    const auto fresh = std::find_if(std::reverse_iterator(safe), sources.rend(),
+                                    [](Source source) { return source != Source::kHeld; });
+    EXPECT_EQ(safe - fresh.base(), event.source == "safe" ? kind_.hold_steps : 0) << name_;
+  }
+
   void Heal() {
     is_healed_ = true;
     cut_until_ = firewall_until_ = silent_until_ = busy_until_ = kLongAgo;
@@ -569,6 +654,7 @@ class Simulator {
 
   std::vector<KnownStep> all_;
   std::vector<Chooser> choosers_;  // of the executed actions of all_
+  std::vector<Source> sources_;    // of all_
   std::vector<Time> observed_;     // of all_
   std::vector<Episode> episodes_{1};
   uint64_t base_ = 0;  // serial number of the first episode of the server's session
@@ -596,8 +682,28 @@ class Simulator {
   Time firewall_until_ = kLongAgo;
   Time silent_until_ = kLongAgo;
   Time busy_until_ = kLongAgo;
+  uint64_t thrown_ = 0;  // datagrams, of which every second one meets these:
+  bool loses_ = false, doubles_ = false, reorders_ = false;
+  bool is_full_ = false;  // the store
+  std::string name_;      // of the event
   std::vector<Time> denies_until_;
 };
+
+// Returns what became of a flight.
+Flight Watch(const Kind& kind, const Plan& plan, const std::function<void(Simulator&)>& fly) {
+  ::testing::TestPartResultArray failures;
+  const ::testing::ScopedFakeTestPartResultReporter reporter(
+      ::testing::ScopedFakeTestPartResultReporter::INTERCEPT_ONLY_CURRENT_THREAD, &failures);
+  Simulator simulator(kind, plan, failures);
+  fly(simulator);
+  Flight flight = {.events = simulator.events(), .datagrams = simulator.datagrams()};
+  if (failures.size() > 0) {
+    std::ostringstream text;
+    text << failures.GetTestPartResult(0);
+    flight.failure = text.str();
+  }
+  return flight;
+}
 
 }  // namespace
 
@@ -614,19 +720,15 @@ Plan MakePlan(const Kind& kind, uint64_t seed) {
   return plan;
 }
 
-Flight Fly(const Kind& kind, const Plan& plan) {
-  ::testing::TestPartResultArray failures;
-  const ::testing::ScopedFakeTestPartResultReporter reporter(
-      ::testing::ScopedFakeTestPartResultReporter::INTERCEPT_ONLY_CURRENT_THREAD, &failures);
-  Simulator simulator(kind, plan, failures);
-  simulator.Fly();
-  Flight flight = {.events = simulator.events(), .datagrams = simulator.datagrams()};
-  if (failures.size() > 0) {
-    std::ostringstream text;
-    text << failures.GetTestPartResult(0);
-    flight.failure = text.str();
-  }
-  return flight;
+Flight Fly(const Kind& kind, const Plan& plan) { return Watch(kind, plan, &Simulator::Fly); }
+
+Flight Replay(const std::vector<LinkEvent>& events) {
+  const Kind kind = {.servers = 2,
+                     .sends_datagrams = true,
+                     .oldest = seconds(30),
+                     .hold_steps = 25,
+                     .is_calm = true};
+  return Watch(kind, {}, [&](Simulator& simulator) { simulator.Replay(events); });
 }
 
 }  // namespace spikeserve::robot

@@ -10,6 +10,8 @@
 #include <string>
 #include <vector>
 
+#include "core/robot/time.h"
+
 namespace spikeserve::robot {
 
 // A robot and its servers.
@@ -22,6 +24,9 @@ struct Kind {
   bool is_shared = false;  // the session's id, with another robot
   size_t kept_steps = 8192;
   bool sends_datagrams = false;
+  Time oldest = std::chrono::milliseconds(250);  // as Settings, as the next
+  int hold_steps = 3;
+  bool is_calm = false;  // nothing happens by chance
 };
 
 struct Fault {
@@ -59,5 +64,15 @@ struct Flight {
   std::string failure = "";  // the first one; empty: everything held
 };
 Flight Fly(const Kind& kind, const Plan& plan);
+
+// A line of tests/scenarios/link_events.txt, which says what the fields are.
+struct LinkEvent {
+  std::vector<std::string> kinds;
+  int steps = 0;
+  std::string source;
+  bool ends = false;
+};
+// Replays events, with nothing else that happens.
+Flight Replay(const std::vector<LinkEvent>& events);
 
 }  // namespace spikeserve::robot
