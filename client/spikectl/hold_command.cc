@@ -32,9 +32,10 @@ namespace {
 
 using nlohmann::ordered_json;
 
-constexpr absl::Duration kPause = absl::Milliseconds(20);  // between two looks at the robots
-constexpr int kPageSize = 1000;                            // sessions
-constexpr int kMostPages = 1000;
+constexpr absl::Duration kPause = absl::Milliseconds(20);    // between two looks at the robots
+constexpr absl::Duration kStoreTimeout = absl::Seconds(30);  // of a look at what a store has
+constexpr int kPageSize = 10000;                             // sessions
+constexpr int kMostPages = 100;
 
 struct HoldFlags {
   const ServerFlags* server = nullptr;
@@ -77,20 +78,24 @@ struct Verdict {
   }
 };
 
-Verdict LookAtRobots(OperatorServers& servers, const std::string& id) {
+// `stored`: also at the sessions that only a store has.
+Verdict LookAtRobots(OperatorServers& servers, const std::string& id, bool stored) {
   Verdict verdict;
   std::vector<std::string> tokens(servers.size());
   bool goes_on = true;
   for (int page = 0; goes_on && page < kMostPages; ++page) {
     goes_on = false;
     const auto pages = servers.AtEach<v1::ListHoldsRequest, v1::ListHoldsResponse>(
-        &AdminStub::ListHolds, [&](size_t i) {
+        &AdminStub::ListHolds,
+        [&](size_t i) {
           v1::ListHoldsRequest request;
           request.set_id(id);
           request.set_page_size(kPageSize);
           request.set_page_token(tokens[i]);
+          request.set_stored(stored);
           return request;
-        });
+        },
+        stored ? kStoreTimeout : OperatorServers::kTimeout);
     for (size_t i = 0; i < pages.size(); ++i) {
       if (!pages[i].ok()) {
         verdict.unreached[servers.address(i)] = std::string(pages[i].status().message());
@@ -98,7 +103,8 @@ Verdict LookAtRobots(OperatorServers& servers, const std::string& id) {
       }
       for (const v1::HeldSession& session : pages[i]->sessions()) {
         v1::HeldSession& robot = verdict.robots[{session.tenant(), session.session_id()}];
-        if (robot.session_id().empty() || robot.epoch() < session.epoch()) robot = session;
+        const bool is_newer = robot.only_stored() || robot.epoch() < session.epoch();
+        if (robot.session_id().empty() || (is_newer && !session.only_stored())) robot = session;
       }
       const std::string& next = pages[i]->next_page_token();
       goes_on = goes_on || next > tokens[i];
@@ -127,10 +133,12 @@ void Print(const v1::HoldSessionsResponse& held, const Verdict& verdict, bool js
   std::cout << held.hold().hold().id() << ": " << verdict.robots.size() - left.size() << " of "
             << verdict.robots.size() << " robots at their neutral action\n";
   for (const v1::HeldSession* robot : left) {
-    std::cout << absl::StrFormat("not confirmed: %s %s/%d %s, last contact %.1f s ago%s\n",
-                                 robot->session_id(), robot->policy(), robot->version(),
-                                 robot->tenant(), robot->idle_seconds(),
-                                 robot->silent() ? ", silent" : "");
+    const std::string contact =
+        robot->only_stored() ? "in the store alone: has asked no server since its own ended"
+                             : absl::StrFormat("last contact %.1f s ago%s", robot->idle_seconds(),
+                                               robot->silent() ? ", silent" : "");
+    std::cout << absl::StrFormat("not confirmed: %s %s/%d %s, %s\n", robot->session_id(),
+                                 robot->policy(), robot->version(), robot->tenant(), contact);
   }
   for (const auto& [server, why] : verdict.unreached) {
     std::cout << "not reached: " << server << ": " << why << "\n";
@@ -158,11 +166,12 @@ absl::Status HoldRobots(const HoldFlags& flags) {
   }
   if (!held.has_value()) return answers[0].status();
   const absl::Time end = absl::Now() + flags.wait;
-  Verdict verdict = LookAtRobots(servers, request.id());
+  Verdict verdict = LookAtRobots(servers, request.id(), false);
   while ((!verdict.NotConfirmed().empty() || !verdict.unreached.empty()) && absl::Now() < end) {
     absl::SleepFor(kPause);
-    verdict = LookAtRobots(servers, request.id());
+    verdict = LookAtRobots(servers, request.id(), false);
   }
+  verdict = LookAtRobots(servers, request.id(), true);
   Print(*held, verdict, flags.server->json);
   const size_t left = verdict.NotConfirmed().size();
   if (left == 0 && verdict.unreached.empty()) return absl::OkStatus();

@@ -20,6 +20,8 @@ namespace spikeserve {
 
 class OperatorServers {
  public:
+  static constexpr absl::Duration kTimeout = absl::Seconds(2);  // of a call
+
   // The servers of --server. Connects with the first call.
   explicit OperatorServers(const ServerFlags& flags);
 
@@ -31,11 +33,11 @@ class OperatorServers {
   template <typename Request, typename Response>
   std::vector<absl::StatusOr<Response>> AtEach(
       grpc::Status (AdminStub::*method)(grpc::ClientContext*, const Request&, Response*),
-      absl::FunctionRef<Request(size_t i)> request) {
+      absl::FunctionRef<Request(size_t i)> request, absl::Duration timeout = kTimeout) {
     std::vector<absl::StatusOr<Response>> answers(servers_.size());
     std::vector<std::thread> threads;
     for (size_t i = 0; i < servers_.size(); ++i) {
-      threads.emplace_back([&, i] { answers[i] = Call(servers_[i], method, request(i)); });
+      threads.emplace_back([&, i] { answers[i] = Call(servers_[i], method, request(i), timeout); });
     }
     for (std::thread& thread : threads) thread.join();
     return answers;
@@ -63,22 +65,21 @@ class OperatorServers {
   }
 
  private:
-  static constexpr absl::Duration kTimeout = absl::Seconds(2);  // of a call
-
   struct Server {
     ServerFlags flags;  // with its address alone
     std::unique_ptr<AdminClient> admin = nullptr;
   };
 
   template <typename Method, typename Request>
-  static auto Call(Server& server, Method method, const Request& request)
+  static auto Call(Server& server, Method method, const Request& request,
+                   absl::Duration timeout = kTimeout)
       -> decltype(server.admin->Call(method, request)) {
     if (server.admin == nullptr) {
       auto admin = ConnectAdmin(server.flags);
       if (!admin.ok()) return admin.status();
       server.admin = *std::move(admin);
     }
-    return server.admin->Call(method, request, kTimeout);
+    return server.admin->Call(method, request, timeout);
   }
 
   std::vector<Server> servers_;

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -9,8 +10,10 @@
 #include "absl/time/clock.h"
 #include "core/base/json.h"
 #include "core/base/status_macros.h"
+#include "core/journal/journal_entry.h"
 #include "core/session/session_id.h"
 #include "server/admin/admin_handler.h"
+#include "server/base/log.h"
 #include "server/messages/convert.h"
 
 namespace spikeserve {
@@ -75,6 +78,79 @@ absl::StatusOr<SessionHold> HoldFromProto(const v1::HoldSessionsRequest& request
   ASSIGN_OR_RETURN(hold.selection, SelectionFromProto(request.selection(), caller));
   return hold;
 }
+
+// Gathers the page of held sessions that a caller asks for. Not thread-safe.
+class HeldSessions {
+ public:
+  // Refers to its arguments.
+  HeldSessions(const v1::ListHoldsRequest& request, const Credential& caller,
+               const std::vector<const SessionHold*>& holds)
+      : request_(request), caller_(caller), holds_(holds) {}
+
+  // Adds the sessions of this server.
+  void AddOpen(SessionStore& sessions) {
+    sessions.ForEach([&](const SessionEntry& entry) { return caller_.CanRead(entry.tenant); },
+                     [&](const ListedSession& listed) { AddListed(listed); });
+  }
+
+  // Adds the others that no living server has. Returns UNAVAILABLE if the store cannot be read.
+  absl::Status AddStored(const JournalStore& journals) {
+    return journals.VisitUnowned([&](const auto& stored_as, const auto& records) {
+      const auto journal = ParseJournal(records);
+      if (!journal.ok()) {
+        LogWarning("stored session cannot be read, so that no hold lists it",
+                   {{"session", stored_as}, {"error", std::string(journal.status().message())}});
+        return;
+      }
+      const Session& session = journal->snapshot;
+      const std::string& tenant = session.options.tenant;
+      if (!caller_.CanRead(tenant) || open_.contains({tenant, session.id})) return;
+      if (v1::HeldSession* const added = Add(session.id, session)) added->set_only_stored(true);
+    });
+  }
+
+  void MovePageTo(v1::ListHoldsResponse* response) {
+    absl::c_sort(page_,
+                 [](const auto& a, const auto& b) { return a.session_id() < b.session_id(); });
+    const size_t size = std::min(page_.size(), static_cast<size_t>(request_.page_size()));
+    if (page_.size() > size) response->set_next_page_token(page_[size - 1].session_id());
+    for (size_t i = 0; i < size; ++i) *response->add_sessions() = std::move(page_[i]);
+  }
+
+ private:
+  void AddListed(const ListedSession& listed) {
+    SessionEntry& entry = *listed.entry;
+    if (request_.stored()) open_.emplace(entry.tenant, listed.id);
+    absl::MutexLock lock(&entry.mutex);
+    v1::HeldSession* const added = Add(listed.id, entry.agent.session());
+    if (added == nullptr) return;
+    added->set_at_neutral(entry.agent.is_at_neutral());
+    added->set_idle_seconds(absl::ToDoubleSeconds(listed.idle));
+    added->set_silent(IsSilent(entry.period, listed.idle));
+    if (entry.journal != nullptr) added->set_epoch(entry.journal->epoch());
+  }
+
+  // Returns null if the session is not of the page, or no hold covers it.
+  v1::HeldSession* Add(const std::string& id, const Session& session) {
+    if (id <= request_.page_token()) return nullptr;
+    const auto covering = absl::c_find_if(
+        holds_, [&](const SessionHold* hold) { return hold->selection.Covers(session); });
+    if (covering == holds_.end()) return nullptr;
+    v1::HeldSession& held = page_.emplace_back();
+    held.set_session_id(id);
+    held.set_policy(session.options.policy);
+    held.set_version(session.options.version);
+    held.set_tenant(session.options.tenant);
+    held.set_hold_id((*covering)->hold.id);
+    return &held;
+  }
+
+  const v1::ListHoldsRequest& request_;
+  const Credential& caller_;
+  const std::vector<const SessionHold*>& holds_;
+  std::vector<v1::HeldSession> page_;
+  std::set<std::pair<std::string, std::string>> open_;  // sessions of this server: tenant and id
+};
 
 }  // namespace
 
@@ -167,32 +243,12 @@ absl::Status AdminHandler::ListHolds(CallContext& context, const v1::ListHoldsRe
     Describe(hold, caller, response->add_holds());
   }
   if (request.page_size() == 0) return absl::OkStatus();
-  std::vector<v1::HeldSession> held;
-  const auto visit = [&](const ListedSession& listed) {
-    if (listed.id <= request.page_token()) return;
-    SessionEntry& entry = *listed.entry;
-    absl::MutexLock lock(&entry.mutex);
-    const Session& session = entry.agent.session();
-    const auto covering = absl::c_find_if(
-        holds, [&](const SessionHold* hold) { return hold->selection.Covers(session); });
-    if (covering == holds.end()) return;
-    v1::HeldSession& proto = held.emplace_back();
-    proto.set_session_id(listed.id);
-    proto.set_policy(session.options.policy);
-    proto.set_version(session.options.version);
-    proto.set_tenant(session.options.tenant);
-    proto.set_hold_id((*covering)->hold.id);
-    proto.set_at_neutral(entry.agent.is_at_neutral());
-    proto.set_idle_seconds(absl::ToDoubleSeconds(listed.idle));
-    proto.set_silent(IsSilent(entry.period, listed.idle));
-    if (entry.journal != nullptr) proto.set_epoch(entry.journal->epoch());
-  };
-  parts_.store->ForEach([&](const SessionEntry& entry) { return caller.CanRead(entry.tenant); },
-                        visit);
-  absl::c_sort(held, [](const auto& a, const auto& b) { return a.session_id() < b.session_id(); });
-  const size_t size = std::min(held.size(), static_cast<size_t>(request.page_size()));
-  if (held.size() > size) response->set_next_page_token(held[size - 1].session_id());
-  for (size_t i = 0; i < size; ++i) *response->add_sessions() = std::move(held[i]);
+  HeldSessions held(request, caller, holds);
+  held.AddOpen(*parts_.store);
+  if (request.stored() && parts_.journals != nullptr) {
+    RETURN_IF_ERROR(held.AddStored(*parts_.journals));
+  }
+  held.MovePageTo(response);
   return absl::OkStatus();
 }
 

@@ -13,7 +13,9 @@
 #include <system_error>
 #include <utility>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/strings/str_cat.h"
+#include "absl/synchronization/mutex.h"
 #include "absl/time/clock.h"
 #include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
@@ -70,6 +72,7 @@ class FileBackend final : public JournalBackend {
   absl::StatusOr<std::vector<absl::Status>> Write(absl::Span<const JournalRecord> records) override;
   std::vector<absl::StatusOr<ClaimedJournal>> Claim(absl::Span<const JournalClaim> claims) override;
   std::optional<int64_t> StoredSessions() const override { return stored_sessions_.load(); }
+  absl::Status VisitUnowned(const Visit& visit) override ABSL_LOCKS_EXCLUDED(opening_);
 
  private:
   // Commits, and counts the sessions that are stored then.
@@ -109,6 +112,7 @@ class FileBackend final : public JournalBackend {
   const absl::Duration opened_;  // of `clock_`
   absl::Time opened_at_;         // of the store's clock, at `opened_`
   absl::Duration jumped_;        // time of day minus Now(), as far as it was said
+  absl::Mutex opening_;  // Open() has it while it replaces what follows, and other threads to read
   LmdbEnvironment environment_;
   size_t space_bytes_ = 0;  // that the file has on the disk, as far as is known
   MDB_dbi sessions_ = 0;
@@ -124,6 +128,7 @@ absl::Status FileBackend::Commit(LmdbTransaction& transaction) {
 }
 
 absl::Status FileBackend::Open() {
+  absl::MutexLock lock(&opening_);
   environment_ = nullptr;
   space_bytes_ = 0;
   ASSIGN_OR_RETURN(auto repair, RepairFileStore(directory_));
@@ -161,6 +166,14 @@ absl::Status FileBackend::VisitJournals(const JournalVisitor& visitor) {
     visitor.visit(id, std::move(records));
   }
   return absl::OkStatus();
+}
+
+absl::Status FileBackend::VisitUnowned(const Visit& visit) {
+  absl::ReaderMutexLock lock(&opening_);
+  if (environment_ == nullptr) return absl::UnavailableError("session store: is not open");
+  return VisitJournals({.begin = nullptr,
+                        .wants = [](const std::string&, uint64_t) { return true; },
+                        .visit = visit});
 }
 
 absl::Status FileBackend::RemoveOld(absl::Duration retention) {

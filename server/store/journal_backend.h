@@ -53,6 +53,12 @@ class JournalBackend {
   // threads.
   virtual std::optional<int64_t> StoredSessions() const { return std::nullopt; }
 
+  using Visit = std::function<void(const std::string& id, const std::vector<std::string>& records)>;
+  // Calls `visit` with the journal of each open session that no other living server has: it may be
+  // the caller's own. Safe to call from many threads. Returns UNAVAILABLE if the store cannot be
+  // read.
+  virtual absl::Status VisitUnowned(const Visit&) { return absl::OkStatus(); }
+
   // Makes sure that the store can be reached. Returns true if it may have lost something since the
   // last call, because there was another connection: then Check() is to be called for all journals
   // before anything is written or claimed. Returns UNAVAILABLE if it cannot be reached.

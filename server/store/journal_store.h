@@ -81,6 +81,11 @@ class JournalStore final : public JournalWriter {
   // As JournalBackend::StoredSessions().
   std::optional<int64_t> StoredSessions() const { return backend_->StoredSessions(); }
 
+  // As JournalBackend::VisitUnowned().
+  absl::Status VisitUnowned(const JournalBackend::Visit& visit) const {
+    return backend_->VisitUnowned(visit);
+  }
+
   // Claims a session after all records that were written before this call. Calls `claimed` on the
   // thread of the store, with the result of JournalBackend::Claim().
   void Claim(JournalClaim claim, Claimed claimed);

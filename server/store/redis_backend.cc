@@ -16,6 +16,7 @@
 #include "core/journal/session_journal.h"
 #include "core/store/redis_client.h"
 #include "core/store/redis_durability.h"
+#include "core/store/store_reader.h"
 #include "core/store/stored_session.h"
 #include "server/base/log.h"
 #include "server/store/redis_claims.h"
@@ -83,6 +84,7 @@ class RedisBackend final : public JournalBackend {
         owner_(std::move(owner)) {}
 
   bool IsShared() const override { return true; }
+  absl::Status VisitUnowned(const Visit& visit) override { return VisitOwnerless(options_, visit); }
   absl::StatusOr<bool> Connect() override;
   absl::Status CheckKeepsRecords() const override {
     return may_evict_ ? absl::OkStatus() : durability_.CheckKeepsKeys();

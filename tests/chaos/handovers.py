@@ -1,14 +1,15 @@
-"""Hands robots from operator to operator while the servers are killed.
+"""Hands robots from operator to operator while servers are killed, cut off from the store, and suspended.
 
-usage: python -m tests.chaos.handovers [--handovers=N] [--robots=N] [--kills=N] [--lease=SECONDS] [--seed=N]
+usage: python -m tests.chaos.handovers [--handovers=N] [--robots=N] [--faults=N] [--lease=SECONDS] [--seed=N]
 
-Three servers share a Redis. Robots ask for decisions without a pause. Each hand-over relieves the operator before, so that the
+Three servers share a Redis. A fault lasts until the next one. Robots, of durability SYNC and ASYNC, ask for decisions without a pause. Each hand-over relieves the operator before, so that the
 operators of a robot are numbered. Checks that each step has one source, that no operator is heard after a later one, and that
 the policy acts again when the last operator says nothing any more; prints how long after the last word that was. Needs the
 variable SPIKESERVE_PROGRAM. Exits with status 1 if something differs.
 """
 
 import argparse
+import collections
 import pathlib
 import random
 import sys
@@ -23,15 +24,19 @@ from replicated import running_fleet
 from security import until
 
 PATIENT = spikeserve.ClientOptions(connect_timeout=60.0, retry=spikeserve.RetryOptions(max_elapsed=60.0))
-OPTIONS = spikeserve.SessionOptions(durability="SYNC")
+FAULTS = {  # how each begins and ends, for a server and its link to the store
+    "killed": (lambda server, link: server.kill(), lambda server, link: server.start()),
+    "cut off": (lambda server, link: link.cut(), lambda server, link: link.heal()),
+    "suspended": (lambda server, link: server.stop(), lambda server, link: server.resume()),
+}
 
 
 class Robot(threading.Thread):
     """Asks for decisions until it is over, and keeps who chose them."""
 
-    def __init__(self, client):
+    def __init__(self, client, durability):
         super().__init__(daemon=True)
-        self.session = client.open_session("cartpole", OPTIONS)
+        self.session = client.open_session("cartpole", spikeserve.SessionOptions(durability=durability))
         self.answers = []  # source and operator
         self.over = False
         self.error = None
@@ -74,24 +79,29 @@ def main():
     parser = argparse.ArgumentParser(prog="tests.chaos.handovers")
     parser.add_argument("--handovers", type=int, default=1000)
     parser.add_argument("--robots", type=int, default=4)
-    parser.add_argument("--kills", type=int, default=30)
+    parser.add_argument("--faults", type=int, default=60)
     parser.add_argument("--lease", type=float, default=0.5, help="seconds")
-    parser.add_argument("--seed", type=int, default=1, help="of the kills")
+    parser.add_argument("--seed", type=int, default=1, help="of the faults")
     arguments = parser.parse_args()
     chance = random.Random(arguments.seed)
-    with running_fleet() as fleet, spikeserve.Client(fleet.addresses, PATIENT) as client:
-        robots = [Robot(client) for _ in range(arguments.robots)]
+    with running_fleet(linked=True) as fleet, spikeserve.Client(fleet.addresses, PATIENT) as client:
+        robots = [Robot(client, ("SYNC", "ASYNC")[i % 2]) for i in range(arguments.robots)]
         for robot in robots:
             robot.start()
-        kills = set(chance.sample(range(1, arguments.handovers), arguments.kills))
-        killed = None
+        places = list(zip(fleet.replicas, fleet.links, strict=True))
+        moments = set(chance.sample(range(1, arguments.handovers), arguments.faults))
+        kinds = collections.Counter()
+        place, end = places[0], lambda server, link: None  # of the last fault
         for number in range(arguments.handovers):
-            if number in kills:
-                if killed is not None:
-                    killed.start()
-                killed = chance.choice([server for server in fleet.replicas if server is not killed])
-                killed.kill()
+            if number in moments:
+                end(*place)
+                place = chance.choice([other for other in places if other is not place])
+                kind = chance.choice(list(FAULTS))
+                kinds[kind] += 1
+                begin, end = FAULTS[kind]
+                begin(*place)
             hand_over(client, robots[number % len(robots)], number, arguments.lease)
+        end(*place)
         for robot, number in zip(robots, range(arguments.handovers, arguments.handovers + len(robots)), strict=True):
             hand_over(client, robot, number, arguments.lease)
         said = time.monotonic()
@@ -104,7 +114,7 @@ def main():
     steps = sum(len(robot.answers) for robot in robots)
     steered = sum(bool(operator) for robot in robots for _, operator in robot.answers)
     heard = len({operator for robot in robots for _, operator in robot.answers if operator})
-    print(f"{arguments.handovers} hand-overs, {arguments.kills} kills: {steps} steps, {steered} by {heard} operators")
+    print(f"{arguments.handovers} hand-overs, faults {dict(kinds)}: {steps} steps, {steered} by {heard} operators")
     print(*complaints[:20], f"{len(complaints)} complaints", sep="\n")
     return 1 if complaints or steered == 0 else 0
 

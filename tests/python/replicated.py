@@ -5,6 +5,7 @@ import math
 from dataclasses import asdict
 
 import spikeserve
+from links import Link
 from redis_servers import DURABLE, Redis, stopping
 from restartable_server import RestartableServer
 
@@ -15,11 +16,12 @@ EPISODES = 2
 
 
 class Fleet:
-    """Redis and the replicas."""
+    """Redis and the replicas, and their links to Redis if they have some."""
 
-    def __init__(self, redis, replicas):
+    def __init__(self, redis, replicas, links):
         self.redis = redis
         self.replicas = replicas
+        self.links = links
 
     @property
     def addresses(self):
@@ -28,20 +30,23 @@ class Fleet:
 
 
 @contextlib.contextmanager
-def running_fleet(*flags, replicas=REPLICAS, http=False, redis_flags=DURABLE, prefix=(), relays=()):
+def running_fleet(*flags, replicas=REPLICAS, http=False, redis_flags=DURABLE, prefix=(), relays=(), linked=False):
     """Starts Redis and the replicas, which have HTTP ports if `http` and run with `prefix`, and yields the Fleet.
 
-    `relays` are those of their datagrams; none: they take none.
+    `relays` are those of their datagrams; none: they take none. `linked`: each has a Link to Redis, in `Fleet.links`.
     """
     with stopping([Redis(*redis_flags, password="")]) as [redis], contextlib.ExitStack() as stack:
-        store = f"--session_store=redis://127.0.0.1:{redis.port}"
-        started = []
+        started, links = [], []
         for relay in relays or [None] * replicas:
+            if linked:
+                links.append(stack.enter_context(Link(f"127.0.0.1:{redis.port}")))
+            port = links[-1].port if linked else redis.port
+            store = f"--session_store=redis://127.0.0.1:{port}"
             replica = RestartableServer(store, *flags, http=http, prefix=prefix, relay=relay)
             stack.callback(replica.kill)
             replica.start()
             started.append(replica)
-        yield Fleet(redis, started)
+        yield Fleet(redis, started, links)
 
 
 def options_of(i, durability):

@@ -76,6 +76,7 @@ def test_a_hold_outlives_every_server():
                 server.start()
             sessions = {pilot.session_id for pilot in pilots}
             until(lambda: {r.session_id for r in operator.verdict(held.id).robots if r.at_neutral} == sessions)
+            until(lambda: [r.session_id for r in operator.verdict(held.id).robots if r.only_stored] == [silent.session_id])
             late = client.open_session("pendulum", NORTH)
             decision = late.act([0.6, 0.8, 0.1])
             assert decision.hold == spikeserve.Hold(held.id, "smoke")
@@ -92,15 +93,24 @@ def test_a_hold_outlives_every_server():
 
 
 def test_a_hold_is_kept_with_the_settings(tmp_path):
-    with restartable_server(f"--policy_settings={tmp_path}/settings.json") as server:
+    flags = (f"--policy_settings={tmp_path}/settings.json", f"--session_store=file:{tmp_path}/sessions")
+    with restartable_server(*flags) as server:
         with operating(server.address) as (client, operator):
             held = operator.hold(policy="cartpole", reason="smoke")
             assert held.kept and held.robots == ()
             assert operator.verdict(held.id).kept is None
+            sessions = [client.open_session("cartpole", spikeserve.SessionOptions(durability="SYNC")) for _ in range(2)]
             server.kill()
             server.start()
-            session = client.open_session("cartpole")
-            assert session.act(OBSERVATION).hold.id == held.id
+            assert sessions[0].act(OBSERVATION).hold.id == held.id
+            robots = {robot.session_id: robot.only_stored for robot in operator.verdict(held.id).robots}
+            assert robots == {sessions[0].session_id: False, sessions[1].session_id: True}
+            said = subprocess.run(
+                [os.environ["SPIKECTL_PROGRAM"], "hold", f"--server={server.address}", "--policy=cartpole", "--wait=0s",
+                 "--reason=smoke", f"--id={held.id}"],
+                capture_output=True, text=True,
+            )
+            assert f"{sessions[1].session_id} cartpole/2 , in the store alone: has asked no server" in said.stdout
             assert client.open_session("pendulum").act([0.6, 0.8, 0.1]).hold is None
 
 

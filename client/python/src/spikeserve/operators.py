@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from typing_extensions import Self  # typing has it from Python 3.11 on
 
 _TIMEOUT = 2.0  # of one call to one server, in seconds
+_STORE_TIMEOUT = 30.0  # if it reads what the store has
 _PAUSE = 0.02  # between two looks, in seconds
-_PAGE = 1000  # sessions
+_PAGE = 10000  # sessions
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class HeldRobot:
     at_neutral: bool  # a later request showed it; False: not confirmed
     idle_seconds: float  # since the last contact
     silent: bool  # for longer than 50 of its periods and 2 s
+    only_stored: bool  # no living server has it: the robot has asked none since its own ended
     server: str
 
 
@@ -191,15 +193,18 @@ class Operator:
         kept = all(answer.kept for answer in held)
         ends = time.monotonic() + wait
         while True:
-            verdict = self._verdict(hold_id, kept)
+            verdict = self._verdict(hold_id, kept, stored=False)
             settled = not verdict.not_confirmed and not verdict.unreached
             if settled or time.monotonic() >= ends:
-                return verdict
+                return self._verdict(hold_id, kept, stored=True)
             time.sleep(_PAUSE)
 
-    def verdict(self, hold_id: str) -> HoldVerdict:
-        """Returns where the robots of a hold are now."""
-        return self._verdict(hold_id, None)
+    def verdict(self, hold_id: str, *, stored: bool = True) -> HoldVerdict:
+        """Returns where the robots of a hold are now.
+
+        `stored`: also of the sessions that only the store has, all of which the servers then read.
+        """
+        return self._verdict(hold_id, None, stored)
 
     def resume(
         self,
@@ -228,13 +233,13 @@ class Operator:
                 # A server that was not reached may have the hold.
                 raise next((a for a in answers if not isinstance(a, NotFoundError)), answers[0])
 
-    def _verdict(self, hold_id: str, kept: bool | None) -> HoldVerdict:
+    def _verdict(self, hold_id: str, kept: bool | None, stored: bool) -> HoldVerdict:
         newest: dict[tuple[str, str], tuple[int, HeldRobot]] = {}
         unreached: dict[str, str] = {}
         token = dict.fromkeys(self._admin.replicas, "")
         while token:
             pages = self._everywhere(
-                "ListHolds", list(token), tokens=token, id=hold_id, page_size=_PAGE
+                "ListHolds", list(token), tokens=token, id=hold_id, page_size=_PAGE, stored=stored
             )
             for replica, page in pages:
                 if isinstance(page, SpikeserveError):
@@ -245,8 +250,9 @@ class Operator:
                     fields = HeldRobot.__dataclass_fields__.keys() - {"server"}
                     values = {name: getattr(session, name) for name in fields}
                     key = (session.tenant, session.session_id)
-                    if key not in newest or newest[key][0] < session.epoch:
-                        newest[key] = session.epoch, HeldRobot(**values, server=replica.address)
+                    epoch = -1 if session.only_stored else session.epoch
+                    if key not in newest or newest[key][0] < epoch:
+                        newest[key] = epoch, HeldRobot(**values, server=replica.address)
                 if page.next_page_token <= token[replica]:  # the last page
                     token.pop(replica)
                 else:
@@ -297,7 +303,8 @@ class Operator:
 
     def _ask(self, replica: Replica, rpc: str, fields: dict[str, Any]) -> Message:
         request = ADMIN_METHODS[rpc].request(**fields)
-        return self._admin.run_once(Call(rpc, request, lambda answer: answer), replica, _TIMEOUT)
+        timeout = _STORE_TIMEOUT if fields.get("stored") else _TIMEOUT
+        return self._admin.run_once(Call(rpc, request, lambda answer: answer), replica, timeout)
 
 
 def _selection(
