@@ -10,7 +10,7 @@
 #include "server/access/tls_context.h"
 #include "server/base/log.h"
 #include "server/metrics/metrics.h"
-#include "server/policies/policy_registry.h"
+#include "server/policies/policy_settings.h"
 #include "server/store/store_options.h"
 #include "server/trace/trace_options.h"
 #include "server/transport/limits.h"

@@ -73,14 +73,15 @@ int AvailableCores() {
 }
 
 // Returns FAILED_PRECONDITION if nothing can be served and no operator wants that.
-absl::Status CheckServesPolicies(const ServerOptions& options, PolicyRegistry& registry,
+absl::Status CheckServesPolicies(const ServerOptions& options, const PolicyRegistry& registry,
                                  const ReloadReport& report) {
-  if (options.allow_no_policies || registry.HasUnloaded() ||
-      !registry.catalog()->policies().empty()) {
+  if (options.allow_no_policies || !registry.catalog()->policies().empty()) {
     return absl::OkStatus();
   }
+  absl::MutexLock change(&registry.settings().mutex);
+  if (!registry.settings().get().unloaded.empty()) return absl::OkStatus();
   return absl::FailedPreconditionError(
-      absl::StrCat("--policies: ", ExplainNoPolicies(options.policies, report.refused)));
+      absl::StrCat("--policies: ", registry.folder().ExplainNone(report.refused)));
 }
 
 // Returns the address with the name of this machine instead of "all addresses".
@@ -115,23 +116,23 @@ absl::StatusOr<std::unique_ptr<PolicyRegistry>> LoadPolicies(const ServerOptions
   if (auto* const heads = store.heads.get(); heads != nullptr) {
     open_log = [heads](const ServedPolicy& served) { return heads->Open(served); };
   }
-  return PolicyRegistry::Load(
-      {.directory = options.policies,
-       .settings_path = options.policy_settings,
-       .default_rule = options.default_version,
-       .share_heads = options.share_heads_across_tenants,
-       .withhold_files = options.withhold_policies,
-       .shared = store.shared.get(),
-       .open_log = std::move(open_log),
-       .signatures = std::move(signatures),
-       .tracer = tracer},
-      [metrics, wiring, deviations = options.unusual_deviations](
-          const std::string& name, int64_t version, const Policy& policy) {
-        const auto rule = wiring.find(name);
-        const auto response = rule == wiring.end() ? wiring.at("") : rule->second;
-        return metrics->NewPolicyObserver(name, version, policy, deviations, response);
-      },
-      report);
+  const auto new_observer = [metrics, wiring, deviations = options.unusual_deviations](
+                                const std::string& name, int64_t version, const Policy& policy) {
+    const auto rule = wiring.find(name);
+    const auto response = rule == wiring.end() ? wiring.at("") : rule->second;
+    return metrics->NewPolicyObserver(name, version, policy, deviations, response);
+  };
+  return PolicyRegistry::Load({.directory = options.policies,
+                               .settings_path = options.policy_settings,
+                               .default_rule = options.default_version,
+                               .withhold_files = options.withhold_policies,
+                               .shared = store.shared.get(),
+                               .signatures = std::move(signatures),
+                               .loader = {.new_observer = new_observer,
+                                          .share_heads = options.share_heads_across_tenants,
+                                          .open_log = std::move(open_log),
+                                          .tracer = tracer}},
+                              report);
 }
 
 }  // namespace
@@ -174,7 +175,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& optio
   server->StartLedger();
   if (server->shared_ != nullptr) {
     server->FollowReplicas();
-    if (server->registry_->has_joined()) server->heads_->WaitToJoin(kJoinTimeout);
+    if (server->registry_->settings().has_joined()) server->heads_->WaitToJoin(kJoinTimeout);
   }
   RETURN_IF_ERROR(server->StartTransport());
   RETURN_IF_ERROR(server->StartHttp());

@@ -104,7 +104,7 @@ class Server {
   // False until the settings and the heads that servers share were taken over, too.
   bool serving() const { return !stopping_ && !store_.draining() && has_joined(); }
   bool has_joined() const {
-    return registry_->has_joined() && (heads_ == nullptr || heads_->has_joined());
+    return registry_->settings().has_joined() && (heads_ == nullptr || heads_->has_joined());
   }
   // Returns true unless the loops of the transport are stuck.
   bool TransportResponds() const;

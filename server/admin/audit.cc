@@ -52,7 +52,7 @@ std::string Audit::StateOf(const google::protobuf::Message& request) const {
   const std::string policy = PolicyOf(request);
   if (!policy.empty()) return PolicyState(*catalog, policy).dump();
   ordered_json state = {{"draining", store_->draining()}, {"policies", ordered_json::object()}};
-  const auto holds = registry_->holds().Get();
+  const auto holds = registry_->settings().holds().Get();
   for (const SessionHold& hold : *holds) state["holds"].push_back(ordered_json(HoldJson(hold)));
   for (const auto& [name, served] : catalog->policies()) {
     state["policies"][name] = PolicyState(*catalog, name);

@@ -11,7 +11,7 @@
 #include "nlohmann/json.hpp"
 #include "server/admin/admin_handler.h"
 #include "server/admin/traffic.h"
-#include "server/policies/policy_repository.h"
+#include "server/policies/policy_folder.h"
 
 namespace spikeserve {
 namespace {
@@ -111,7 +111,7 @@ absl::Status AdminHandler::GetHead(CallContext& context, const v1::GetHeadReques
 
 absl::Status AdminHandler::PromoteHead(CallContext& context, const v1::PromoteHeadRequest& request,
                                        v1::PromoteHeadResponse* response) const {
-  RETURN_IF_ERROR(parts_.registry->CheckCanSign());
+  RETURN_IF_ERROR(parts_.registry->folder().CheckCanSign());
   ASSIGN_OR_RETURN(const auto served,
                    parts_.registry->catalog()->Find(request.policy(), request.version()));
   ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request.tenant()));
@@ -122,14 +122,15 @@ absl::Status AdminHandler::PromoteHead(CallContext& context, const v1::PromoteHe
         absl::StrCat("version: expected one whose shared head has learned, received ",
                      served->version, ", whose shared head equals that of its file"));
   }
-  ASSIGN_OR_RETURN(const auto files, parts_.registry->FormatVersion(Promoted(*served, *snapshot)));
+  ASSIGN_OR_RETURN(const auto files,
+                   parts_.registry->folder().Format(Promoted(*served, *snapshot)));
   ASSIGN_OR_RETURN(
       const auto version,
       AddVersion(tenant,
                  {.policy = served->name, .files = files, .make_default = request.make_default()},
                  response->mutable_traffic()));
   response->set_version(version.version);
-  response->set_path(PolicyFilePath(parts_.registry->directory(), version));
+  response->set_path(parts_.registry->folder().PathOf(version));
   return absl::OkStatus();
 }
 

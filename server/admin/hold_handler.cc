@@ -201,8 +201,8 @@ absl::Status AdminHandler::HoldSessions(CallContext& context,
   };
   RETURN_IF_ERROR(parts_.registry->ChangeHolds(add));
   Describe(hold, *context.caller, response->mutable_hold());
-  response->set_shared(parts_.registry->shares_settings());
-  response->set_kept(parts_.registry->keeps_settings());
+  response->set_shared(parts_.registry->settings().is_shared());
+  response->set_kept(parts_.registry->settings().is_kept());
   return absl::OkStatus();
 }
 
@@ -224,7 +224,7 @@ absl::Status AdminHandler::ResumeSessions(CallContext& context,
   };
   RETURN_IF_ERROR(parts_.registry->ChangeHolds(remove));
   Describe(resumed, *context.caller, response->mutable_hold());
-  response->set_shared(parts_.registry->shares_settings());
+  response->set_shared(parts_.registry->settings().is_shared());
   return absl::OkStatus();
 }
 
@@ -236,7 +236,7 @@ absl::Status AdminHandler::ListHolds(CallContext& context, const v1::ListHoldsRe
   }
   const Credential& caller = *context.caller;
   std::vector<const SessionHold*> holds;
-  const auto all = parts_.registry->holds().Get();
+  const auto all = parts_.registry->settings().holds().Get();
   for (const SessionHold& hold : *all) {
     if (!MaySee(caller, hold) || (!request.id().empty() && request.id() != hold.hold.id)) continue;
     holds.push_back(&hold);

@@ -26,7 +26,7 @@ absl::Status ChangeTraffic(const PolicyRegistry& registry, const std::string& po
   *traffic->mutable_before() = TrafficOf(*registry.catalog(), policy);
   auto status = change();
   *traffic->mutable_after() = TrafficOf(*registry.catalog(), policy);
-  traffic->set_shared(registry.shares_settings());
+  traffic->set_shared(registry.settings().is_shared());
   return status;
 }
 

@@ -108,7 +108,8 @@ absl::Status AdminHandler::PushPolicy(CallContext& context, const v1::PushPolicy
                                 : absl::OkStatus();
     });
   }
-  RETURN_IF_ERROR(parts_.registry->CheckPushed(added));
+  RETURN_IF_ERROR(
+      parts_.registry->folder().CheckPushed({added.policy, added.version}, added.files));
   ASSIGN_OR_RETURN(const auto surplus, Surplus(added.policy));
   ASSIGN_OR_RETURN(const auto version, AddVersion(tenant, added, response->mutable_traffic()));
   response->set_version(version.version);
@@ -123,7 +124,7 @@ absl::Status AdminHandler::PushPolicy(CallContext& context, const v1::PushPolicy
 }
 
 absl::StatusOr<std::vector<PolicyVersion>> AdminHandler::Surplus(const std::string& policy) const {
-  const auto pushed = parts_.registry->PushedVersions(policy);
+  const auto pushed = parts_.registry->folder().PushedVersions(policy);
   const int64_t count = std::ssize(pushed) + 1 - parts_.max_pushed;
   std::vector<PolicyVersion> surplus;
   if (count <= 0) return surplus;
@@ -156,7 +157,8 @@ absl::Status AdminHandler::PullPolicy(CallContext& /*context*/,
                                       v1::PullPolicyResponse* response) const {
   ASSIGN_OR_RETURN(const auto served,
                    parts_.registry->catalog()->Find(request.policy(), request.version()));
-  ASSIGN_OR_RETURN(const auto files, parts_.registry->ReadFiles({served->name, served->version}));
+  ASSIGN_OR_RETURN(const auto files,
+                   parts_.registry->folder().ReadForRobot({served->name, served->version}));
   const int64_t size = std::ssize(files.policy);
   if (request.offset() < 0 || request.offset() > size) {
     return absl::InvalidArgumentError(

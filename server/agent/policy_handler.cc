@@ -94,7 +94,7 @@ absl::Status PolicyHandler::Act(CallContext& context, const v1::ActRequest& requ
                          .is_next = is_next,
                          .entry = std::move(entry),
                          .received = clock_->Now()};
-  DecideActs({&act}, registry_->holds(), /*budget=*/nullptr);
+  DecideActs({&act}, registry_->settings().holds(), /*budget=*/nullptr);
   if (act.status.ok()) context.deferred->Add(std::move(act.entry), shadows_);
   return act.status;
 }
@@ -118,7 +118,7 @@ void PolicyHandler::ActMany(absl::Span<DecisionRequest* const> acts, DeferredWor
   };
   const auto answer_group = [&](size_t end) {
     StepBudget of_group;
-    DecideActs(found, registry_->holds(), budget == nullptr ? &of_group : budget);
+    DecideActs(found, registry_->settings().holds(), budget == nullptr ? &of_group : budget);
     for (size_t i = 0; i < found.size(); ++i) {
       DecisionRequest* const act = found[i];
       auto entry = std::exchange(act->entry, nullptr);
@@ -264,8 +264,8 @@ absl::Status PolicyHandler::ExportSession(CallContext& context,
   RETURN_IF_ERROR(CheckMayPlay(*context.caller, **entry));
   const ServedPolicy& served = *(*entry)->served;
   if (request.include_policy()) {
-    auto file = registry_->ReadVersionFile({served.name, served.version});
-    if (file.ok()) response->set_policy_file(*std::move(file));
+    auto files = registry_->folder().ReadForRobot({served.name, served.version});
+    if (files.ok()) response->set_policy_file(std::move(files->policy));
   }
   response->set_policy(served.name);
   response->set_version(served.version);

@@ -10,7 +10,7 @@
 #include "core/base/status_macros.h"
 #include "core/base/version.h"
 #include "core/session/session_id.h"
-#include "server/policies/policy_repository.h"
+#include "server/policies/policy_folder.h"
 
 namespace spikeserve {
 namespace {
@@ -154,7 +154,7 @@ absl::Status InferenceHandler::RepositoryIndex(CallContext& /*context*/,
                                                const inference::RepositoryIndexRequest& request,
                                                inference::RepositoryIndexResponse* response) const {
   RETURN_IF_ERROR(CheckRepository(request.repository_name()));
-  ASSIGN_OR_RETURN(const auto folders, ListPolicyFolders(registry_->directory()));
+  ASSIGN_OR_RETURN(const auto folders, registry_->folder().List());
   std::map<PolicyVersion, bool> ready;
   for (const PolicyVersion& version : folders.versions) ready[version] = false;
   for (const auto& served : ListServed(*registry_)) {
@@ -180,7 +180,7 @@ absl::Status InferenceHandler::RepositoryModelLoad(
         absl::StrCat("parameters: expected none, because a model is defined by its file, received ",
                      Quoted(request.parameters().begin()->first)));
   }
-  ASSIGN_OR_RETURN(const auto folders, ListPolicyFolders(registry_->directory()));
+  ASSIGN_OR_RETURN(const auto folders, registry_->folder().List());
   absl::Status status = absl::NotFoundError(
       absl::StrCat("model_name: expected a policy in the policy directory, received ",
                    Quoted(request.model_name())));

@@ -125,6 +125,13 @@ absl::StatusOr<Route> PolicyCatalog::Choose(const VersionChoice& choice) const {
   return route;
 }
 
+void PolicyCatalog::Remove(const PolicyVersion& version) {
+  const auto policy = policies_.find(version.policy);
+  if (policy == policies_.end()) return;
+  policy->second.versions.erase(version.version);
+  if (policy->second.versions.empty()) policies_.erase(policy);
+}
+
 bool SameSpaces(const ServedPolicy& a, const ServedPolicy& b) {
   return a.policy().observation_size() == b.policy().observation_size() &&
          a.policy().action_space == b.policy().action_space;

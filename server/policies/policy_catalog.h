@@ -76,6 +76,9 @@ class PolicyCatalog {
   const std::map<std::string, CatalogPolicy>& policies() const { return policies_; }
   std::map<std::string, CatalogPolicy>& policies() { return policies_; }
 
+  // Removes a version, if there is one, and its policy with the last one.
+  void Remove(const PolicyVersion& version);
+
  private:
   std::map<std::string, CatalogPolicy> policies_;
 };

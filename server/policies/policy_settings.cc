@@ -108,6 +108,19 @@ absl::Status CheckNoRollout(const PolicySettings& settings) {
                    settings.rollout->version, "; abort it first"));
 }
 
+absl::Status ChooseDefault(int64_t version, PolicySettings* settings) {
+  RETURN_IF_ERROR(CheckNoRollout(*settings));
+  settings->default_version = version;
+  settings->default_follows_highest = version == 0;
+  return absl::OkStatus();
+}
+
+absl::Status CheckUnused(int64_t version, const std::string& use) {
+  if (use.empty()) return absl::OkStatus();
+  return absl::FailedPreconditionError(absl::StrCat(
+      "version: expected one that no setting uses, received ", version, ", which is ", use));
+}
+
 absl::Status CheckShares(const std::vector<TrafficShare>& shares) {
   int sum = 0;
   std::set<int64_t> seen;

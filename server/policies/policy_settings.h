@@ -14,6 +14,7 @@
 // Free functions without shared state; safe to call from many threads.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -24,12 +25,24 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "core/base/enum_names.h"
 #include "nlohmann/json.hpp"
-#include "server/policies/policy_repository.h"
+#include "server/policies/policy_folder.h"
 #include "server/policies/rollout.h"
 #include "server/policies/session_holds.h"
 
 namespace spikeserve {
+
+// What the default version of a policy does, unless an operator sets it, when versions are loaded.
+// It begins as the highest version.
+enum class DefaultRule {
+  kStay,     // stays the version that it is
+  kHighest,  // is always the highest version
+};
+
+constexpr std::array<EnumName<DefaultRule>, 2> EnumNames(DefaultRule) {
+  return {{{DefaultRule::kStay, "stay"}, {DefaultRule::kHighest, "highest"}}};
+}
 
 // The share of new sessions that a version gets.
 struct TrafficShare {
@@ -77,6 +90,12 @@ struct Settings {
 
 // Returns FAILED_PRECONDITION while a roll-out of the policy is running.
 absl::Status CheckNoRollout(const PolicySettings& settings);
+
+// Sets the default; 0: it follows the highest version. Returns the error of CheckNoRollout().
+absl::Status ChooseDefault(int64_t version, PolicySettings* settings);
+
+// Returns FAILED_PRECONDITION if a setting uses `version`, as DescribeUse() has described.
+absl::Status CheckUnused(int64_t version, const std::string& use);
 
 // Returns INVALID_ARGUMENT unless `shares` is empty, or every percent is in [0, 100], each version
 // occurs once and the percents sum to 100.

@@ -35,7 +35,7 @@ inline constexpr size_t kSignatureBytes = 64;
 struct VersionFiles {
   std::string policy;     // the content of policy.safetensors
   std::string signature;  // of `policy` or its statement; empty: the version is not signed
-  bool pushed = false;    // see version_writer.h
+  bool pushed = false;    // see policy_folder.h
 };
 
 // What a signature is for.

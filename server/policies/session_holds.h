@@ -1,7 +1,7 @@
 // The holds that operators have put on sessions, as the settings keep them, and the list of them
 // that decisions read.
 //
-//   const std::shared_ptr<const Hold> hold = registry.holds().Find(session);
+//   const std::shared_ptr<const Hold> hold = registry.settings().holds().Find(session);
 #pragma once
 
 #include <atomic>

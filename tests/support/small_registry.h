@@ -24,10 +24,11 @@ class SmallRegistry {
     for (const std::string& name : names) WriteVersion(name, 1);
     ReloadReport report;
     auto registry = PolicyRegistry::Load(
-        {.directory = directory_.path().string()},
-        [this](const std::string& name, int64_t version, const Policy& loaded) {
-          return metrics_.NewPolicyObserver(name, version, loaded);
-        },
+        {.directory = directory_.path().string(),
+         .loader = {.new_observer =
+                        [this](const std::string& name, int64_t version, const Policy& loaded) {
+                          return metrics_.NewPolicyObserver(name, version, loaded);
+                        }}},
         &report);
     EXPECT_TRUE(registry.ok()) << registry.status();
     EXPECT_TRUE(report.refused.empty());
