@@ -6,8 +6,8 @@ import random
 import signal
 import time
 
-import spikeserve
 from machine import fill
+from replicated import claim, refusal_of
 from spikeserve.wire import METHODS
 from test_cpp_pilot import CppFlight
 from test_pilot import SIZES
@@ -34,20 +34,6 @@ BEHIND = 3  # steps, of which an ASYNC store may lack the last ones
 def kinds_of(store, servers):
     """Returns the kinds of faults that a set-up can have."""
     return (*ALONE, *(["lose the tail"] if store == "redis" else []), *(["take over"] if servers > 1 else []))
-
-
-def refusal_of(client, method, request):
-    """Returns why a server refuses a request, which it has to do."""
-    try:
-        answer = client.call(method, request)
-    except (spikeserve.FailedPreconditionError, spikeserve.InvalidArgumentError) as error:
-        return error.message
-    raise AssertionError(f"{method} of {request.session_id}: expected that it is refused, received {answer}")
-
-
-def claim(client, session_id):
-    """Lets a server own a session: it is asked to end an episode that no session has, which may be right for a newer copy."""
-    refusal_of(client, "EndEpisode", METHODS["EndEpisode"].request(session_id=session_id, episode=2**31, steps=1))
 
 
 class Faults:

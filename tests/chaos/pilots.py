@@ -33,12 +33,12 @@ import test_pilot  # noqa: E402
 from datagram_relay import DatagramRelay  # noqa: E402
 from links import Link  # noqa: E402
 from machine import Clock, small_disk  # noqa: E402
-from replicated import options_of, policy_of, running_fleet  # noqa: E402
+from replicated import claim, options_of, policy_of, running_fleet  # noqa: E402
 from restartable_server import RestartableServer  # noqa: E402
 from test_cpp_pilot import CppFlight  # noqa: E402
 from test_pilot import Flight, undisturbed  # noqa: E402
 
-from tests.chaos.pilot_faults import Faults, claim, kinds_of  # noqa: E402
+from tests.chaos.pilot_faults import Faults, kinds_of  # noqa: E402
 
 SKIPPED = 77
 EPISODE = 40  # beats, about

@@ -1,4 +1,4 @@
-"""The machine of a server or a robot: a disk that becomes full, and a time of day that jumps."""
+"""The machine of a server or a robot: a disk that becomes full, a time of day that jumps, and a computer that sleeps."""
 
 import contextlib
 import mmap
@@ -20,32 +20,34 @@ int clock_gettime(clockid_t clock, struct timespec* time) {
   static volatile long* seconds;
   if (seconds == NULL) {
     const int file = open(getenv("CLOCK_FILE"), O_RDONLY);
-    seconds = mmap(NULL, sizeof(long), PROT_READ, MAP_SHARED, file, 0);
+    seconds = mmap(NULL, 2 * sizeof(long), PROT_READ, MAP_SHARED, file, 0);
     close(file);
   }
   const int outcome = syscall(SYS_clock_gettime, clock, time);
-  if (clock == CLOCK_REALTIME) time->tv_sec += *seconds;
+  if (clock == CLOCK_REALTIME) time->tv_sec += seconds[0];
+  if (clock == CLOCK_BOOTTIME) time->tv_sec += seconds[1];
   return outcome;
 }
 """
 
 
 class Clock:
-    """The time of day of programs that start with `prefix`, which differs from that of the machine."""
+    """The clocks of programs that start with `prefix`, which differ from those of the machine."""
 
     def __init__(self, folder: pathlib.Path):
         folder.mkdir(exist_ok=True)
         (folder / "shim.c").write_text(SHIM)
         subprocess.run(["cc", "-shared", "-fPIC", "-o", folder / "shim.so", folder / "shim.c"], check=True)
-        (folder / "clock").write_bytes(bytes(8))
+        (folder / "clock").write_bytes(bytes(16))
         self._file = (folder / "clock").open("r+b")
-        self._seconds = mmap.mmap(self._file.fileno(), 8)
+        self._seconds = mmap.mmap(self._file.fileno(), 16)
         self.prefix = ["env", f"LD_PRELOAD={folder}/shim.so", f"CLOCK_FILE={folder}/clock"]
-        self._at = 0
+        self._at = [0, 0]  # seconds
 
-    def jump(self, seconds):
-        self._at += seconds
-        self._seconds[:8] = struct.pack("q", self._at)
+    def jump(self, seconds, asleep=0):
+        """Moves the time of day, and lets the clock that counts the sleep of a computer jump."""
+        self._at = [self._at[0] + seconds, self._at[1] + asleep]
+        self._seconds[:] = struct.pack("qq", *self._at)
 
 
 @contextlib.contextmanager

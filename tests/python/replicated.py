@@ -8,6 +8,7 @@ import spikeserve
 from links import Link
 from redis_servers import DURABLE, Redis, stopping
 from restartable_server import RestartableServer
+from spikeserve.wire import METHODS
 
 REPLICAS = 3
 SESSIONS = 24
@@ -47,6 +48,20 @@ def running_fleet(*flags, replicas=REPLICAS, http=False, redis_flags=DURABLE, pr
             replica.start()
             started.append(replica)
         yield Fleet(redis, started, links)
+
+
+def refusal_of(client, method, request):
+    """Returns why a server refuses a request, which it has to do."""
+    try:
+        answer = client.call(method, request)
+    except (spikeserve.FailedPreconditionError, spikeserve.InvalidArgumentError) as error:
+        return error.message
+    raise AssertionError(f"{method} of {request.session_id}: expected that it is refused, received {answer}")
+
+
+def claim(client, session_id):
+    """Lets a server own a session: it is asked to end an episode that no session has, which may be right for a newer copy."""
+    refusal_of(client, "EndEpisode", METHODS["EndEpisode"].request(session_id=session_id, episode=2**31, steps=1))
 
 
 def options_of(i, durability):

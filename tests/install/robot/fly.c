@@ -1,8 +1,8 @@
 /* Flies a robot, as the lines of its standard input say, and answers each with a line of JSON. Used by
- * tests/python/pilot/test_other_languages.py, as are fly.rs and fly.go. Words are separated by one space.
+ * tests/python/pilot/robot_programs.py, as are fly.rs and fly.go. Words are separated by one space.
  *
- *   open SERVERS POLICY SESSION PERIOD MAX_AGE LOCAL_POLICY ACTION TRANSPORT    LOCAL_POLICY: - for none, "" for the server's;
- *                                                        ACTION: the robot's own for Box, or - for none; TRANSPORT: a number
+ *   open SERVERS POLICY SESSION PERIOD MAX_AGE LOCAL_POLICY ACTION TRANSPORT HOLD    LOCAL_POLICY: - for none, "" for the server's;
+ *                                                        ACTION: the robot's own for Box, or - for none; TRANSPORT, HOLD: numbers
  *   beat REWARD BY OPERATOR N OBSERVATION... EXECUTED...    BY: a number; OPERATOR: who chose, or - for nobody
  *   end REWARD TERMINATED
  *   summary EPISODE TIMEOUT
@@ -63,6 +63,7 @@ static void open_robot(void) {
     options.context = &own;
   }
   options.transport = (int32_t)number();
+  options.hold_beats = (int32_t)number();
   options.log = log_line;
   if (spikeserve_robot_open(&options, &robot, &error) == 0) {
     puts("{}");

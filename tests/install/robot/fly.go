@@ -34,6 +34,8 @@ func open(words []string) (*robot.Robot, error) {
 		options.Fallback = func(observation []float32) *robot.Action { return &robot.Action{Box: own} }
 	}
 	options.Transport = robot.Transport(number(words[7]))
+	hold := int(number(words[8]))
+	options.HoldBeats = &hold
 	options.Log = func(line string) { fmt.Fprintln(os.Stderr, "robot:", line) }
 	return robot.Open(options)
 }

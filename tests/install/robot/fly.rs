@@ -19,6 +19,7 @@ fn open(words: &[&str]) -> Result<Robot, Error> {
         session: Some(words[2].into()),
         period: words[3].parse().unwrap(),
         max_age: words[4].parse().ok(),
+        hold_beats: words[8].parse().ok(),
         local_policy: local,
         transport: [Transport::Auto, Transport::Stream, Transport::Datagram][words[7].parse::<usize>().unwrap()],
         log: Some(Box::new(|line| eprintln!("robot: {line}"))),

@@ -54,13 +54,17 @@ def build_c(folder, source=SOURCES / "fly.c"):
 class OtherPilot(CppPilot):
     """Starts `program`, which fly.c describes."""
 
-    def __init__(self, program, client, policy, period, session=None, local=None, max_age=-1.0, action="-", transport=0):
+    def __init__(
+        self, program, client, policy, period, session=None, local=None, prefix=(),
+        max_age=-1.0, action="-", transport=0, hold_beats=-1,
+    ):  # fmt: skip
         opening = (session or spikeserve.SessionOptions()).to_wire(policy)
         opening = MessageToJson(opening, indent=None, preserving_proto_field_name=True).replace(" ", "")
         servers = client if isinstance(client, str) else ",".join(r.address for r in client.replicas)
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        self.process = subprocess.Popen([program], env=installed()[1], **pipes)
-        self._say("open", servers, policy, opening, period, max_age, "-" if local is False else '""', action, transport)
+        self.process = subprocess.Popen([*prefix, program], env=installed()[1], **pipes)
+        local = "-" if local is False else '""'
+        self._say("open", servers, policy, opening, period, max_age, local, action, transport, hold_beats)
 
     def _say(self, *words):
         print(*words, file=self.process.stdin, flush=True)

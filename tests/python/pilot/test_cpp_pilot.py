@@ -5,7 +5,6 @@ import spikeserve
 import test_pilot
 import test_pilot_engine
 from cpp_pilot import CppPilot
-from replicated import running_fleet
 from security import tls_flags
 from serving import SHIPPED_POLICIES, running_server
 from test_pilot import (  # noqa: F401
@@ -17,7 +16,6 @@ from test_pilot import (  # noqa: F401
     test_a_quick_link_gives_fresh_actions,
     test_a_server_that_loses_its_sessions_gets_a_new_one,
     test_a_slow_link_is_used_with_requests_in_flight,
-    test_a_stored_session_goes_on_after_its_server_was_killed,
     test_an_answer_that_is_stale_is_never_executed,
     test_an_end_that_never_arrived_is_sent_again,
     test_each_beat_says_who_chose_its_action,
@@ -31,7 +29,6 @@ from test_pilot_faults import (  # noqa: F401
     test_a_blind_robot_is_not_reported_fresh,
     test_a_robot_may_wait_until_an_answer_is_there,
     test_a_robot_that_is_wired_wrong_hears_it_at_its_first_step,
-    test_a_robot_that_slept_executes_nothing_from_before,
     test_a_server_hears_of_a_robot_that_stays_blind,
     test_a_server_that_denies_the_session_has_not_the_last_word,
     test_an_episode_of_a_fleet_ends_behind_a_step_that_saw_nothing,
@@ -194,19 +191,3 @@ def test_the_options_are_checked(address, options, message):
 def test_the_server_must_be_there_when_a_pilot_is_made():
     with pytest.raises(spikeserve.UnavailableError):
         CppPilot("127.0.0.1:1", "pendulum", PERIOD, local=False, patience=0.1)
-
-
-def test_another_replica_goes_on(fly):
-    options = spikeserve.SessionOptions(durability="SYNC")
-    with running_fleet(replicas=2) as fleet, spikeserve.Client(fleet.addresses) as client:
-        with fly(client, local=False, session=options) as flight:
-            for replica in fleet.replicas:
-                flight.until("fresh")
-                flight.fly(5)
-                replica.kill()
-                flight.fly(20)
-                flight.until("fresh")
-                replica.start()
-            flight.end()
-            flight.check_summaries()
-            assert flight.pilot.stats().reopened == 0

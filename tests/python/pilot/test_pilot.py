@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import spikeserve
 import spikeserve.piloting.link
-from restartable_server import RestartableServer, restartable_server
+from restartable_server import restartable_server
 from security import until
 from serving import SHIPPED_POLICIES, running_server
 from spikeserve.piloting import robot_clock
@@ -401,27 +401,6 @@ def test_a_server_that_loses_its_sessions_gets_a_new_one(tmp_path, fly):
             assert (ended.steps, ended.lost_steps) == (len(flight.episodes[-1]), 0)
             rewards = sum(reward for _, reward, _ in flight.episodes[-1][1:]) + 1.0
             assert ended.episode_return == pytest.approx(rewards)
-
-
-def test_a_stored_session_goes_on_after_its_server_was_killed(tmp_path, fly):
-    server = RestartableServer(f"--session_store=file:{tmp_path}")
-    server.start()
-    try:
-        options = spikeserve.SessionOptions(durability="ASYNC")
-        with spikeserve.Client(server.address) as client:
-            with fly(client, local=False, session=options) as flight:
-                flight.until("fresh")
-                flight.fly(20)
-                server.kill()
-                flight.until("safe")
-                flight.fly(20)
-                server.start()
-                flight.until("fresh")
-                flight.end()
-                flight.check_summaries()
-                assert flight.pilot.stats().reopened == 0
-    finally:
-        server.kill()
 
 
 def test_what_a_safety_layer_executes_is_what_the_server_remembers(client, fly):

@@ -205,25 +205,6 @@ def test_a_robot_may_wait_until_an_answer_is_there(client, link, fly):
         assert flight.beat().source == "fresh"
 
 
-@pytest.mark.parametrize("seconds", [1, 15])
-def test_a_robot_that_slept_executes_nothing_from_before(client, link, fly, seconds):
-    with fly(client, local=False, max_age=0.8) as flight:
-        flight.until("fresh")
-        flight.fly(5)
-        link.hold_answers()
-        flight.fly(2)
-        flight.suspend(seconds)
-        woken = flight.beat()
-        assert woken.source == "safe" and woken.age > seconds
-        link.heal()
-        before = len(flight.actions)
-        flight.until("fresh")
-        assert all(action.source == "safe" for action in flight.actions[before:-1])
-        assert flight.actions[-1].age < seconds
-        flight.end()
-        flight.check_session(client)
-
-
 @pytest.mark.parametrize("seconds", [1, 5, 15])
 def test_a_clock_that_stood_still_costs_no_second(client, monkeypatch, seconds):
     """A robot whose clock does not count its sleep, such as one of an earlier release."""

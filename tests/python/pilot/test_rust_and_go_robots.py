@@ -29,6 +29,12 @@ path = "fly.rs"
 """
 
 
+def with_sources(folder):
+    for source in SOURCES.iterdir():
+        shutil.copy(source, folder)
+    return folder
+
+
 def build_rust(folder):
     (folder / "Cargo.toml").write_text(MANIFEST.format(ROOT / "client/rust"))
     run("cargo", "build", "--offline", "--quiet", cwd=folder, env=installed()[1] | {"CARGO_TARGET_DIR": str(folder)})
@@ -50,7 +56,4 @@ def program(request, tmp_path_factory):
     if not shutil.which(compiler):
         assert not os.environ.get("CI"), f"{compiler}: expected what `deploy/setup.sh` installs, found none"
         pytest.skip(f"{compiler} is not installed")
-    folder = tmp_path_factory.mktemp("program")
-    for source in SOURCES.iterdir():
-        shutil.copy(source, folder)
-    return build(folder)
+    return build(with_sources(tmp_path_factory.mktemp("program")))

@@ -571,7 +571,7 @@ class Simulator {
 
   // Waits for an answer, as a robot that stands still, and takes it.
   void TakeAnswer() {
-    for (int i = 0; i < 1000 && !robot_.HasAnswer(); ++i) {
+    for (int i = 0; i < 1000 && next_fresh_ < all_.size() && !robot_.HasAnswer(); ++i) {
       robot_.AskAgain(Clock());
       RunUntil(now_ + kPeriod);
     }
@@ -726,7 +726,7 @@ Flight Replay(const std::vector<LinkEvent>& events) {
   const Kind kind = {.servers = 2,
                      .sends_datagrams = true,
                      .oldest = seconds(30),
-                     .hold_steps = 25,
+                     .hold_steps = 50,
                      .is_calm = true};
   return Watch(kind, {}, [&](Simulator& simulator) { simulator.Replay(events); });
 }
