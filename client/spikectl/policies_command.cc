@@ -131,7 +131,7 @@ std::string ToTable(std::vector<std::vector<std::string>> rows) {
 void PrintText(const v1::ListPoliciesResponse& response, const v1::ListRolloutsResponse& rollouts,
                bool all) {
   std::vector<std::vector<std::string>> rows = {
-      {"POLICY", "ENVIRONMENT", "MODE", "INPUTS", "ACTION", "RETURN", "TRAFFIC"}};
+      {"POLICY", "ENVIRONMENT", "MODE", "INPUTS", "ACTION", "RETURN", "LOST", "TRAFFIC"}};
   for (const v1::PolicyInfo& policy : response.policies()) {
     const std::string rollout = RolloutOf(policy, rollouts);
     if (!all && !IsInUse(policy, rollout)) continue;
@@ -139,6 +139,7 @@ void PrintText(const v1::ListPoliciesResponse& response, const v1::ListRolloutsR
         {absl::StrCat(policy.name(), "/", policy.version()), policy.environment(), policy.mode(),
          absl::StrCat(policy.observation_size()), ToText(policy.action_space()),
          policy.has_training_return() ? absl::StrFormat("%.1f", policy.training_return()) : "-",
+         policy.has_rounding_loss() ? absl::StrFormat("%.1f%%", 100 * policy.rounding_loss()) : "-",
          TrafficText(policy, rollout)});
   }
   const size_t others = static_cast<size_t>(response.policies_size()) + 1 - rows.size();

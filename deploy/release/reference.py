@@ -147,7 +147,8 @@ def policy_rows(path):
     digits = 1 if abs(evaluation["mean_return"]) > 10 else 3
     returned = [f"{evaluation[key]:.{digits}f}" for key in ("mean_return", "std_return")]
     what = (name, environment.partition("-OneHot")[0], config["mode"], sizes, f"{path.stat().st_size / 1000:.0f}", made, f"`{digest[:12]}`")
-    does = (name, " ± ".join(returned), evaluation["episodes"], f"{evaluation['spikes_per_decision']:.1f}", *(f"{nj:,.1f}" for nj in energy))
+    before = f"{record['paired_returns']['mean_returns'][0]:.{digits}f}"
+    does = (name, " ± ".join(returned), before, evaluation["episodes"], f"{evaluation['spikes_per_decision']:.1f}", *(f"{nj:,.1f}" for nj in energy))
     rate = f"{features['rate_hz']:g}" if "rate_hz" in features else "-"
     robot = (name, rate, elements(features["observation"]), elements(features["action"]))
     return [f"| {' | '.join(map(str, row))} |\n" for row in (what, does, robot)]
@@ -161,8 +162,10 @@ def policies_page():
     page += "paper's phase spikes and routing, `baseline` neither. The file `lab/past_policies.md` lists all policies that were shipped before.\n"
     page += "\n| policy | task | mode | d, H, L, T, N, F | KB | made by | SHA-256 |\n| --- | --- | --- | --- | ---: | --- | --- |\n" + what
     page += "\nReturns are means and deviations over starts that no training saw, from seed 2,000,000 on; spikes and energy are those of a\n"
-    page += "decision on the same starts, [estimated](energy.md) with memory (`int_sram_45nm`) and without (`int_45nm`).\n"
-    page += "\n| policy | return | starts | spikes | `int_sram_45nm`, nJ | `int_45nm`, nJ |\n| --- | ---: | ---: | ---: | ---: | ---: |\n" + does
+    page += "decision on the same starts, [estimated](energy.md) with memory (`int_sram_45nm`) and without (`int_45nm`). In float32, the policy\n"
+    page += "that each was made from returns what stands beside it.\n"
+    page += "\n| policy | return | in float32 | starts | spikes | `int_sram_45nm`, nJ | `int_45nm`, nJ |\n"
+    page += "| --- | ---: | ---: | ---: | ---: | ---: | ---: |\n" + does
     page += "\nThe elements that a robot sends and takes, in the policy's order, with their units and the decisions per second of the training\n"
     page += "data ([wiring](../guides/wiring.md)):\n\n| policy | Hz | observation | action |\n| --- | ---: | --- | --- |\n" + robot
     return page

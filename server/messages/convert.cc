@@ -18,14 +18,13 @@
 namespace spikeserve {
 namespace {
 
-// Returns `evaluation.mean_return` of a policy file's training record, if the record has it.
-std::optional<double> TrainingReturn(const std::string& training) {
-  const auto json = nlohmann::json::parse(training, /*cb=*/nullptr, /*allow_exceptions=*/false);
-  const auto evaluation = json.is_object() ? json.find("evaluation") : json.end();
-  if (evaluation == json.end() || !evaluation->is_object()) return std::nullopt;
-  const auto mean = evaluation->find("mean_return");
-  if (mean == evaluation->end() || !mean->is_number()) return std::nullopt;
-  return mean->get<double>();
+// Returns `rounding_loss.share` of a policy file's training record, if the record has it.
+std::optional<double> LostByRounding(const Policy& policy) {
+  const auto json =
+      nlohmann::json::parse(policy.training, /*cb=*/nullptr, /*allow_exceptions=*/false);
+  const nlohmann::json::json_pointer share("/rounding_loss/share");
+  if (!json.contains(share) || !json.at(share).is_number()) return std::nullopt;
+  return json.at(share).get<double>();
 }
 
 // The parts of an answer are written through mutable_*() into the response, so that they are
@@ -197,9 +196,8 @@ v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served) {
   *proto.mutable_action_space() = ToProto(policy.action_space);
   proto.set_context_length(policy.config.context);
   proto.set_target_return(static_cast<double>(policy.target_return));
-  if (const auto training_return = TrainingReturn(policy.training)) {
-    proto.set_training_return(*training_return);
-  }
+  if (const auto mean = TrainingReturn(policy)) proto.set_training_return(*mean);
+  if (const auto lost = LostByRounding(policy)) proto.set_rounding_loss(*lost);
   proto.set_environment(policy.environment);
   proto.set_mode(std::string(ToString(policy.config.mode)));
   for (const auto& [label, version] : entry.settings.labels) {

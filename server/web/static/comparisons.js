@@ -1,7 +1,7 @@
 // Compares the versions of a policy that share its traffic: roll-outs, with the evidence that the server collects, and
 // shares that an operator has set. Says in one sentence whether the newer version is worse.
 import {NOTHING, count, element, fixed, percent, policyLink, si} from './format.js';
-import {stateOf} from './policies.js';
+import {lossOf, stateOf} from './policies.js';
 
 const SURE = 2;  // standard errors: a difference that chance makes in one of twenty comparisons
 const SLOWER = 1.25;  // the factor that docs/guides/policies.md advises for --abort_if=p99
@@ -99,12 +99,19 @@ function expectation(rollout) {
   })];
 }
 
-function rolloutCard(rollout) {
+/** Returns what rounding cost the versions, where their files say so. */
+function losses(infos) {
+  const text = lossOf(infos);
+  return text ? [element('p', {className: 'loss', textContent: `${text}.`})] : [];
+}
+
+function rolloutCard(rollout, infos) {
   const name = `${rollout.policy}/${rollout.version}`;
   const stable = `${rollout.policy}/${rollout.stable_version}`;
   const running = stateOf(rollout) === 'running';
   const [fresh, old] = [ofEvidence(rollout.new_version_evidence), ofEvidence(rollout.stable_version_evidence)];
-  return card(`Roll-out of ${name}: ${stateOf(rollout)}`, verdictOf(name, fresh, old), ...expectation(rollout), stepsOf(rollout), table([
+  return card(`Roll-out of ${name}: ${stateOf(rollout)}`, verdictOf(name, fresh, old),
+              ...losses(infos), ...expectation(rollout), stepsOf(rollout), table([
     {name, link: policyLink(rollout.policy, rollout.version), share: running ? rollout.percent : undefined, of: fresh},
     {name: stable, link: policyLink(rollout.policy, rollout.stable_version), share: running ? 100 - rollout.percent : undefined, of: old},
   ]), element('p', {className: 'quiet', textContent: rollout.reason}));
@@ -119,6 +126,7 @@ function sharesCard(policy, versions) {
   const verdicts = others.map((row) => verdictOf(name(row), ofFigures(row), ofFigures(stable)));
   return card(`${split ? 'Shares' : 'Versions'} of ${policy}`,
               {text: verdicts.map(({text}) => text).join(' '), worse: verdicts.some(({worse}) => worse)},
+              ...losses(versions.map(({info}) => info)),
               table([stable, ...others].map((row) => ({
                 name: name(row), link: policyLink(policy, row.info.version), share: row.info.traffic_percent,
                 of: ofFigures(row),
@@ -148,7 +156,10 @@ export class Comparisons {
     const key = JSON.stringify([rollouts, split]);
     if (key === this.shown) return;
     this.shown = key;
-    const cards = [...rollouts.map(rolloutCard), ...split.map(([policy, versions]) => sharesCard(policy, versions))];
+    const infosOf = ({policy, version, stable_version: stable}) => status.policies.filter(
+      (info) => info.name === policy && (info.version === version || info.version === stable));
+    const cards = [...rollouts.map((rollout) => rolloutCard(rollout, infosOf(rollout))),
+                   ...split.map(([policy, versions]) => sharesCard(policy, versions))];
     const title = cards.length ? [element('h2', {textContent: 'Roll-outs and canaries'})] : [];
     this.target.replaceChildren(...title, element('div', {}, ...cards));
   }

@@ -1,6 +1,6 @@
 // The tables of policies, of spikes by stage and of calls.
 import {STAGES} from './explain.js';
-import {NOTHING, count, element, fixed, isNumber, policyLink, setText, si} from './format.js';
+import {NOTHING, count, element, fixed, isNumber, percent, policyLink, setText, si} from './format.js';
 import {Table} from './table.js';
 
 const JOULES_PER_SPIKE = 5e-12;  // of energy model spike_5pj, the only one that is counted by stage
@@ -30,6 +30,13 @@ export function policyRows(status, model) {
   return rows;
 }
 
+/** Returns what rounding cost the versions whose files say so, as text. */
+export function lossOf(infos) {
+  return infos.filter((info) => isNumber(info.rounding_loss))
+    .map(({name, version, rounding_loss: loss}) => `${name}/${version} lost ${percent(loss)} by rounding`)
+    .join(', ');
+}
+
 /** Returns which new sessions a version gets, its labels, whether it is the shadow, and its roll-out. */
 function chipsOf(policy, rollout) {
   const chips = [];
@@ -50,7 +57,7 @@ export class Policies {
     const key = (row) => row.key;
     const name = {key: 'key', label: 'Policy', value: key, isText: true, fill: (cell, row) => {
       cell.append(element('a', {href: policyLink(row.info.name, row.info.version), textContent: row.key,
-                                title: `${row.info.environment}, ${row.info.mode}`}));
+                                title: [row.info.environment, row.info.mode, lossOf([row.info])].filter(Boolean).join(', ')}));
     }};
     this.table = new Table(document.getElementById('policies-table'), [
       name,

@@ -28,6 +28,7 @@ def policies(tmp_path_factory):
         add_version(folder, environment.lower(), 1, SHIPPED_POLICIES / version)
     tensors, metadata = read_policy(folder / "cartpole-v1/1/policy.safetensors")
     tensors["head.weight"][:] = tensors["head.bias"][:] = 0
+    metadata["training"] = json.dumps(json.loads(metadata["training"]) | {"rounding_loss": {"share": 0.031}})
     shutil.rmtree(folder / "cartpole-v1/1")
     write_policy(folder / "cartpole-v1/1/policy.safetensors", tensors, metadata)
     return folder
@@ -70,7 +71,11 @@ def test_it_lists_the_policies(server):
     assert cart_pole["action_space"]["n"] == 2
     expected = {"version": 1, "is_default": True, "environment": "CartPole-v1", "observation_size": 4, "target_return": 500}
     assert {key: cart_pole[key] for key in expected} == expected
-    assert "pendulum-v1" in server.spikectl("policies").stdout
+    assert [policy.get("rounding_loss") for policy in listed] == [None, 0.031, None, None]
+    head, *rows = (line.split() for line in server.spikectl("policies").stdout.splitlines())
+    assert head == ["POLICY", "ENVIRONMENT", "MODE", "INPUTS", "ACTION", "RETURN", "LOST", "TRAFFIC"]
+    assert [(row[0], row[6]) for row in rows[:2]] == [("acrobot-v1/1", "-"), ("cartpole-v1/1", "3.1%")]
+    assert rows[3][0] == "pendulum-v1/1"
 
 
 @pytest.mark.parametrize("environment", ENVIRONMENTS)

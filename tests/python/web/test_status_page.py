@@ -4,11 +4,11 @@ Uses only the keyboard, by day and by night.
 """
 
 import itertools
-import shutil
+import json
 import threading
 
 import pytest
-from policy_file import copy_without_wiring
+from policy_file import copy_without_wiring, read_policy, write_policy
 from redis_servers import WITHOUT_REDIS, Redis, stopping
 from security import POLICY, until
 from selenium.webdriver.common.keys import Keys
@@ -150,8 +150,10 @@ def test_returns_and_learning_are_shown(page, server):
 
 
 def test_traffic_and_rollouts_are_shown(browser, tmp_path):
-    for version in ("1", "2"):
-        shutil.copytree(SHIPPED_POLICIES / "cartpole" / "2", tmp_path / "robot" / version)
+    for version, lost in ("1", 0.0), ("2", 0.031):
+        tensors, metadata = read_policy(SHIPPED_POLICIES / "cartpole" / "2" / "policy.safetensors")
+        metadata["training"] = json.dumps(json.loads(metadata["training"]) | {"rounding_loss": {"share": lost}})
+        write_policy(tmp_path / "robot" / version / "policy.safetensors", tensors, metadata)
     with running_server(tmp_path) as addresses:
         addresses.admin.SetDefaultVersion(policy="robot", version=1)
         addresses.admin.SetLabel(policy="robot", version=1, label="stable")
@@ -161,6 +163,7 @@ def test_traffic_and_rollouts_are_shown(browser, tmp_path):
         browser.wait_for("document.querySelector('#comparisons article')", "the roll-out")
         assert browser.text("#comparisons h3") == "Roll-out of robot/2: running"
         assert browser.text("#comparisons .verdict") == "robot/2 has too few episodes to judge its return."
+        assert browser.text("#comparisons .loss") == "robot/1 lost 0 % by rounding, robot/2 lost 3.1 % by rounding."
         assert browser.text("#comparisons .quiet").startswith("waits for ")
         assert browser.text("#comparisons .steps .current") == "25 %"
         browser.click("#idle")

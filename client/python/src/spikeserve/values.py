@@ -80,6 +80,7 @@ class Policy(FromMessage, message="PolicyInfo"):
     rate_hz: float | None  # decisions per second in the training data; None: unknown
     rate_tolerance: float  # largest relative deviation from it
     checks_wiring: bool  # whether the server checks how sessions are wired
+    rounding_loss: float | None  # share of the return that integers lost; None: not measured
 
 
 @dataclass(frozen=True)
