@@ -73,7 +73,7 @@ std::string CsvOf(const ordered_json& rows, const ordered_json& empty) {
 std::string TableOf(const ordered_json& rows, const std::vector<std::string>& by) {
   std::string text;
   for (const std::string& key : by) absl::StrAppendFormat(&text, "%-20s ", key);
-  absl::StrAppend(&text, "   DECISIONS         SPIKES     JOULES  INT_SRAM_J  SESSION_H  REFUSED");
+  absl::StrAppend(&text, "   DECISIONS         SPIKES  INT_SRAM_J  HOROWITZ_J  SESSION_H  REFUSED");
   for (const ordered_json& row : rows) {
     text += "\n";
     for (const std::string& key : by) {
@@ -82,9 +82,9 @@ std::string TableOf(const ordered_json& rows, const std::vector<std::string>& by
                             value.is_string() ? value.get<std::string>() : value.dump());
     }
     absl::StrAppendFormat(
-        &text, "%12d %14d %10.4g  %10.4g %10.1f %8d", row["decisions"].get<int64_t>(),
-        row["spikes"].get<int64_t>(), row["joules_horowitz_45nm"].get<double>(),
-        row["joules_int_sram_45nm"].get<double>(), row["session_seconds"].get<double>() / 3600.0,
+        &text, "%12d %14d %11.4g %11.4g %10.1f %8d", row["decisions"].get<int64_t>(),
+        row["spikes"].get<int64_t>(), row["joules_int_sram_45nm"].get<double>(),
+        row["joules_horowitz_45nm"].get<double>(), row["session_seconds"].get<double>() / 3600.0,
         row["refused_calls"].get<int64_t>());
   }
   return text;

@@ -131,11 +131,11 @@ std::string ToText(const EnergyAccount& account) {
   AppendTraffic(account, &text);
   const DecisionCost& policy = account.policy;
   const DecisionCost& dense = account.dense;
+  AppendSum("int_sram_45nm", policy.operations_energy() + policy.traffic_energy(),
+            dense.operations_energy() + dense.traffic_energy(), &text);
   AppendSum("int_45nm", policy.operations_energy(), dense.operations_energy(), &text);
   AppendSum("int_45nm with wide adders", policy.wide_operations_energy(),
             dense.wide_operations_energy(), &text);
-  AppendSum("int_sram_45nm", policy.operations_energy() + policy.traffic_energy(),
-            dense.operations_energy() + dense.traffic_energy(), &text);
   return text;
 }
 

@@ -18,7 +18,7 @@ export class Usage {
     const number = (key, label, value, format) => ({key, label, value, text: (row) => format(value(row))});
     const text = (key, label) => ({key, label, isText: true, value: (row) => row[key], text: (row) => row[key] || NOTHING});
     const of = (key) => (row) => Number(row.usage[key]);
-    this.model = 'horowitz_45nm';
+    this.model = 'int_sram_45nm';
     this.table = new Table(document.getElementById('usage-table'), [
       text('tenant', 'Tenant'), text('policy', 'Policy'), text('label', 'Label'),
       number('energy', 'Energy (estimate)', (row) => joulesOf(row, this.model), (x) => si(x, 'J')),

@@ -105,7 +105,10 @@ def test_rows_are_told_apart_and_have_a_figure_of_each_model(tmp_path):
         assert [(line["policy"], line["label"]) for line in lines if line["policy"]] == named
         assert sum(int(line["decisions"]) for line in lines) == 3
         month = time.strftime("%Y-%m", time.gmtime())
-        assert month in server.spikectl("usage", f"--month={month}", "--by=tenant").stdout
+        first, head, row = server.spikectl("usage", f"--month={month}", "--by=tenant").stdout.splitlines()[:3]
+        assert month in first and head.split()[3:5] == ["INT_SRAM_J", "HOROWITZ_J"]
+        sums = [sum(float(line[f"joules_{model}"]) for line in lines) for model in ("int_sram_45nm", "horowitz_45nm")]
+        assert list(map(float, row.split()[-4:-2])) == pytest.approx(sums, rel=1e-3)
         page = json.loads(page_of(server, "/usage.json?by=day"))
         assert (page["month"], page["rows"][0]["usage"]["decisions"]) == (month, "3")
         assert usage_of(server.admin, month="2001-01") == []
