@@ -16,7 +16,9 @@ void Logits(const Linear& head, absl::Span<const float> readout, std::vector<flo
   *logits = head.bias.values;
   for (size_t i = 0; i < logits->size(); ++i) {
     const float* row = head.weight.values.data() + i * readout.size();
-    for (size_t j = 0; j < readout.size(); ++j) (*logits)[i] += row[j] * readout[j];
+    float logit = (*logits)[i];  // in a register, where the additions do not wait for memory
+    for (size_t j = 0; j < readout.size(); ++j) logit += row[j] * readout[j];
+    (*logits)[i] = logit;
   }
 }
 

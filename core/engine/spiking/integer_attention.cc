@@ -7,17 +7,12 @@
 #include "core/engine/token_costs.h"
 
 namespace spikeserve {
-namespace {
-
-int WordsOf(const ModelConfig& config) { return (config.head_size() + 31) / 32; }
-
-}  // namespace
-
 void GroupTicks(const IntegerKeys& keys, std::vector<TickGroup>* groups) {
   groups->clear();
   TickGroup silent;
   const ModelConfig& config = keys.config;
-  const size_t words = static_cast<size_t>(config.plane_ticks()) * config.heads * WordsOf(config);
+  const size_t words =
+      static_cast<size_t>(config.plane_ticks()) * config.heads * keys.cache.words();
   for (int plane = 0; plane < config.attention_planes(); ++plane) {
     const uint32_t* const own = keys.query == nullptr ? nullptr : keys.query + plane * words;
     if (own != nullptr && std::any_of(own, own + words, [](uint32_t word) { return word != 0; })) {
@@ -32,51 +27,73 @@ void GroupTicks(const IntegerKeys& keys, std::vector<TickGroup>* groups) {
 void IntegerAttention::Attend(const IntegerKeys& keys, const TickGroup& group, int16_t* y,
                               Counts* counts) {
   const ModelConfig& config = keys.config;
-  const int size = config.head_size();
   const int ticks = static_cast<int>(group.size()) * config.plane_ticks();
+  const auto scale = [&](const int32_t* sums, int first, int size, int32_t weights) {
+    counts->attention_scalings += kernels::ScaleSums(sums, size, weights * ticks, y + first);
+  };
+  if (keys.query == nullptr && keys.biases == nullptr) {  // all heads at once
+    const int32_t* const sums = SumAllValues(keys, group, 0, config.hidden_size, counts);
+    return scale(sums, 0, config.hidden_size, keys.band.tokens());
+  }
+  const int size = keys.cache.head_size();
   for (int head = 0; head < config.heads; ++head) {
     ReadQuery(keys, group, head);
-    const bool is_mean = query_.empty() && keys.biases == nullptr;
-    const int32_t weights = is_mean ? keys.band.tokens() : WeighKeys(keys, group, head, counts);
-    SumValues(keys, group, head, is_mean, counts);
-    counts->attention_scalings +=
-        kernels::ScaleSums(sums_.data(), size, weights * ticks, y + head * size);
+    if (query_.empty() && keys.biases == nullptr) {
+      const int32_t* const sums = SumAllValues(keys, group, head * size, size, counts);
+      scale(sums, head * size, size, keys.band.tokens());
+    } else {
+      const int32_t weights = WeighKeys(keys, group, head, counts);
+      scale(SumValues(keys, group, head, counts), head * size, size, weights);
+    }
   }
 }
 
-void IntegerAttention::SumValues(const IntegerKeys& keys, const TickGroup& group, int head,
-                                 bool is_mean, Counts* counts) {
-  const int size = keys.config.head_size();
-  sums_.assign(PadToLanes(size), 0);
-  plane_.resize(sums_.size());
-  if (is_mean) {
-    counts->attention_bytes += group.size() * static_cast<uint64_t>(size) * sizeof(int16_t);
-  }
-  for (const int plane : group) {
-    const int32_t* values = keys.cache.sums(plane) + head * size;
-    if (!is_mean) {
-      counts->attention_products += kernels::WeighValues(
-          weights_.data(), keys.cache.head(head, plane), keys.band.used_slots(), plane_.data());
-      values = plane_.data();
-    } else if (plane != group.front()) {
+const int32_t* IntegerAttention::SumValues(const IntegerKeys& keys, const TickGroup& group,
+                                           int head, Counts* counts) {
+  plane_.resize(PadToLanes(keys.cache.head_size()));
+  return SumPlanes(group, keys.cache.head_size(), [&](int plane) {
+    counts->attention_products += kernels::WeighValues(
+        weights_.data(), keys.cache.head(head, plane), keys.band.used_slots(), plane_.data());
+    return plane_.data();
+  });
+}
+
+const int32_t* IntegerAttention::SumAllValues(const IntegerKeys& keys, const TickGroup& group,
+                                              int first, int size, Counts* counts) {
+  counts->attention_bytes += group.size() * static_cast<uint64_t>(size) * sizeof(int16_t);
+  return SumPlanes(group, size, [&](int plane) {
+    const int32_t* const values = keys.cache.sums(plane) + first;
+    if (plane != group.front()) {
       counts->attention_products +=
           static_cast<uint64_t>(size - std::count(values, values + size, 0));
     }
+    return values;
+  });
+}
+
+template <class SumsOf>
+const int32_t* IntegerAttention::SumPlanes(const TickGroup& group, int size, SumsOf sums_of) {
+  if (group.size() == 1) return sums_of(group.front());
+  AssignZeros(&sums_, PadToLanes(size));
+  for (const int plane : group) {
+    const int32_t* const values = sums_of(plane);
     for (int k = 0; k < size; ++k) sums_[k] += values[k];
   }
+  return sums_.data();
 }
 
 void IntegerAttention::ReadQuery(const IntegerKeys& keys, const TickGroup& group, int head) {
   query_.clear();
   if (keys.query == nullptr) return;
-  const int words = WordsOf(keys.config);
+  const int words = keys.cache.words();
+  const int tick_words = keys.config.heads * words;
   const int ticks = keys.config.plane_ticks();
   for (const int plane : group) {
-    for (int tick = plane * ticks; tick < (plane + 1) * ticks; ++tick) {
-      const uint32_t* const own =
-          keys.query + (static_cast<size_t>(tick) * keys.config.heads + head) * words;
-      for (int word = 0; word < words; ++word) {
-        if (own[word] != 0) query_.push_back({tick * words + word, own[word]});
+    const uint32_t* own = keys.query + plane * ticks * tick_words + head * words;
+    for (int word = 0; word < words; ++word, ++own) {
+      for (int tick = 0; tick < ticks; ++tick) {
+        const uint32_t bits = own[tick * tick_words];
+        if (bits != 0) query_.push_back({(plane * ticks + tick) * words + word, bits});
       }
     }
   }
@@ -89,8 +106,9 @@ int32_t IntegerAttention::WeighKeys(const IntegerKeys& keys, const TickGroup& gr
   const auto tokens = static_cast<uint64_t>(band.tokens());
   const int ticks = static_cast<int>(group.size()) * config.plane_ticks();
   counts->softmax_terms += tokens;
-  const uint64_t key_bytes = query_.empty() ? 0 : SpikeBytes(ticks, config.head_size());
-  counts->attention_bytes += tokens * (key_bytes + ValueBytes(config, ticks, config.head_size()));
+  const int size = keys.cache.head_size();
+  const uint64_t key_bytes = query_.empty() ? 0 : SpikeBytes(ticks, size);
+  counts->attention_bytes += tokens * (key_bytes + ValueBytes(config, ticks, size));
   const int slots = band.used_slots();
   overlaps_.resize(slots);
   weights_.resize(slots);

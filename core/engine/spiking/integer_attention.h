@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "absl/container/inlined_vector.h"
 #include "core/engine/counts.h"
 #include "core/engine/spiking/integer_cache.h"
 #include "core/engine/spiking/kernels/integer_attention_kernels.h"
@@ -25,7 +26,7 @@ struct IntegerKeys {
 };
 
 // Ticks that attention takes together: some of the planes of IntegerCache.
-using TickGroup = std::vector<int>;
+using TickGroup = absl::InlinedVector<int, 16>;
 
 // Sets `groups` to those of a query: each plane at which it fires, and all others together.
 void GroupTicks(const IntegerKeys& keys, std::vector<TickGroup>* groups);
@@ -42,15 +43,21 @@ class IntegerAttention {
   void ReadQuery(const IntegerKeys& keys, const TickGroup& group, int head);
   // Sets weights_ to those of the slots for query_, and returns their sum.
   int32_t WeighKeys(const IntegerKeys& keys, const TickGroup& group, int head, Counts* counts);
-  // Sets sums_ to the weighted values of a head, or to all values if the weights are not computed.
-  void SumValues(const IntegerKeys& keys, const TickGroup& group, int head, bool is_mean,
-                 Counts* counts);
+  // Returns the sums of the weighted values of a head, [pad(d_h)].
+  const int32_t* SumValues(const IntegerKeys& keys, const TickGroup& group, int head,
+                           Counts* counts);
+  // Returns the sums of all values of `size` lanes, from the lane `first` of [d] on, [pad(size)].
+  const int32_t* SumAllValues(const IntegerKeys& keys, const TickGroup& group, int first, int size,
+                              Counts* counts);
+  // Adds up sums_of(plane) [size] over a group.
+  template <class SumsOf>
+  const int32_t* SumPlanes(const TickGroup& group, int size, SumsOf sums_of);
 
   std::vector<kernels::QueryWord> query_;
   AlignedVector<int32_t> overlaps_;  // [slots]
   AlignedVector<int16_t> weights_;   // [slots]
   AlignedVector<int32_t> plane_;     // sums of one plane, [pad(d_h)]
-  AlignedVector<int32_t> sums_;      // [pad(d_h)]
+  AlignedVector<int32_t> sums_;      // of all planes of a group, [pad(d_h)] or [pad(d)]
 };
 
 }  // namespace spikeserve

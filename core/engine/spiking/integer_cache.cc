@@ -53,19 +53,24 @@ kernels::HeadSlots IntegerCache::head(int head, int plane) const {
           .nonzero = nonzero_.data() + first};
 }
 
-void IntegerCache::Store(int slot, const uint32_t* keys, const int16_t* counts) {
+uint64_t IntegerCache::Store(int slot, const uint32_t* keys, const int16_t* counts) {
+  const int ticks = ticks_;  // copies, which no store of a key can change
+  const int key_words = words_ * kSlotBlock;
+  const int tick_words = heads_ * words_;
   for (int head = 0; head < heads_; ++head) {
     const size_t block = (static_cast<size_t>(head) * slots_ + slot) / kSlotBlock;
-    uint32_t* key = keys_.data() + block * ticks_ * words_ * kSlotBlock + slot % kSlotBlock;
-    for (int tick = 0; tick < ticks_; ++tick) {
-      const uint32_t* const own = keys + (static_cast<size_t>(tick) * heads_ + head) * words_;
-      for (int word = 0; word < words_; ++word, key += kSlotBlock) *key = own[word];
+    for (int word = 0; word < words_; ++word, ++keys) {
+      uint32_t* key =
+          keys_.data() + block * ticks * key_words + word * kSlotBlock + slot % kSlotBlock;
+      for (int tick = 0; tick < ticks; ++tick, key += key_words) *key = keys[tick * tick_words];
     }
   }
   const auto width = static_cast<size_t>(PadToLanes(heads_ * head_size_));
+  uint64_t nonzero = 0;
   for (int plane = 0; plane < planes_; ++plane) {
-    kernels::StoreValues(counts + plane * width, values_of(slot, plane));
+    nonzero += kernels::StoreValues(counts + plane * width, values_of(slot, plane));
   }
+  return nonzero;
 }
 
 void IntegerCache::Remove(int slot) {

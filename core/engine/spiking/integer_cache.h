@@ -53,13 +53,16 @@ class IntegerCache {
   explicit IntegerCache(const ModelConfig& config);
 
   // Stores a token. `keys` is [T][H][W], where the W = ceil(d_h / 32) words are a head's bits at a
-  // tick; `counts` is [planes][pad(d)].
-  void Store(int slot, const uint32_t* keys, const int16_t* counts);
+  // tick; `counts` is [planes][pad(d)]. Returns the number of counts that are not 0.
+  uint64_t Store(int slot, const uint32_t* keys, const int16_t* counts);
   // Subtracts the values of a token that leaves the band from their sum.
   void Remove(int slot);
 
   // Returns the keys of a head, and its values in a plane.
   kernels::HeadSlots head(int head, int plane) const;
+  int head_size() const { return head_size_; }  // d_h
+  int words() const { return words_; }          // W
+
   // Returns the sums of the values of all tokens in a plane, [d] and kLanes zeros.
   const int32_t* sums(int plane) const { return sums_.data() + plane * sums_width(); }
 

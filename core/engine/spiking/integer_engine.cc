@@ -113,21 +113,19 @@ class IntegerTokenPass {
   void Readout(std::vector<float>* readout) {
     Code(packed_.readout_coder, Stage::kReadout);
     scratch_.spikes.Rates(readout);
-    for (int j = 0; j < config_.hidden_size; ++j) {
-      if ((*readout)[j] > 0.0f) counts_->multiply_accumulates += packed_.head_nonzero[j];
-    }
+    counts_->multiply_accumulates += scratch_.spikes.Synapses(packed_.head_nonzero);
   }
 
  private:
   void Embed(TokenKind kind, absl::Span<const float> input) {
     const PackedEmbedding& embedding = packed_.embedding(kind);
-    scratch_.input.assign(PadToLanes(static_cast<int>(input.size())), 0);
+    AssignZeros(&scratch_.input, PadToLanes(static_cast<int>(input.size())));
     const auto unit = static_cast<float>(1 << config_.input_fraction);
     for (size_t i = 0; i < input.size(); ++i) {
       const float scaled = std::clamp<float>(input[i] * unit, -kLargestResidual, kLargestResidual);
       scratch_.input[i] = static_cast<int16_t>(std::nearbyint(scaled));
     }
-    scratch_.x.assign(PadToLanes(config_.hidden_size), 0);
+    AssignZeros(&scratch_.x, PadToLanes(config_.hidden_size));
     counts_->wide_multiply_accumulates += Apply(embedding.linear, scratch_.input);
     Normalize(embedding.norm);
   }
@@ -191,14 +189,14 @@ class IntegerTokenPass {
     if (!needs_query) synapses -= scratch_.spikes.Products(packed.nonzero_query, &phase);
     counts_->accumulates += synapses;
     counts_->weight_bytes += synapses;
+    const uint64_t values =
+        context_->caches[layer].Store(slot, scratch_.keys.data(), scratch_.counts.data());
     // A value enters the sum of all values now, and leaves it later.
-    const size_t zeros = std::count(scratch_.counts.begin(), scratch_.counts.end(), 0);
-    const uint64_t sums = config_.relative_bias ? 0 : 2 * (scratch_.counts.size() - zeros);
+    const uint64_t sums = config_.relative_bias ? 0 : 2 * values;
     counts_->attention_products += sums;
     counts_->attention_bytes += SpikeBytes(config_.ticks, config_.hidden_size) +
                                 ValueBytes(config_, config_.ticks, config_.hidden_size) +
                                 sums * 2 * sizeof(int16_t);
-    context_->caches[layer].Store(slot, scratch_.keys.data(), scratch_.counts.data());
   }
 
   // Sets scratch_.counts to the spike counts of the values, whose first lane is `section`.
@@ -247,14 +245,16 @@ class IntegerTokenPass {
                               .band = context_->band,
                               .cache = context_->caches[layer],
                               .query = query_spikes_ > 0 ? scratch_.query.data() : nullptr};
-    scratch_.y.assign(PadToLanes(config_.hidden_size), 0);
-    scratch_.merged.assign(PadToLanes(config_.merged_size()), 0);
+    AssignZeros(&scratch_.y, PadToLanes(config_.hidden_size));
+    AssignZeros(&scratch_.merged, PadToLanes(config_.merged_size()));
     GroupTicks(keys, &scratch_.groups);
+    // Where one group has all ticks, their number would be a factor of the sums and of the divisor.
+    const bool is_one = scratch_.groups.size() == 1;
     for (const TickGroup& group : scratch_.groups) {
       scratch_.attention.Attend(keys, group, scratch_.y.data(), counts_);
-      AddHeads(packed, static_cast<int>(group.size()) * config_.plane_ticks());
+      AddHeads(packed, is_one ? 1 : static_cast<int>(group.size()) * config_.plane_ticks());
     }
-    MergeHeads();
+    MergeHeads(is_one ? 1 : config_.ticks);
     Apply(packed.attention_output, scratch_.input);
     Normalize(packed.attention_norm);
   }
@@ -268,18 +268,16 @@ class IntegerTokenPass {
     if (config_.has_routing()) Route(packed);
     ticks *= config_.gate_factor();
     for (int head = 0; head < config_.heads; ++head) {
-      int32_t* const sums = scratch_.merged.data() + (concat ? head * size : 0);
-      const int16_t* const y = scratch_.y.data() + head * size;
-      const int32_t gate = scratch_.gates[head] * ticks;
-      for (int k = 0; k < size; ++k) sums[k] += gate * y[k];
+      kernels::AddScaled(scratch_.y.data() + head * size, size, scratch_.gates[head] * ticks,
+                         scratch_.merged.data() + (concat ? head * size : 0));
     }
   }
 
-  // Sets scratch_.input to the merged heads, [pad(d_h)] or [pad(d)].
-  void MergeHeads() {
+  // Sets scratch_.input to the merged heads over `ticks`, [pad(d_h)] or [pad(d)].
+  void MergeHeads(int32_t ticks) {
     int32_t divisor = config_.merge == Merge::kConcat ? 1 : config_.heads;
     if (config_.has_routing()) divisor = 1 << kGateFraction;
-    divisor *= config_.ticks;
+    divisor *= ticks;
     scratch_.input.resize(scratch_.merged.size());
     if (std::has_single_bit(static_cast<uint32_t>(divisor))) {
       const int shift = std::countr_zero(static_cast<uint32_t>(divisor));
@@ -302,7 +300,7 @@ class IntegerTokenPass {
   void Route(const PackedIntegerLayer& packed) {
     counts_->gate_products += static_cast<uint64_t>(config_.hidden_size);
     Apply(packed.routing_hidden, scratch_.y);
-    scratch_.input.assign(PadToLanes(config_.routing_hidden_size), 0);
+    AssignZeros(&scratch_.input, PadToLanes(config_.routing_hidden_size));
     for (int j = 0; j < config_.routing_hidden_size; ++j) {
       scratch_.input[j] = static_cast<int16_t>(std::clamp(scratch_.sums[j], 0, kLargestResidual));
     }

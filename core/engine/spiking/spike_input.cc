@@ -4,6 +4,7 @@
 
 #include "core/engine/spiking/kernels/event_kernels.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
+#include "core/engine/spiking/packed/aligned_vector.h"
 #include "core/neuron/phase.h"
 
 namespace spikeserve {
@@ -70,7 +71,7 @@ void SpikeInput::GroupByPeriod() {
       }
     }
   };
-  next_.assign(ticks_ + 1, 0);
+  AssignZeros(&next_, ticks_ + 1);
   for_each_active([this](int32_t j) { ++next_[periods_[j]]; });
   int first = 0;
   for (int n = 1; n <= ticks_; ++n) {
@@ -94,13 +95,21 @@ void SpikeInput::Rates(std::vector<float>* rates) const {
   for (float& rate : *rates) rate /= static_cast<float>(ticks_);
 }
 
+uint64_t SpikeInput::SynapsesOf(const SpikeGroup& group, absl::Span<const uint32_t> nonzero) const {
+  uint64_t synapses = 0;
+  for (int m = group.first; m < group.first + group.count; ++m) synapses += nonzero[members_[m]];
+  return synapses;
+}
+
+uint64_t SpikeInput::Synapses(absl::Span<const uint32_t> nonzero) const {
+  uint64_t synapses = 0;
+  for (const SpikeGroup& group : groups_) synapses += SynapsesOf(group, nonzero);
+  return synapses;
+}
+
 uint64_t SpikeInput::Products(absl::Span<const uint32_t> nonzero, const PhaseSpikes* phase) const {
   uint64_t products = 0;
-  for (const SpikeGroup& group : groups_) {
-    uint64_t synapses = 0;
-    for (int m = group.first; m < group.first + group.count; ++m) synapses += nonzero[members_[m]];
-    products += synapses * group.spikes;
-  }
+  for (const SpikeGroup& group : groups_) products += SynapsesOf(group, nonzero) * group.spikes;
   if (phase != nullptr) {
     for (const int32_t k : phase->generators) products += nonzero[neurons_ + k];
   }

@@ -61,11 +61,15 @@ class SpikeInput {
   // Returns the neurons of a group, ascending, [count].
   const int32_t* members(const SpikeGroup& group) const { return members_.data() + group.first; }
 
+  // Returns the number of nonzero weights of the neurons that fire; `nonzero` is as below.
+  uint64_t Synapses(absl::Span<const uint32_t> nonzero) const;
+
   // Returns the number of products of a spike and a nonzero weight, where `nonzero` [inputs] is the
   // number of nonzero weights of each input; `phase` may be null.
   uint64_t Products(absl::Span<const uint32_t> nonzero, const PhaseSpikes* phase) const;
 
  private:
+  uint64_t SynapsesOf(const SpikeGroup& group, absl::Span<const uint32_t> nonzero) const;
   // Sets the groups from periods_ and active_.
   void GroupByPeriod();
 

@@ -131,9 +131,7 @@ class TokenPass {
     token_ = &scratch_.tokens[index];
     Code(policy_.weights.readout_coder, Stage::kReadout);
     scratch_.spikes.Rates(readout);
-    for (int j = 0; j < config_.hidden_size; ++j) {
-      if ((*readout)[j] > 0.0f) counts().multiply_accumulates += packed_.head_nonzero[j];
-    }
+    counts().multiply_accumulates += scratch_.spikes.Synapses(packed_.head_nonzero);
   }
 
  private:

@@ -26,56 +26,65 @@ namespace {
 using Wide = hn::CappedTag<int32_t, 8>;
 using Narrow = hn::Rebind<int16_t, Wide>;
 
-// Calls visit(head, pairs, lane, count) for `count` values of a slot, at most a vector, until all
-// were visited. `lane` counts those of all heads.
-template <class Visit>
-HWY_INLINE void ForEachPart(const SlotValues& values, Visit visit) {
-  constexpr int kPart = static_cast<int>(hn::MaxLanes(Wide()));
-  const size_t width = PairWidth(values.head_size);
-  for (int head = 0; head < values.heads; ++head) {
-    const size_t row = (static_cast<size_t>(head) * values.slots + values.slot) / 2;
-    auto* const pairs = reinterpret_cast<int16_t*>(values.pairs) + row * width;
-    for (int k = 0; k < values.head_size; k += kPart) {
-      visit(head, pairs + k, head * values.head_size + k, std::min(kPart, values.head_size - k));
-    }
-  }
+constexpr int kPart = static_cast<int>(hn::MaxLanes(Wide()));
+
+// Returns the pairs of a head that contain the values of the slot.
+HWY_INLINE int16_t* PairsOf(const SlotValues& values, int head) {
+  const size_t row = (static_cast<size_t>(head) * values.slots + values.slot) / 2;
+  return reinterpret_cast<int16_t*>(values.pairs) + row * PairWidth(values.head_size);
+}
+
+// Loads `count` numbers, at most a vector, and zeros behind them.
+HWY_INLINE hn::Vec<Narrow> LoadPart(const int16_t* numbers, int count) {
+  const Narrow d;
+  const auto part = hn::LoadU(d, numbers);
+  return count >= kPart ? part : hn::IfThenElseZero(hn::FirstN(d, count), part);
 }
 
 // A slot's values lie at the bits from `shift` on of each pair.
 template <int shift>
-void StoreIn(const int16_t* counts, const SlotValues& values) {
+int StoreIn(const int16_t* counts, const SlotValues& values) {
   const Wide wide;
   const Narrow narrow;
   const auto neighbour = hn::Set(narrow, static_cast<int16_t>(shift == 0 ? 0xFF00 : 0x00FF));
-  for (int head = 0; head < values.heads; ++head) {
-    values.nonzero[head * values.slots + values.slot] = 0;
+  const int size = values.head_size;
+  int32_t* sums = values.sums;
+  int total = 0;
+  for (int head = 0; head < values.heads; ++head, counts += size, sums += size) {
+    int16_t* const pairs = PairsOf(values, head);
+    int nonzero = 0;
+    for (int k = 0; k < size; k += kPart) {
+      const auto own = LoadPart(counts + k, size - k);
+      nonzero += static_cast<int>(hn::CountTrue(narrow, hn::Ne(own, hn::Zero(narrow))));
+      const auto kept = hn::And(hn::LoadU(narrow, pairs + k), neighbour);
+      hn::StoreU(hn::Or(kept, hn::ShiftLeft<shift>(own)), narrow, pairs + k);
+      const auto sum = hn::Add(hn::LoadU(wide, sums + k), hn::PromoteTo(wide, own));
+      hn::StoreU(sum, wide, sums + k);
+    }
+    values.nonzero[head * values.slots + values.slot] = static_cast<int16_t>(nonzero);
+    total += nonzero;
   }
-  ForEachPart(values, [&](int head, int16_t* pairs, int lane, int count) HWY_ATTR {
-    const auto own =
-        hn::IfThenElseZero(hn::FirstN(narrow, count), hn::LoadU(narrow, counts + lane));
-    const auto nonzero = hn::CountTrue(narrow, hn::Ne(own, hn::Zero(narrow)));
-    values.nonzero[head * values.slots + values.slot] += static_cast<int16_t>(nonzero);
-    const auto kept = hn::And(hn::LoadU(narrow, pairs), neighbour);
-    hn::StoreU(hn::Or(kept, hn::ShiftLeft<shift>(own)), narrow, pairs);
-    const auto sum = hn::Add(hn::LoadU(wide, values.sums + lane), hn::PromoteTo(wide, own));
-    hn::StoreU(sum, wide, values.sums + lane);
-  });
+  return total;
 }
 
-void StoreValuesImpl(const int16_t* counts, const SlotValues& values) {
+int StoreValuesImpl(const int16_t* counts, const SlotValues& values) {
   return values.slot % 2 == 0 ? StoreIn<0>(counts, values) : StoreIn<8>(counts, values);
 }
 
 template <int shift>
 void RemoveFrom(const SlotValues& values) {
   const Wide wide;
-  const Narrow narrow;
   const auto byte = hn::Set(wide, 0xFF);
-  ForEachPart(values, [&](int, int16_t* pairs, int lane, int count) HWY_ATTR {
-    const auto both = hn::IfThenElseZero(hn::FirstN(narrow, count), hn::LoadU(narrow, pairs));
-    const auto own = hn::And(hn::ShiftRight<shift>(hn::PromoteTo(wide, both)), byte);
-    hn::StoreU(hn::Sub(hn::LoadU(wide, values.sums + lane), own), wide, values.sums + lane);
-  });
+  const int size = values.head_size;
+  int32_t* sums = values.sums;
+  for (int head = 0; head < values.heads; ++head, sums += size) {
+    const int16_t* const pairs = PairsOf(values, head);
+    for (int k = 0; k < size; k += kPart) {
+      const auto both = hn::PromoteTo(wide, LoadPart(pairs + k, size - k));
+      const auto own = hn::And(hn::ShiftRight<shift>(both), byte);
+      hn::StoreU(hn::Sub(hn::LoadU(wide, sums + k), own), wide, sums + k);
+    }
+  }
 }
 
 void RemoveValuesImpl(const SlotValues& values) {
@@ -282,6 +291,17 @@ HWY_INLINE VecI32 Scale(VecI32 sums, int32_t divisor) {
   return hn::Min(exact, hn::Set(d, kLargestAttended));
 }
 
+void AddScaledImpl(const int16_t* y, int size, int32_t factor, int32_t* sums) {
+  const I32 d;
+  const hn::Rebind<int16_t, I32> narrow;
+  int k = 0;
+  for (; k + kVector <= size; k += kVector) {
+    const auto product = hn::Mul(hn::PromoteTo(d, hn::LoadU(narrow, y + k)), hn::Set(d, factor));
+    hn::StoreU(hn::Add(hn::LoadU(d, sums + k), product), d, sums + k);
+  }
+  for (; k < size; ++k) sums[k] += factor * y[k];
+}
+
 int ScaleSumsImpl(const int32_t* sums, int size, int32_t divisor, int16_t* y) {
   const I32 d;
   const hn::Rebind<int16_t, I32> narrow;
@@ -316,9 +336,10 @@ HWY_EXPORT(ShiftmaxImpl);
 HWY_EXPORT(BiasedShiftmaxImpl);
 HWY_EXPORT(WeighValuesImpl);
 HWY_EXPORT(ScaleSumsImpl);
+HWY_EXPORT(AddScaledImpl);
 
-void StoreValues(const int16_t* counts, const SlotValues& values) {
-  HWY_DYNAMIC_DISPATCH(StoreValuesImpl)(counts, values);
+int StoreValues(const int16_t* counts, const SlotValues& values) {
+  return HWY_DYNAMIC_DISPATCH(StoreValuesImpl)(counts, values);
 }
 
 void RemoveValues(const SlotValues& values) { HWY_DYNAMIC_DISPATCH(RemoveValuesImpl)(values); }
@@ -340,6 +361,10 @@ int32_t BiasedShiftmax(int32_t scale, const int32_t* overlaps, const int16_t* bi
 
 uint64_t WeighValues(const int16_t* weights, const HeadSlots& head, int slots, int32_t* sums) {
   return HWY_DYNAMIC_DISPATCH(WeighValuesImpl)(weights, head, slots, sums);
+}
+
+void AddScaled(const int16_t* y, int size, int32_t factor, int32_t* sums) {
+  HWY_DYNAMIC_DISPATCH(AddScaledImpl)(y, size, factor, sums);
 }
 
 int ScaleSums(const int32_t* sums, int size, int32_t divisor, int16_t* y) {

@@ -40,7 +40,8 @@ struct SlotValues {
 };
 
 // Stores a token's spike counts, [heads][head_size] and kLanes more, and adds them to the sums.
-void StoreValues(const int16_t* counts, const SlotValues& values);
+// Returns the number of counts that are not 0.
+int StoreValues(const int16_t* counts, const SlotValues& values);
 
 // Subtracts the values from the sums.
 void RemoveValues(const SlotValues& values);
@@ -75,5 +76,8 @@ uint64_t WeighValues(const int16_t* weights, const HeadSlots& head, int slots, i
 // limited to kLargestAttended, for k < size. `sums` are [pad(size)], and from 0 to `divisor` for k
 // < size. Returns the number of these that are not 0. REQUIRES: 0 < divisor < 2^31.
 int ScaleSums(const int32_t* sums, int size, int32_t divisor, int16_t* y);
+
+// Adds factor * y[k] to sums[k], for k < size.
+void AddScaled(const int16_t* y, int size, int32_t factor, int32_t* sums);
 
 }  // namespace spikeserve::kernels

@@ -2,6 +2,7 @@
 // line, no SIMD load of the row crosses a line boundary.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <new>
 #include <vector>
@@ -29,5 +30,12 @@ struct CacheLineAllocator {
 
 template <class T>
 using AlignedVector = std::vector<T, CacheLineAllocator<T>>;
+
+// As vector->assign(size, 0), which the library compiles to a loop over the elements.
+template <class Vector>
+void AssignZeros(Vector* vector, size_t size) {
+  vector->resize(size);
+  std::fill_n(vector->data(), size, typename Vector::value_type{0});
+}
 
 }  // namespace spikeserve
