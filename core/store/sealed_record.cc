@@ -1,9 +1,8 @@
 #include "core/store/sealed_record.h"
 
-#include <openssl/sha.h>
-
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "core/digest/sha256.h"
 
 namespace spikeserve {
 namespace {
@@ -14,9 +13,7 @@ constexpr absl::string_view kMark = "\xff sum ";
 constexpr size_t kChecksumBytes = 8;  // of the SHA-256
 
 std::string ChecksumOf(absl::string_view record) {
-  unsigned char digest[SHA256_DIGEST_LENGTH];
-  SHA256(reinterpret_cast<const unsigned char*>(record.data()), record.size(), digest);
-  return std::string(reinterpret_cast<const char*>(digest), kChecksumBytes);
+  return std::string(reinterpret_cast<const char*>(Sha256BytesOf(record).data()), kChecksumBytes);
 }
 
 }  // namespace

@@ -1,18 +1,12 @@
 #include "core/store/stored_session.h"
 
-#include <openssl/sha.h>
-
-#include "absl/strings/escaping.h"
+#include "core/digest/sha256.h"
 
 namespace spikeserve {
 
 std::string SecondStoredId(absl::string_view tenant, absl::string_view id) {
   // An id has a fixed length, so that no two pairs are the same text.
-  const std::string both = absl::StrCat(id, tenant);
-  unsigned char digest[SHA256_DIGEST_LENGTH];
-  SHA256(reinterpret_cast<const unsigned char*>(both.data()), both.size(), digest);
-  return absl::BytesToHexString(
-      absl::string_view(reinterpret_cast<const char*>(digest), kStoredIdBytes / 2));
+  return Sha256Of(absl::StrCat(id, tenant)).substr(0, kStoredIdBytes);
 }
 
 }  // namespace spikeserve

@@ -1,10 +1,7 @@
 #include "server/access/token_file.h"
 
-#include <openssl/evp.h>
-
 #include <algorithm>
 #include <array>
-#include <memory>
 #include <optional>
 #include <set>
 
@@ -13,6 +10,7 @@
 #include "core/base/json.h"
 #include "core/base/json_object.h"
 #include "core/base/status_macros.h"
+#include "core/digest/sha256.h"
 
 namespace spikeserve {
 namespace {
@@ -113,20 +111,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, TokenEntry* ent
   return absl::OkStatus();
 }
 
-Digest Sha256(absl::string_view bytes) {
-  // Fetching the algorithm takes a global lock of OpenSSL, so it is fetched once, and each thread
-  // reuses one context.
-  static const EVP_MD* const kSha256 = EVP_MD_fetch(nullptr, "SHA256", nullptr);
-  struct Free {
-    void operator()(EVP_MD_CTX* context) const { EVP_MD_CTX_free(context); }
-  };
-  thread_local const std::unique_ptr<EVP_MD_CTX, Free> context(EVP_MD_CTX_new());
-  Digest digest = {};
-  EVP_DigestInit_ex(context.get(), kSha256, nullptr);
-  EVP_DigestUpdate(context.get(), bytes.data(), bytes.size());
-  EVP_DigestFinal_ex(context.get(), digest.data(), nullptr);
-  return digest;
-}
+Digest Sha256(absl::string_view bytes) { return Sha256BytesOf(bytes); }
 
 absl::StatusOr<TokenFile> ParseTokenFile(absl::string_view text) {
   ASSIGN_OR_RETURN(const auto json, ParseJsonObject("tokens file", text));

@@ -44,6 +44,9 @@ constexpr absl::Duration kJump = absl::Minutes(1);
 constexpr size_t kReserveBytes = 4 << 20;
 constexpr size_t kSpaceStep = 4 << 20;
 
+// Sessions whose last records were written in the same minutes often have equal descriptions.
+constexpr size_t kMostParsed = 1000;
+
 // No number of decisions reaches this one.
 constexpr uint64_t kNoDecisions = ~uint64_t{0};
 
@@ -118,6 +121,8 @@ class FileBackend final : public JournalBackend {
   MDB_dbi sessions_ = 0;
   MDB_dbi records_ = 0;
   std::atomic<int64_t> stored_sessions_ = 0;
+  // What Read() has parsed, by the bytes, which are the same for each record of a session.
+  std::map<std::string, StoredSession, std::less<>> parsed_;
 };
 
 absl::Status FileBackend::Commit(LmdbTransaction& transaction) {
@@ -394,11 +399,13 @@ absl::StatusOr<std::optional<StoredSession>> FileBackend::Read(LmdbTransaction& 
                                                                const std::string& id) {
   ASSIGN_OR_RETURN(const auto bytes, transaction.Get(sessions_, id));
   if (!bytes.has_value()) return std::nullopt;
+  if (const auto known = parsed_.find(*bytes); known != parsed_.end()) return known->second;
   auto session =
       codec::Parse<StoredSession>(std::string(*bytes), "stored session", kStoredSessionFormat);
   // DATA_LOSS is what LMDB finds; here it is this session alone.
   if (!session.ok()) return absl::FailedPreconditionError(session.status().message());
-  return *std::move(session);
+  if (parsed_.size() >= kMostParsed) parsed_.clear();
+  return parsed_.emplace(*bytes, *std::move(session)).first->second;
 }
 
 absl::Status FileBackend::Put(LmdbTransaction& transaction, const std::string& id,
