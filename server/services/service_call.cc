@@ -58,6 +58,7 @@ void ServiceCall::OnDrain() {
 }
 
 absl::Duration ServiceCall::DelayFor(const absl::Status& status, size_t request_bytes) const {
+  if (status.ok()) return absl::ZeroDuration();  // without a look at the clock
   return context_.authenticator->RefusalPacerFor(caller_).DelayFor(status, request_bytes,
                                                                    context_.clock->Now());
 }
