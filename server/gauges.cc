@@ -73,6 +73,21 @@ std::vector<MetricFamily> CollectRobots(SessionStore& store) {
   return families;
 }
 
+std::vector<MetricFamily> CollectSeats(SessionStore& store) {
+  int64_t seats = 0;
+  const auto was_taken = [](const SessionEntry& entry) {
+    return entry.was_taken.load(std::memory_order_relaxed);
+  };
+  store.ForEach(was_taken, [&](const ListedSession& listed) {
+    absl::MutexLock lock(&listed.entry->mutex);
+    seats += listed.entry->agent.seat() != nullptr ? 1 : 0;
+  });
+  auto family = GaugeFamily("spikeserve_seats",
+                            "Open sessions in which an operator acts in the policy's place.");
+  AddGauge(family, {}, static_cast<double>(seats));
+  return {std::move(family)};
+}
+
 std::vector<MetricFamily> CollectCertificates(const CertificateWatch& certificates) {
   auto failing = GaugeFamily("spikeserve_tls_reload_failing",
                              "1 while changed files of TLS cannot be used; the old ones are.");

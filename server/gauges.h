@@ -17,6 +17,9 @@ namespace spikeserve {
 // Returns spikeserve_robots and spikeserve_silent_robots. Takes no lock of a session. Thread-safe.
 std::vector<prometheus::MetricFamily> CollectRobots(SessionStore& store);
 
+// Returns spikeserve_seats. Takes the locks of the sessions that operators have taken. Thread-safe.
+std::vector<prometheus::MetricFamily> CollectSeats(SessionStore& store);
+
 // Returns, read from `certificates`:
 //   spikeserve_tls_reload_failing: 1 while changed files of TLS cannot be used
 //   spikeserve_tls_expiry_timestamp_seconds{certificate}: Unix time; of the server's certificate

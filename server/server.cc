@@ -113,6 +113,7 @@ absl::Status Server::StartTransport() {
   const PolicyRegistry& registry = *base_.registry;
   metrics.AddSource([this] { return CollectCertificates(certificates_); });
   metrics.AddSource([this] { return CollectRobots(sessions_.store); });
+  metrics.AddSource([this] { return CollectSeats(sessions_.store); });
   if (!options_.datagram_listen.empty()) {
     metrics.AddSource([this] { return CollectDatagrams(sessions_.datagrams); });
   }

@@ -39,6 +39,7 @@ struct AdminFlags {
   std::vector<std::string> abort_if = {"return:0%", "errors:1%", "p99:25%"};
   std::string require_ope;  // file of `spiketrain ope --json` that must admit the roll-out
   bool abort = false;       // ends the running roll-out
+  bool by_need = false;     // lists sessions that need help, the neediest first
   int32_t limit = 20;       // entries of the history
   bool cancel = false;      // ends draining: the version accepts new sessions again
   std::string month;        // such as 2026-11; empty: the running one

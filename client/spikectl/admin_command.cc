@@ -177,10 +177,35 @@ absl::StatusOr<Answer> Reload(const AdminFlags& flags) {
 constexpr int kPageSize = 1000;  // sessions
 constexpr int kMostPages = 1000;
 
+// Appends the line of a session, and what it has learned from operators.
+void AppendSession(const v1::SessionInfo& session, bool by_need, std::string* text) {
+  absl::StrAppendFormat(text, "\n%-32s %-17s", session.session_id(),
+                        absl::StrCat(session.policy(), "/", session.version()));
+  if (by_need) {
+    const v1::NeedsHelp& need = session.needs_help();
+    absl::StrAppendFormat(text, " %5.2f %7.2f %7.2f %7.2f %8.2f", need.score(),
+                          need.unusual_observations(), need.entropy(), need.low_return(),
+                          need.fallbacks());
+  } else {
+    absl::StrAppendFormat(text, " %-9s %7d %6d %9d %7.1f %-6s", session.tenant(), session.episode(),
+                          session.step(), session.decisions(), session.idle_seconds(),
+                          v1::Durability_Name(session.durability()));
+  }
+  if (!session.has_corrections()) return;
+  const v1::Corrections& corrections = session.corrections();
+  absl::StrAppendFormat(text, "\n  %d steps of operators; apart from them: %.3f, %.3f at the start",
+                        corrections.steps(), corrections.disagreement(),
+                        corrections.start_disagreement());
+}
+
 absl::StatusOr<Answer> Sessions(const AdminFlags& flags) {
   auto request = VersionRequest<v1::ListSessionsRequest>(flags);
-  std::string text = absl::StrFormat("%-32s %-17s %-9s %7s %6s %9s %7s %-6s", "SESSION", "POLICY",
-                                     "TENANT", "EPISODE", "STEP", "DECISIONS", "IDLE_S", "STORED");
+  request.set_by_need(flags.by_need);
+  std::string text =
+      flags.by_need ? absl::StrFormat("%-32s %-17s %5s %7s %7s %7s %8s", "SESSION", "POLICY",
+                                      "NEED", "UNUSUAL", "ENTROPY", "RETURN", "FALLBACK")
+                    : absl::StrFormat("%-32s %-17s %-9s %7s %6s %9s %7s %-6s", "SESSION", "POLICY",
+                                      "TENANT", "EPISODE", "STEP", "DECISIONS", "IDLE_S", "STORED");
   ordered_json sessions = ordered_json::array();
   std::string replica;
   int64_t open = 0;  // of those in the store
@@ -191,11 +216,7 @@ absl::StatusOr<Answer> Sessions(const AdminFlags& flags) {
     ASSIGN_OR_RETURN(const auto page, CallAdmin(flags, &AdminStub::ListSessions, request));
     for (const v1::SessionInfo& session : page.sessions()) {
       sessions.push_back(MessageToFields(session, Numbers::kExact));
-      absl::StrAppendFormat(
-          &text, "\n%-32s %-17s %-9s %7d %6d %9d %7.1f %-6s", session.session_id(),
-          absl::StrCat(session.policy(), "/", session.version()), session.tenant(),
-          session.episode(), session.step(), session.decisions(), session.idle_seconds(),
-          v1::Durability_Name(session.durability()));
+      AppendSession(session, flags.by_need, &text);
     }
     replica = page.replica();
     open = page.open_stored_sessions();
@@ -324,6 +345,10 @@ void AddAnyVersion(FlagGroup& group, AdminFlags* flags) {
   group.Add("version", "N", &flags->version, "Version; 0: every one");
 }
 
+void AddByNeed(FlagGroup& group, AdminFlags* flags) {
+  group.AddSwitch("by_need", &flags->by_need, "Only sessions that need help, neediest first");
+}
+
 void AddCancel(FlagGroup& group, AdminFlags* flags) {
   group.AddSwitch("cancel", &flags->cancel, "Accept new sessions again");
 }
@@ -351,7 +376,7 @@ constexpr AdminAction kActions[] = {
     {"rollouts", "Shows the last roll-outs", false, {}, ShowRollouts},
     {"history", "Shows who changed what", false, {AddFilter, AddLimit}, ShowHistory},
     {"reload", "Looks for new, changed and removed policy files", false, {}, Reload},
-    {"sessions", "Lists open sessions", false, {AddFilter, AddAnyVersion}, Sessions},
+    {"sessions", "Lists open sessions", false, {AddFilter, AddAnyVersion, AddByNeed}, Sessions},
     {"drain", "Refuses new sessions", false, {AddCancel}, Drain},
     {"head", "Shows the learned head of a fleet", true, {AddHeadVersion, AddWeights}, ShowHead},
     {"promote_head",

@@ -1,5 +1,6 @@
 #include "core/agent/agent_session.h"
 
+#include <algorithm>
 #include <map>
 #include <string>
 #include <utility>
@@ -145,14 +146,30 @@ void AgentSession::CountSource(const StepSource& source) {
   served_->observer->OnExecuted(source.kind);
 }
 
+Help AgentSession::NeedsHelp() const {
+  // A return-to-go that has grown asks for more than any episode begins with; one above 0 where all
+  // returns are negative asks for what no episode can have.
+  const double lacking = session_.return_to_go - std::max(session_.target_return, 0.0);
+  // Training maps the returns from return_offset - return_scale to return_offset + return_scale to
+  // [-1, 1].
+  return life_.help().Now(lacking, 2.0 * static_cast<double>(policy().return_scale));
+}
+
 absl::Status AgentSession::TakeControl(const Seat& seat, bool takes_over) {
+  const Seat* const before = this->seat();
+  const bool renews = before != nullptr && before->lease_id == seat.lease_id;
+  const bool has_ended = before == nullptr && session_.seat.has_value();
+  const SeatChange change = before == nullptr ? SeatChange::kTaken : SeatChange::kTakenOver;
   RETURN_IF_ERROR(seat_.Take(seat, takes_over, &session_));
+  if (has_ended) served_->observer->OnSeat(SeatChange::kEnded);
+  if (!renews) served_->observer->OnSeat(change);
   for (const auto& listener : listeners_) listener->OnChange(session_);
   return absl::OkStatus();
 }
 
 absl::Status AgentSession::ReturnControl(absl::string_view lease_id) {
   RETURN_IF_ERROR(seat_.Return(lease_id, &session_));
+  served_->observer->OnSeat(SeatChange::kReturned);
   for (const auto& listener : listeners_) listener->OnChange(session_);
   return absl::OkStatus();
 }

@@ -108,6 +108,8 @@ class AgentSession {
   const Policy& policy() const { return served_->policy(); }
   // Returns a summary of what the session has done since this object was created.
   const SessionLife& life() const { return life_; }
+  // Returns how much speaks for a person's help.
+  Help NeedsHelp() const;
   // Returns whether the last answer has the neutral action, because of the verdict about the
   // wiring.
   bool acts_safely() const {

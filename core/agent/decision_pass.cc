@@ -150,6 +150,7 @@ void AgentSession::DecisionPass::DecideVersion(absl::Span<Step* const> steps) {
     session.life_.OnDecision(chosen - session.created_, answered.counts.total_spikes(),
                              answered.compute_seconds);
     session.life_.OnCounts(answered.counts);
+    session.life_.help().OnDecision(answered);
     step.result.answer = &answered;
     step.is_past ? served.observer->OnBeat(answered) : served.observer->OnDecision(answered);
   }
@@ -217,6 +218,7 @@ bool AgentSession::DecisionPass::Overrule(AgentSession& agent, bool is_past) {
   const ActionSpace& space = agent.policy().action_space;
   bool is_over = false;  // the lease of an operator
   const Seat* const seat = agent.seat_.Heard(&session, &is_over);
+  if (is_over) agent.served_->observer->OnSeat(SeatChange::kEnded);
   Action action;
   if (agent.hold_ != nullptr) {
     action = NeutralAction(space);

@@ -148,6 +148,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndPass::End(const Step& step) {
   EpisodeEnd taken = end;
   if (is_known) taken.executed_action = session.history.action(session.history.size() - 1);
   const double episode_return = session.episode_return + end.reward;
+  const double target_return = session.target_return;
   const EpisodeSummary summary = {
       .episode_return = episode_return,
       .steps = session.step,
@@ -166,7 +167,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndPass::End(const Step& step) {
   }
   if (agent.contribution() != nullptr) agent.life_.OnContribution();
   if (agent.contribution() != nullptr && !is_taken) agent.contribution()->Append();
-  agent.life_.OnEpisode(summary.episode_return);
+  agent.life_.OnEpisode(summary.episode_return, target_return);
   agent.served_->observer->OnEpisodeEnd(summary.episode_return);
   return summary;
 }

@@ -53,7 +53,7 @@ absl::Status CheckReport(const BeatCounts& report) {
 }
 
 // Notes the times and the report of a request. Returns the errors of the times.
-absl::Status TakeTimes(const StepTimes& times, SessionObserver& observer) {
+absl::Status TakeTimes(const StepTimes& times, SessionObserver& observer, SessionLife* life) {
   if (times.valid_until.has_value() && !times.observed_at.has_value()) {
     return InvalidArgument("observed_at", "a time, because the request has valid_until", "none");
   }
@@ -69,6 +69,7 @@ absl::Status TakeTimes(const StepTimes& times, SessionObserver& observer) {
     const auto added = times.link->OnReport(*times.report, times.is_new_session, times.received);
     if (added.has_value()) {
       observer.OnReport(*added);
+      life->help().OnReport(*added);
     } else {
       observer.OnImplausible();
     }
@@ -244,7 +245,7 @@ absl::StatusOr<bool> AgentSession::HistoryPass::Take(Step& step, StepBudget* bud
   const absl::Duration start = clock.Now();
   result.begun = start;
   if (step.times.has_value() && !result.started) {
-    if (auto status = TakeTimes(*step.times, observer); !status.ok()) return status;
+    if (auto status = TakeTimes(*step.times, observer, &agent.life_); !status.ok()) return status;
   }
   result.started = true;
   // A request for an answer that was given is answered.

@@ -8,6 +8,8 @@
 // Not thread-safe: protected by the lock of its session.
 #pragma once
 
+#include <array>
+#include <cstddef>
 #include <string>
 
 #include "absl/status/status.h"
@@ -15,9 +17,26 @@
 #include "absl/time/time.h"
 #include "core/action/action_space.h"
 #include "core/base/clock.h"
+#include "core/base/enum_names.h"
 #include "core/session/session.h"
 
 namespace spikeserve {
+
+// What becomes of an operator's control of a session.
+enum class SeatChange {
+  kTaken,      // from the policy
+  kTakenOver,  // from another operator
+  kReturned,
+  kEnded  // with its lease, as the next request has found
+};
+inline constexpr size_t kSeatChanges = 4;
+
+constexpr std::array<EnumName<SeatChange>, kSeatChanges> EnumNames(SeatChange) {
+  return {{{SeatChange::kTaken, "taken"},
+           {SeatChange::kTakenOver, "taken_over"},
+           {SeatChange::kReturned, "returned"},
+           {SeatChange::kEnded, "ended"}}};
+}
 
 // `session` is the same one in all calls.
 class OperatorSeat {

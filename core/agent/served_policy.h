@@ -12,6 +12,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/types/span.h"
+#include "core/agent/operator_seat.h"
 #include "core/agent/robot_link.h"
 #include "core/agent/wiring_check.h"
 #include "core/engine/engine.h"
@@ -49,6 +50,8 @@ class SessionObserver {
   virtual void OnBeat(const Answer& /*answer*/) {}
   // The action of a step was executed, and `source` has chosen it.
   virtual void OnExecuted(SourceKind /*source*/) {}
+  // An operator's control of a session has begun or ended.
+  virtual void OnSeat(SeatChange /*change*/) {}
   // Steps of which only the rewards are known were counted.
   virtual void OnSkippedBeats(int64_t /*beats*/) {}
   // A request came too late for its answer to be of use.

@@ -15,6 +15,7 @@
 
 #include "absl/time/time.h"
 #include "core/action/step_source.h"
+#include "core/agent/help_signals.h"
 #include "core/engine/counts.h"
 
 namespace spikeserve {
@@ -108,9 +109,10 @@ class SessionLife {
                     .spikes = static_cast<float>(spikes),
                     .seconds = static_cast<float>(seconds)});
   }
-  void OnEpisode(double episode_return) {
+  void OnEpisode(double episode_return, double target_return) {
     return_sum_ += episode_return;
     last_return_ = episode_return;
+    help_.OnEpisode(target_return - episode_return);
     episodes_.Add({.episode_return = episode_return});
   }
 
@@ -120,6 +122,8 @@ class SessionLife {
     ++steps_by_source_[static_cast<size_t>(source.kind)];
   }
   void OnCounts(const Counts& counts) { counts_ += counts; }
+  HelpSignals& help() { return help_; }
+  const HelpSignals& help() const { return help_; }
   void OnContribution() { ++contributions_; }
 
   // Returns the sum over the decisions of this life.
@@ -153,6 +157,7 @@ class SessionLife {
   std::array<uint64_t, kSourceKinds> steps_by_source_ = {};
   int64_t contributions_ = 0;
   Counts counts_;
+  HelpSignals help_;
 };
 
 }  // namespace spikeserve

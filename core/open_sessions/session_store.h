@@ -63,6 +63,7 @@ struct SessionEntry {
         label_text(LabelText(session.options.labels)),
         period(PeriodOf(session.options.labels)),
         wants_datagrams(session.options.labels.contains(kDatagramsLabel)),
+        was_taken(session.seat.has_value()),
         agent(std::move(policy), std::move(session), clock),
         robot(period) {}
 
@@ -71,6 +72,8 @@ struct SessionEntry {
   const std::string label_text;  // what filters search for labels, without the lock
   const absl::Duration period;   // between two beats of the robot; zero: unknown
   const bool wants_datagrams;    // its robot may send them
+  // An operator has, or once had, control; the others are counted without their locks.
+  std::atomic<bool> was_taken;
   // Null: none. Set before the entry is shared.
   std::shared_ptr<ShadowSession> shadow;
   std::shared_ptr<SessionQuota> quota;

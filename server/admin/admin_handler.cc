@@ -9,6 +9,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "server/admin/session_info.h"
 #include "server/admin/traffic.h"
@@ -60,6 +61,30 @@ absl::Status SetShares(const CatalogPolicy& served, const std::string& policy,
   RETURN_IF_ERROR(served.CheckTraffic(policy, shares, shadow_version));
   settings->shares = shares;
   return absl::OkStatus();
+}
+
+// Lists the `limit` wanted sessions that need help most.
+void ListByNeed(SessionStore& store, absl::FunctionRef<bool(const SessionEntry&)> wanted,
+                size_t limit, v1::ListSessionsResponse* response) {
+  std::vector<std::pair<double, ListedSession>> neediest;  // a heap, the least need at its front
+  const auto is_before = [](const auto& a, const auto& b) {
+    return a.first != b.first ? a.first > b.first : a.second.id < b.second.id;
+  };
+  store.ForEach(wanted, [&](const ListedSession& listed) {
+    Help help;
+    {
+      absl::MutexLock lock(&listed.entry->mutex);
+      help = listed.entry->agent.NeedsHelp();
+    }
+    if (!help.is_needed()) return;
+    neediest.emplace_back(help.score(), listed);
+    std::push_heap(neediest.begin(), neediest.end(), is_before);
+    if (neediest.size() <= limit) return;
+    std::pop_heap(neediest.begin(), neediest.end(), is_before);
+    neediest.pop_back();
+  });
+  std::sort_heap(neediest.begin(), neediest.end(), is_before);
+  for (const auto& [score, listed] : neediest) ToProto(listed, response->add_sessions());
 }
 
 // Changes the settings of the policy that `request` names.
@@ -235,13 +260,20 @@ absl::Status AdminHandler::ListSessions(CallContext& context,
   };
   const auto size =
       static_cast<size_t>(request.page_size() == 0 ? kDefaultPageSize : request.page_size());
-  // A page token is the id of the last session of the page before, so pages neither skip nor repeat
-  // a session while others open and close.
-  const auto sessions = parts_.store->ListAfter(request.page_token(), size + 1, wanted);
-  for (size_t i = 0; i < std::min(size, sessions.size()); ++i) {
-    ToProto(sessions[i], response->add_sessions());
+  if (request.by_need()) {
+    if (!request.page_token().empty()) {
+      return InvalidArgument("page_token", "none with by_need", Quoted(request.page_token()));
+    }
+    ListByNeed(*parts_.store, wanted, size, response);
+  } else {
+    // A page token is the id of the last session of the page before, so pages neither skip nor
+    // repeat a session while others open and close.
+    const auto sessions = parts_.store->ListAfter(request.page_token(), size + 1, wanted);
+    for (size_t i = 0; i < std::min(size, sessions.size()); ++i) {
+      ToProto(sessions[i], response->add_sessions());
+    }
+    if (sessions.size() > size) response->set_next_page_token(sessions[size - 1].id);
   }
-  if (sessions.size() > size) response->set_next_page_token(sessions[size - 1].id);
   response->set_open_sessions(open);
   response->set_open_stored_sessions(open_stored);
   const auto stored = parts_.journals == nullptr ? std::nullopt : parts_.journals->StoredSessions();

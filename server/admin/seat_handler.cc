@@ -89,6 +89,7 @@ absl::Status AdminHandler::TakeControl(CallContext& context, const v1::TakeContr
     response->set_relieved_operator_id(taken->operator_id);
   }
   RETURN_IF_ERROR(entry->agent.TakeControl(seat, request.take_over()));
+  entry->was_taken.store(true, std::memory_order_relaxed);
   AddConfirmation(*entry, /*has_decided=*/true, &context.commits);
   response->set_lease_id(seat.lease_id);
   response->set_operator_id(seat.operator_id);

@@ -39,6 +39,17 @@ void ToProto(const ListedSession& listed, v1::SessionInfo* info) {
   if (const auto& hold = listed.entry->agent.hold(); hold != nullptr) {
     ToProto(*hold, info->mutable_hold());
   }
+  if (const Help help = listed.entry->agent.NeedsHelp(); help.is_needed()) {
+    v1::NeedsHelp& needs_help = *info->mutable_needs_help();
+    needs_help.set_score(help.score());
+    needs_help.set_unusual_observations(help.unusual_observations);
+    needs_help.set_entropy(help.entropy);
+    needs_help.set_low_return(help.low_return);
+    needs_help.set_fallbacks(help.fallbacks);
+  }
+  if (session.learner.has_value() && session.learner->corrections.steps > 0) {
+    ToProto(session.learner->corrections, info->mutable_corrections());
+  }
   info->set_at_neutral(listed.entry->agent.is_at_neutral());
   if (const Seat* seat = listed.entry->agent.seat()) info->set_operator_id(seat->operator_id);
   info->mutable_labels()->insert(session.options.labels.begin(), session.options.labels.end());

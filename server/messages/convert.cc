@@ -266,6 +266,12 @@ v1::WiringVerdict ToProto(const WiringVerdict& verdict, const Policy& policy) {
 
 }  // namespace
 
+void ToProto(const Corrections& corrections, v1::Corrections* proto) {
+  proto->set_steps(corrections.steps);
+  proto->set_disagreement(corrections.Disagreement());
+  proto->set_start_disagreement(corrections.StartDisagreement());
+}
+
 v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delta) {
   const Session& session = agent.session();
   v1::GetSessionResponse proto;
@@ -291,10 +297,8 @@ v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delt
     proto.set_modulator_mean(session.learner->returns.mean);
     proto.set_modulator_std(session.learner->returns.deviation());
     proto.set_rollbacks(agent.Rollbacks());
-    if (const Corrections& corrections = session.learner->corrections; corrections.steps > 0) {
-      proto.mutable_corrections()->set_steps(corrections.steps);
-      proto.mutable_corrections()->set_disagreement(corrections.Disagreement());
-      proto.mutable_corrections()->set_start_disagreement(corrections.StartDisagreement());
+    if (session.learner->corrections.steps > 0) {
+      ToProto(session.learner->corrections, proto.mutable_corrections());
     }
   }
   if (const auto& verdict = session.wiring.verdict) {

@@ -35,6 +35,8 @@ v1::PolicyInfo ToProto(const CatalogPolicy& entry, const ServedPolicy& served);
 v1::RecordingState ToProto(RecordingState state);
 v1::LearningSummary ToProto(const LearningSummary& summary);
 v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary);
+// REQUIRES: `corrections` has steps.
+void ToProto(const Corrections& corrections, v1::Corrections* proto);
 v1::GetSessionResponse ToProto(const AgentSession& agent, bool include_head_delta);
 
 // Fills in the response to one decision. Equal answers give equal bytes. REQUIRES: `policy`

@@ -120,6 +120,10 @@ Metrics::Metrics()  // #lizard forgives(length): a table
                    "safety_layer, a fall-back of the robot (held, local, safe), hold, or unknown: "
                    "the agent has executed another action than the answered one, and not said "
                    "why.")),
+      seat_changes_(Register(BuildCounter(), "spikeserve_seat_changes_total",
+                             "Changes of who controls a session: an operator took it from the "
+                             "policy (taken) or from another operator (taken_over), returned it, "
+                             "or let the lease end (ended).")),
       implausible_(Register(BuildCounter(), "spikeserve_implausible_reports_total",
                             "What agents report and cannot be true: more beats than fit into the "
                             "time, and returns of episodes far beyond those of the policy. It "
@@ -277,7 +281,8 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
       key, loaded, EvidenceOf(name, version), policy.config, PlausibleReturns::Of(policy),
       UsualObservations::Of(policy, unusual_deviations), wiring,
       [this, key, of = std::move(of)] { return AddSessions(key, of); },
-      [this, key, labels] { return AddRobots(key, labels); }, [this, key] { OnObserverEnd(key); });
+      [this, key, labels] { return AddRobots(key, labels); },
+      [this, key, labels] { return AddSeats(key, labels); }, [this, key] { OnObserverEnd(key); });
 }
 
 PolicyMetrics::Handles Metrics::AddSessions(const std::string& version, const PolicySeries& of) {
@@ -380,6 +385,16 @@ RobotHandles Metrics::AddRobots(const std::string& version, const prometheus::La
           .missing_rewards = add(missing_rewards_),
           .age = add(action_age_, RobotSeconds()),
           .gap = add(fresh_gap_, RobotSeconds())};
+}
+
+SeatHandles Metrics::AddSeats(const std::string& version, const prometheus::Labels& labels) {
+  absl::MutexLock lock(&versions_mutex_);
+  VersionSeries& series = versions_[version];
+  SeatHandles handles;
+  for (const auto& [change, name] : EnumNames(SeatChange())) {
+    handles[static_cast<size_t>(change)] = Add(series, seat_changes_, With(labels, "change", name));
+  }
+  return handles;
 }
 
 VersionEvidence* Metrics::EvidenceOf(const std::string& name, int64_t version) {

@@ -152,12 +152,15 @@ class Metrics {
 
   static auto* Add(VersionSeries& series, auto& family, const prometheus::Labels& labels,
                    auto... buckets);
-  // Add the series of the sessions and of the robots of a version, which has an observer.
+  // Add the series of the sessions, of the robots and of the operators of a version, which has an
+  // observer.
   PolicyMetrics::Handles AddSessions(const std::string& version, const PolicySeries& of)
       ABSL_LOCKS_EXCLUDED(versions_mutex_);
   void AddLearning(VersionSeries& series, const prometheus::Labels& labels,
                    PolicyMetrics::Handles* handles);
   RobotHandles AddRobots(const std::string& version, const prometheus::Labels& labels)
+      ABSL_LOCKS_EXCLUDED(versions_mutex_);
+  SeatHandles AddSeats(const std::string& version, const prometheus::Labels& labels)
       ABSL_LOCKS_EXCLUDED(versions_mutex_);
   void OnObserverEnd(const std::string& version) ABSL_LOCKS_EXCLUDED(versions_mutex_);
 
@@ -185,6 +188,7 @@ class Metrics {
   prometheus::Family<prometheus::Counter>& non_finite_;
   prometheus::Family<prometheus::Counter>& episodes_;
   prometheus::Family<prometheus::Counter>& steps_;
+  prometheus::Family<prometheus::Counter>& seat_changes_;
   prometheus::Family<prometheus::Counter>& implausible_;
   prometheus::Family<prometheus::Histogram>& episode_return_;
   prometheus::Family<prometheus::Gauge>& episode_return_mean_;

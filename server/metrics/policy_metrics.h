@@ -75,6 +75,9 @@ struct RobotHandles {
   prometheus::Histogram* gap;
 };
 
+// The changes of operators' control of a policy version's sessions, by SeatChange.
+using SeatHandles = std::array<prometheus::Counter*, kSeatChanges>;
+
 class PolicyMetrics final : public SessionObserver {
  public:
   // Time series of this policy version for one learning scope.
@@ -127,15 +130,18 @@ class PolicyMetrics final : public SessionObserver {
 
   // `name` stands for the policy version in log lines. `config` is that of the policy. The
   // handles and `evidence` must outlive this object. Calls `make` when the first session opens,
-  // `robots` for the first request of a robot on a real link, and `on_end` when it is destroyed.
+  // `robots` for the first request of a robot on a real link, `seats` when the first operator takes
+  // control, and `on_end` when it is destroyed.
   PolicyMetrics(std::string name, const LoadedHandles& loaded, VersionEvidence* evidence,
                 const ModelConfig& config, PlausibleReturns plausible, UsualObservations usual,
                 WiringResponse wiring, std::function<Handles()> make,
-                std::function<RobotHandles()> robots, std::function<void()> on_end)
+                std::function<RobotHandles()> robots, std::function<SeatHandles()> seats,
+                std::function<void()> on_end)
       : name_(std::move(name)),
         loaded_(loaded),
         series_(std::move(make)),
         robots_(std::move(robots)),
+        seats_(std::move(seats)),
         evidence_(*evidence),
         config_(config),
         plausible_(plausible),
@@ -169,6 +175,9 @@ class PolicyMetrics final : public SessionObserver {
   void OnExecuted(SourceKind source) override {
     series_.get().steps[static_cast<size_t>(source)]->Increment();
   }
+  void OnSeat(SeatChange change) override {
+    seats_.get()[static_cast<size_t>(change)]->Increment();
+  }
   void OnImplausible() override { series_.get().implausible->Increment(); }
   void OnNonFinite() override;
   void OnWiring(const std::string& id, WiringCause cause, const std::string& text,
@@ -186,6 +195,7 @@ class PolicyMetrics final : public SessionObserver {
   const LoadedHandles loaded_;
   MadeOnce<Handles> series_;
   MadeOnce<RobotHandles> robots_;
+  MadeOnce<SeatHandles> seats_;
   VersionEvidence& evidence_;
   const ModelConfig config_;
   const PlausibleReturns plausible_;

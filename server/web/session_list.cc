@@ -86,6 +86,11 @@ const std::map<std::string, ColumnKey>& Columns() {
        [](Idle, Agent agent) {
          return SortKey{.number = static_cast<double>(UnusualOf(agent.session()))};
        }},
+      {"needs_help",
+       [](Idle, Agent agent) {
+         const Help help = agent.NeedsHelp();
+         return SortKey{.number = help.score(), .missing = !help.is_needed()};
+       }},
       {"head_drift", [](Idle, Agent agent) { return SortKey{.number = agent.HeadDrift()}; }},
       {"idle_seconds",
        [](Idle idle, Agent) { return SortKey{.number = absl::ToDoubleSeconds(idle)}; }},

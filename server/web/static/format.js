@@ -53,6 +53,15 @@ export function nameOf({labels, session_id: id}) {
   return robot ?? name ?? id.slice(0, 12);
 }
 
+/** Returns how much a robot needs help, and its reasons in words. */
+export function needOf({needs_help: need}) {
+  if (!need) return [NOTHING, ''];
+  const parts = [['unusual observations', need.unusual_observations], ['entropy', need.entropy],
+                 ['low return', need.low_return], ['not fresh', need.fallbacks]];
+  return [fixed(need.score, 2), parts.filter(([, share]) => share >= 0.005)
+    .sort(([, a], [, b]) => b - a).map(([name, share]) => `${name} ${fixed(share, 2)}`).join(', ')];
+}
+
 /** Says whether the server is healthy, in the words of its alerts: {good, word, alerts}. */
 export function healthOf({serving, alerts}) {
   const of = (state) => alerts.filter((alert) => alert.state === state).length;

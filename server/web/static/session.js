@@ -2,7 +2,7 @@
 import {makeChart} from './charts.js';
 import {drawDecision, rangeRow} from './explain.js';
 import {fetchJson} from './fetch.js';
-import {NOTHING, count, duration, element, fixed, nameOf, setText, si} from './format.js';
+import {NOTHING, count, duration, element, fixed, nameOf, needOf, setText, si} from './format.js';
 import {Scene} from './scene.js';
 import {TileGrid} from './tiles.js';
 
@@ -29,6 +29,17 @@ const CHARTS = [
 
 function pressed(button) {
   return button.getAttribute('aria-pressed') === 'true';
+}
+
+/** Returns the tiles about a person's help: that which the robot needs, and what it has learned from operators. */
+function helpTiles(session) {
+  const {corrections, needs_help: need} = session;
+  const [score, reasons] = needOf(session);
+  return [
+    ...(need ? [{label: 'Needs help', value: score, note: reasons}] : []),
+    ...(corrections ? [{label: 'Corrections', value: count(Number(corrections.steps)),
+      note: `apart ${fixed(corrections.disagreement, 2)}, before ${fixed(corrections.start_disagreement, 2)}`}] : []),
+  ];
 }
 
 export class SessionView {
@@ -160,6 +171,7 @@ export class SessionView {
        note: `${count(Number(session.spikes))} spikes`},
       {label: 'Time of a decision', value: si(counted ? seconds / counted : undefined, 's'), note: 'mean'},
       {label: 'Energy', value: si(session.energy_joules, 'J'), note: 'horowitz_45nm, no memory'},
+      ...helpTiles(session),
     ]);
     if (!this.plots) {
       this.chartBox.replaceChildren();

@@ -1,11 +1,12 @@
 // The table of sessions. The server filters, sorts and pages it, so the page stays fast with 100,000 sessions.
 import {fetchJson} from './fetch.js';
-import {NOTHING, count, duration, element, fixed, nameOf, sessionLink, setText, si} from './format.js';
+import {NOTHING, count, duration, element, fixed, nameOf, needOf, sessionLink, setText, si} from './format.js';
 import {Table} from './table.js';
 
 const PAGE_SIZE = 50;
 // The questions of operators: [text, column, descending].
 const ORDERS = [
+  ['Needs help', 'needs_help', true],
   ['Most energy', 'energy_joules', true],
   ['Lowest return', 'mean_return', false],
   ['Most spikes', 'spikes_per_decision', true],
@@ -53,6 +54,10 @@ export class Sessions {
        text: (row) => fixed(row.decisions > 0 ? row.spikes / row.decisions : undefined)},
       number('energy_joules', 'Energy so far', (x) => si(x, 'J')),
       number('unusual_observations', 'Unusual now', count),
+      {key: 'needs_help', label: 'Needs help', value: (row) => row.needs_help?.score,
+       text: (row) => needOf(row).join(' '), update: (cell, row) => {
+         [cell.textContent, cell.title] = needOf(row);
+       }},
       number('head_drift', 'Head drift', (x) => fixed(x, 4)),
       {key: 'beats', label: 'Beats not fresh', text: notFresh},
       number('idle_seconds', 'Idle', duration),

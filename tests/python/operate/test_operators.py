@@ -15,13 +15,14 @@ from redis_servers import WITHOUT_REDIS
 from replicated import running_fleet
 from restartable_server import restartable_server
 from security import ADMIN, OBSERVATION, TOKENS, code_of, entry, fails_with, service_with, until
-from serving import running_server
+from serving import http_call, running_server
 
 DENIED = grpc.StatusCode.PERMISSION_DENIED
 INVALID = grpc.StatusCode.INVALID_ARGUMENT
 NOT_FOUND = grpc.StatusCode.NOT_FOUND
 REFUSED = grpc.StatusCode.FAILED_PRECONDITION
 PILOT = {"period": 0.02, "local": False, "ramp_beats": 0}
+PARTS = ("unusual_observations", "entropy", "low_return", "fallbacks")
 NORTH = spikeserve.SessionOptions(labels={"site": "north"}, durability="ASYNC")
 
 
@@ -305,3 +306,60 @@ def test_the_commands(server):
     os.close(here)
     os.close(there)
     assert not act(step).HasField("source")
+
+
+def test_who_needs_help(server):
+    """Each session has one reason, which is measured, and the list begins with the one that has most of it."""
+    usual, act = [1.0, 0.0, 0.0], server.agent.Act
+    calm, strange, poor, missed = (server.agent.OpenSession(policy="pendulum", period_seconds=1.0).session_id for _ in range(4))
+    unsure = server.agent.OpenSession(policy="cartpole").session_id
+    for step in range(4):
+        act(session_id=calm, step=step, observation=usual)
+        act(session_id=strange, step=step, observation=[50.0, 0.0, 0.0] if step else usual)
+        act(session_id=poor, step=step, observation=usual, reward=-200.0)
+        answer = act(session_id=unsure, step=step, observation=OBSERVATION)
+    act(session_id=missed, step=0, observation=usual, report={"fresh": 4, "held": 1, "local": 1})
+    act(session_id=missed, step=1, observation=usual, report={"fresh": 5, "held": 3, "local": 1, "safe": 1})
+
+    def listed(**fields):
+        return {session.session_id: session.needs_help for session in server.admin.ListSessions(by_need=True, **fields).sessions}
+
+    needs = listed(policy="pendulum")
+    assert calm not in needs
+    assert needs[strange].unusual_observations == pytest.approx(3 / 4)
+    assert needs[poor].low_return == pytest.approx(470 / 1000)  # of the range, for a target of -130
+    assert needs[missed].fallbacks == pytest.approx(3 / 4)  # of what the second report adds
+    for id in (strange, poor, missed):
+        assert needs[id].score == pytest.approx(sum(getattr(needs[id], part) for part in PARTS))
+    scores = [need.score for need in needs.values()]
+    assert scores == sorted(scores, reverse=True)
+    assert list(listed(policy="pendulum", page_size=1)) == list(needs)[:1]
+    assert 0.0 < listed(policy="cartpole")[unsure].entropy <= 1.0
+    assert len(answer.action_probabilities) == 2
+    server.agent.EndEpisode(session_id=unsure, terminated=True)
+    assert listed(policy="cartpole")[unsure].low_return == pytest.approx(1.0)  # nothing of a target of 500
+    with fails_with(INVALID, "page_token: expected none with by_need"):
+        listed(page_token=calm)
+
+    lines = server.spikectl("admin", "sessions", "--by_need", "--policy=pendulum").stdout.splitlines()
+    assert [line.split()[0] for line in lines[1:] if line[0] != " "] == list(needs)
+    assert max(map(len, lines)) <= 100
+    page = http_call(server.http, "GET", "/sessions.json?filter=pendulum&sort=needs_help&order=descending")[2]
+    rows = [row["session_id"] for row in json.loads(page)["sessions"] if row["needs_help"]]
+    assert rows == list(needs)
+
+
+def test_corrections_are_shown(server):
+    learning = spikeserve.SessionOptions(learning=spikeserve.Learning(rule="corrections"))
+    with operating(server.grpc) as (client, operator), client.open_session("cartpole", learning) as session:
+        action = session.act(OBSERVATION).action
+        with operator.take(session.session_id, lease=60.0, action=1 - action):
+            for _ in range(3):
+                session.act(OBSERVATION, 1.0)
+        known = session.state().corrections
+        shown = {each.session_id: each for each in server.admin.ListSessions(policy="cartpole").sessions}[session.session_id]
+        assert (shown.corrections.steps, known.steps) == (3, 3)
+        assert shown.corrections.disagreement == known.disagreement < known.start_disagreement
+        lines = server.spikectl("admin", "sessions", "--policy=cartpole").stdout.splitlines()
+        [line] = [lines[i + 1] for i, text in enumerate(lines) if text.startswith(session.session_id)]
+        assert line.startswith("  3 steps of operators; apart from them: 0.") and line.endswith(" at the start")

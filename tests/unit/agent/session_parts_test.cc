@@ -143,7 +143,7 @@ TEST(SessionLifeTest, ARestoredSessionContinuesItsNumbers) { CheckLife(500, 30);
 TEST(SessionLifeTest, ReturnsAreAveraged) {
   SessionLife life(0, /*first_episode=*/2);
   EXPECT_EQ(life.ended_episodes(), 0u);
-  for (int i = 0; i < 100; ++i) life.OnEpisode(i);
+  for (int i = 0; i < 100; ++i) life.OnEpisode(i, /*target_return=*/0.0);
   EXPECT_EQ(life.ended_episodes(), 100u);
   EXPECT_EQ(life.mean_return(), 49.5);
   EXPECT_EQ(life.last_return(), 99.0);
