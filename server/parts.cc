@@ -284,19 +284,27 @@ absl::Status HttpDoor::Open(const ServerOptions& options, const Foundation& base
                                                    .max_message_bytes = options.max_message_bytes});
   inference = std::make_unique<const InferencePages>(calls.get());
   grpc_web = std::make_unique<const GrpcWebPages>(calls.get());
+  seat = std::make_unique<const SeatPages>(calls.get());
   ASSIGN_OR_RETURN(
       server, HttpServer::Start({.listen = address,
                                  .tls = tls.get(),
                                  .local_names_only = local_names_only,
+                                 .has_tokens = !options.tokens.empty(),
                                  .origins = *Origins::Parse("--http_origins", options.http_origins),
                                  .clock = clock,
                                  .accept_body =
                                      [this](const HttpRequest& request) {
+                                       if (SeatPages::Has(request.path)) {
+                                         return seat->AcceptBody(request);
+                                       }
                                        return GrpcWebPages::Has(request)
                                                   ? grpc_web->AcceptBody(request)
                                                   : inference->AcceptBody(request);
                                      }},
                                 [this](HttpRequest request, HttpServer::Done done) {
+                                  if (SeatPages::Has(request.path)) {
+                                    return seat->Answer(std::move(request), std::move(done));
+                                  }
                                   if (GrpcWebPages::Has(request)) {
                                     return grpc_web->Answer(std::move(request), std::move(done));
                                   }

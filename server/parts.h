@@ -49,6 +49,7 @@
 #include "server/web/http_call.h"
 #include "server/web/http_server.h"
 #include "server/web/inference_pages.h"
+#include "server/web/seat_pages.h"
 #include "server/web/status_pages.h"
 
 namespace spikeserve {
@@ -161,6 +162,7 @@ struct HttpDoor {
   std::unique_ptr<HttpCalls> calls = nullptr;
   std::unique_ptr<const InferencePages> inference = nullptr;
   std::unique_ptr<const GrpcWebPages> grpc_web = nullptr;
+  std::unique_ptr<const SeatPages> seat = nullptr;
   std::unique_ptr<TlsContext> tls = nullptr;  // null without TLS, too
   std::unique_ptr<HttpServer> server = nullptr;
 };

@@ -38,9 +38,7 @@ constexpr absl::string_view kContinue = "HTTP/1.1 100 Continue\r\n\r\n";
 
 // Returns true if the header Host names this machine, with or without a port.
 bool NamesThisMachine(absl::string_view host) {
-  const size_t colon = host.rfind(':');
-  const bool has_port = colon != absl::string_view::npos && host.find(']', colon) == host.npos;
-  return Address{.host = std::string(has_port ? host.substr(0, colon) : host)}.is_loopback();
+  return Address{.host = std::string(WithoutPort(host))}.is_loopback();
 }
 
 // Converts a string view of the library.
@@ -196,10 +194,22 @@ HttpResponse HttpConnection::CheckBodyHeaders() {
   return {.code = 0, .body = ""};
 }
 
+bool HttpConnection::MaySend() const {
+  const auto& headers = parser_->get();
+  if (headers.count(http::field::origin) == 0 || !origin_headers_.empty()) return true;
+  const absl::string_view host = ToView(headers[http::field::host]);
+  // A page of another site, whose name resolves to this server, has that name, but neither a token
+  // for it nor a certificate.
+  const bool is_safe = options_.has_tokens || options_.tls != nullptr || IsNobodyElses(host);
+  return is_safe && headers.count(http::field::origin) == 1 &&
+         IsOwnOrigin(ToView(headers[http::field::origin]), host, options_.tls != nullptr);
+}
+
 void HttpConnection::StartBody() {
   // A browser sends the header with what a page of any site lets it send.
-  if (parser_->get().count(http::field::origin) > 0 && origin_headers_.empty()) {
-    return Answer(JsonError(403, "Origin: expected none, or one of --http_origins"));
+  if (!MaySend()) {
+    return Answer(
+        JsonError(403, "Origin: expected none, that of this server, or one of --http_origins"));
   }
   HttpResponse refused_form = CheckBodyHeaders();
   request_.peer.certificate = socket_->peer_subject();

@@ -33,6 +33,7 @@ struct HttpOptions {
   Address listen;
   TlsContext* tls = nullptr;        // null: plain text; must outlive the server
   bool local_names_only = false;    // answers 403 unless the header Host names this machine
+  bool has_tokens = false;          // callers are known by tokens, which other sites do not have
   Origins origins = {};             // whose pages may send a POST, and read answers
   const Clock* clock = nullptr;     // monotonic; must outlive the server
   AcceptHttpBody accept_body = {};  // empty: every POST is answered with 405
@@ -100,6 +101,8 @@ class HttpConnection final : public EventLoop::Source {
   void ParseHeaders();
   // Copies the headers of the request that pages need.
   void StoreHeaders();
+  // Returns whether the page that sends a POST may: it is of this server, or of `origins`.
+  bool MaySend() const;
   // Reads the body of a POST, if it is accepted.
   void StartBody();
   // Returns why the form of the body is refused, or a response without a code.

@@ -2,6 +2,7 @@
 
 #include "absl/algorithm/container.h"
 #include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
@@ -59,6 +60,24 @@ HttpResponse Origins::Preflight(absl::string_view origin) const {
               "grpc-timeout, inference-header-content-length, traceparent, x-grpc-web, "
               "x-user-agent\r\n"
               "Access-Control-Max-Age: 600\r\n"};
+}
+
+bool IsOwnOrigin(absl::string_view origin, absl::string_view host, bool has_tls) {
+  const bool has_scheme = absl::ConsumePrefix(&origin, "https://") ||
+                          (!has_tls && absl::ConsumePrefix(&origin, "http://"));
+  return has_scheme && !host.empty() && absl::EqualsIgnoreCase(origin, host);
+}
+
+absl::string_view WithoutPort(absl::string_view host) {
+  const size_t colon = host.rfind(':');
+  const bool has_port = colon != absl::string_view::npos && host.find(']', colon) == host.npos;
+  return has_port ? host.substr(0, colon) : host;
+}
+
+bool IsNobodyElses(absl::string_view host) {
+  host = WithoutPort(host);
+  const bool is_ipv4 = !host.empty() && host.find_first_not_of("0123456789.") == host.npos;
+  return is_ipv4 || absl::StartsWith(host, "[") || host == "localhost";
 }
 
 }  // namespace spikeserve

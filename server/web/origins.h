@@ -32,4 +32,15 @@ class Origins {
   std::vector<std::string> allowed_;
 };
 
+// Returns whether a page of `origin` came from the server that a request names in its header Host,
+// as `host`. A proxy may end TLS, so a server without it has pages of https, too.
+bool IsOwnOrigin(absl::string_view origin, absl::string_view host, bool has_tls);
+
+// Returns the header Host `host` without its port.
+absl::string_view WithoutPort(absl::string_view host);
+
+// Returns whether no site of somebody else can have the name in the header Host, `host`, whatever
+// its owner lets it resolve to: it is an address, or a name of this machine.
+bool IsNobodyElses(absl::string_view host);
+
 }  // namespace spikeserve

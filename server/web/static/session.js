@@ -4,6 +4,7 @@ import {drawDecision, rangeRow} from './explain.js';
 import {fetchJson} from './fetch.js';
 import {NOTHING, count, duration, element, fixed, nameOf, needOf, setText, si} from './format.js';
 import {Scene} from './scene.js';
+import {Seat} from './seat.js';
 import {TileGrid} from './tiles.js';
 
 const KEPT_DECISIONS = 120;
@@ -51,6 +52,7 @@ export class SessionView {
     this.chartBox = get('session-charts');
     this.body = get('decision');
     this.scene = new Scene(get('scene'));
+    this.seat = new Seat();
     this.observation = get('observation');
     this.liveState = get('live-state');
     this.decisionError = get('decision-error');
@@ -81,6 +83,7 @@ export class SessionView {
   open(id) {
     if (id === this.id) return;
     this.id = id;
+    this.seat.open(id);
     this.frames = [];
     this.shown = undefined;
     this.live = undefined;
@@ -107,6 +110,7 @@ export class SessionView {
     }
     if (this.id !== id) return;
     setText(this.error, '');
+    this.seat.show(session);
     this.showFigures(session);
     const asks = !this.streams() || this.frames.length === 0;  // also for what cannot be explained
     if (pressed(this.followButton) && asks) await this.fetchFrame(id);

@@ -15,7 +15,7 @@ from redis_servers import WITHOUT_REDIS
 from replicated import running_fleet
 from restartable_server import restartable_server
 from security import ADMIN, OBSERVATION, TOKENS, code_of, entry, fails_with, service_with, until
-from serving import http_call, running_server
+from serving import http_call, running_server, series
 
 DENIED = grpc.StatusCode.PERMISSION_DENIED
 INVALID = grpc.StatusCode.INVALID_ARGUMENT
@@ -363,3 +363,55 @@ def test_corrections_are_shown(server):
         lines = server.spikectl("admin", "sessions", "--policy=cartpole").stdout.splitlines()
         [line] = [lines[i + 1] for i, text in enumerate(lines) if text.startswith(session.session_id)]
         assert line.startswith("  3 steps of operators; apart from them: 0.") and line.endswith(" at the start")
+
+
+def test_the_seat_of_the_status_page(tmp_path):
+    """The page's calls have the rights, the audit and the refusals of those of gRPC, and no other site makes them."""
+    tokens = tmp_path / "tokens.json"
+    tokens.write_text(json.dumps(TOKENS | {"tokens": [*TOKENS["tokens"], entry("nina", "operator", name="nina")]}))
+    with running_server(flags=[f"--tokens={tokens}"]) as server, service_with(server, "agent") as agent:
+        session = agent.OpenSession(policy="cartpole").session_id
+        agent.Act(session_id=session, observation=OBSERVATION)
+
+        def post(path, fields, token="nina", **headers):
+            headers = {"Content_Type": "application/json"} | headers
+            code, _, body = http_call(server.http, "POST", f"/{path}.json", json.dumps(fields), token, **headers)
+            return code, json.loads(body)
+
+        wanted = {"session_id": session, "lease_seconds": 60}
+        for token, code in (("agent", 403), ("viewer", 403), ("rival-operator", 404), ("nonsense", 401)):
+            assert post("take", wanted | {"operator_id": "eve"}, token)[0] == code
+        own = f"http://{server.http}"
+        for origin in ("http://evil.example", own.replace(":", "s:", 1) + "0", f"{own}.evil.example", "null"):
+            code, error = post("take", wanted, Origin=origin)
+            assert code == 403 and error["error"].startswith("Origin: expected none, that of this server"), origin
+        assert post("take", wanted, Content_Type="text/plain")[0] == 415
+        assert http_call(server.http, "GET", "/take.json", token="nina")[0] == 405
+        assert post("take", wanted | {"lease_seconds": "long"})[1]["message"].startswith("body: ")
+        assert agent.Act(session_id=session, step=1, observation=OBSERVATION).source.operator_id == ""
+
+        code, taken = post("take", wanted, Origin=own)
+        assert (code, taken["operator_id"], taken["action_space"]) == (200, "nina", {"discrete": {"n": "2"}})
+        lease = {"session_id": session, "lease_id": taken["lease_id"]}
+        for step, action in enumerate((1, 0, 1), 2):
+            assert post("steer", lease | {"action": {"discrete": action}}, Origin=own)[0] == 200
+            answer = agent.Act(session_id=session, step=step, observation=OBSERVATION)
+            assert (answer.source.operator_id, answer.action.discrete) == ("nina", action)
+        code, error = post("take", wanted | {"operator_id": "bob"}, "operator")
+        assert (code, error["code"]) == (409, "FAILED_PRECONDITION") and '"nina"' in error["message"]
+        assert series(server, "spikeserve_seats", "viewer") == [1]
+        assert post("return", lease)[1]["steps"] == "3"
+        assert series(server, "spikeserve_seats", "viewer") == [0]
+        changes = {change: series(server, "spikeserve_seat_changes_total", "viewer", change=change) for change in ("taken", "taken_over", "returned")}
+        assert changes == {"taken": [1], "taken_over": [0], "returned": [1]}
+        with service_with(server, "viewer", ADMIN) as admin:
+            assert [(each.action, each.token) for each in admin.ListHistory().entries][:2] == [("ReturnControl", "nina"), ("TakeControl", "")]
+
+
+def test_a_name_that_anybody_may_have_opens_no_seat():
+    """Without tokens, a page whose site resolves to this server may not steer, though its origin is that of the request."""
+    with running_server(flags=["--http_listen=0.0.0.0:0", "--insecure_network"]) as server:
+        port = server.http.rpartition(":")[2]
+        for name, code in ((f"evil.example:{port}", 403), (f"10.0.0.7:{port}", 404), (f"localhost:{port}", 404)):
+            headers = {"Content_Type": "application/json", "Host": name, "Origin": f"http://{name}"}
+            assert http_call(f"127.0.0.1:{port}", "POST", "/take.json", '{"session_id": "x", "operator_id": "eve"}', **headers)[0] == code
