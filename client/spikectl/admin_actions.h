@@ -10,6 +10,8 @@ namespace spikeserve {
 absl::StatusOr<Answer> ShowHead(const AdminFlags& flags);
 absl::StatusOr<Answer> PromoteHead(const AdminFlags& flags);
 absl::StatusOr<Answer> RollbackHead(const AdminFlags& flags);
+// Takes an operator's corrections out of the head of --policy, or of --session on any server.
+absl::StatusOr<Answer> UndoCorrections(const AdminFlags& flags);
 absl::StatusOr<Answer> PauseLearning(const AdminFlags& flags);
 absl::StatusOr<Answer> ResumeLearning(const AdminFlags& flags);
 

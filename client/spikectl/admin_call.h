@@ -22,6 +22,7 @@ using AdminStub = v1::PolicyAdmin::Stub;
 // The flags of all actions. Each action uses some of them.
 struct AdminFlags {
   const ServerFlags* server = nullptr;
+  const ServerFlags* servers = nullptr;  // all of them
   std::string policy;
   int64_t version = 0;
   std::string file;                  // policy file to push, or to write
@@ -46,6 +47,9 @@ struct AdminFlags {
   std::vector<std::string> by = {"tenant", "policy"};  // what rows of usage are told apart by
   bool csv = false;                                    // prints usage as comma-separated values
   bool weights = false;                                // also prints the weights of the head
+  std::string session;                                 // with a head of its own
+  std::string operator_id;                             // whose corrections
+  absl::Duration last = absl::Minutes(1);              // how far back corrections are undone
 };
 
 template <typename Request, typename Response>

@@ -271,6 +271,13 @@ void AddHeadVersion(FlagGroup& group, AdminFlags* flags) {
   group.Add("tenant", "NAME", &flags->tenant, "Tenant of the head; default: that of the token");
 }
 
+void AddCorrections(FlagGroup& group, AdminFlags* flags) {
+  group
+      .Add("session", "ID", &flags->session, "Session with a head of its own, in place of --policy")
+      .Add("operator", "NAME", &flags->operator_id, "Operator whose corrections are taken out")
+      .Add("last", "DURATION", &flags->last, "How far back, 1s to 24h");
+}
+
 void AddLabel(FlagGroup& group, AdminFlags* flags) {
   group.Add("label", "NAME", &flags->label, "Name of a version, such as stable");
 }
@@ -389,6 +396,11 @@ constexpr AdminAction kActions[] = {
      true,
      {AddHeadVersion},
      RollbackHead},
+    {"undo_corrections",
+     "Takes what an operator has taught out of a head",
+     false,
+     {AddHeadVersion, AddCorrections},
+     UndoCorrections},
     {"pause_learning", "Pauses learning", false, {AddFilter}, PauseLearning},
     {"resume_learning", "Resumes learning", false, {AddFilter}, ResumeLearning},
 };
@@ -430,6 +442,7 @@ absl::Status RunAction(const AdminAction& action, const AdminFlags& flags) {
   return OnEveryServer(*flags.server, [&](const ServerFlags& server) {
     AdminFlags of_server = flags;
     of_server.server = &server;
+    of_server.servers = flags.server;
     return action.run(of_server);
   });
 }

@@ -4,6 +4,7 @@
 #include "absl/strings/str_format.h"
 #include "client/spikectl/admin_actions.h"
 #include "client/spikectl/admin_call.h"
+#include "client/spikectl/operator_servers.h"
 #include "client/spikectl/traffic_report.h"
 #include "core/base/status_macros.h"
 #include "proto/json.h"
@@ -58,6 +59,23 @@ absl::StatusOr<Answer> RollbackHead(const AdminFlags& flags) {
                                 request.policy(), rolled_back.drift()),
                 {{"policy", request.policy()}, {"drift", rolled_back.drift()}},
                 rolled_back.shared()};
+}
+
+absl::StatusOr<Answer> UndoCorrections(const AdminFlags& flags) {
+  auto request = HeadRequest<v1::UndoCorrectionsRequest>(flags);
+  request.set_session_id(flags.session);
+  request.set_operator_id(flags.operator_id);
+  request.set_seconds(absl::ToDoubleSeconds(flags.last));
+  const bool of_session = !flags.session.empty();
+  ASSIGN_OR_RETURN(
+      const auto undone,
+      of_session ? OperatorServers(*flags.servers).OfSession(&AdminStub::UndoCorrections, request)
+                 : CallAdmin(flags, &AdminStub::UndoCorrections, request));
+  return Answer{absl::StrFormat("%s: took out %d updates by %s; the head's drift is %.4g",
+                                of_session ? flags.session : flags.policy, undone.updates(),
+                                flags.operator_id, undone.head_drift()),
+                {{"updates", undone.updates()}, {"head_drift", undone.head_drift()}},
+                of_session};
 }
 
 absl::StatusOr<Answer> PauseLearning(const AdminFlags& flags) {

@@ -97,7 +97,9 @@ void AgentSession::TakeExecuted(const Action& executed, const ReportedSource& so
     session_.executed_source = {.kind = static_cast<SourceKind>(source.kind),
                                 .operator_id = std::string(source.operator_id)};
   }
-  if (session_.executed_source.kind == SourceKind::kOperator) head_.OnOperator(executed, &session_);
+  if (session_.executed_source.kind == SourceKind::kOperator) {
+    head_.OnOperator(executed, session_.executed_source.operator_id, &session_);
+  }
   if (is_known) return;
   context_.OnExecuted();
   head_.OnExecuted(executed, &session_);
@@ -172,6 +174,15 @@ absl::Status AgentSession::ReturnControl(absl::string_view lease_id) {
   served_->observer->OnSeat(SeatChange::kReturned);
   for (const auto& listener : listeners_) listener->OnChange(session_);
   return absl::OkStatus();
+}
+
+std::optional<int64_t> AgentSession::UndoCorrections(absl::string_view operator_id,
+                                                     absl::Duration ago) {
+  const auto undone = head_.UndoCorrections(operator_id, ago, &session_);
+  if (undone.value_or(0) > 0) {
+    for (const auto& listener : listeners_) listener->OnChange(session_);
+  }
+  return undone;
 }
 
 void AgentSession::CountMissingRewards(int64_t rewards) {

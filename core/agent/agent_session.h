@@ -135,6 +135,8 @@ class AgentSession {
     return seat_.Steer(lease_id, action, &session_);
   }
   absl::Status ReturnControl(absl::string_view lease_id);
+  // As Learner::UndoCorrections, of the last `ago`; nullopt, too, if the head is not private.
+  std::optional<int64_t> UndoCorrections(absl::string_view operator_id, absl::Duration ago);
   // Returns when this object was created, of the clock. Not guarded by the lock of the session.
   absl::Duration created() const { return created_; }
   absl::Duration Age() const { return clock_->Now() - created_; }

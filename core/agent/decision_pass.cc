@@ -228,7 +228,7 @@ bool AgentSession::DecisionPass::Overrule(AgentSession& agent, bool is_past) {
     agent.seat_.CountStep(space, answer.action, &session);
     action = seat->action;
     answer.source = {SourceKind::kOperator, seat->operator_id};
-    agent.head_.OnOperator(action, &session);
+    agent.head_.OnOperator(action, seat->operator_id, &session);
   } else if (agent.wiring_response_ == WiringResponse::kSafe &&
              session.wiring.verdict.has_value()) {
     action = NeutralAction(space);

@@ -18,6 +18,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
 #include "core/learning/contribution.h"
 #include "core/learning/tenant_heads.h"
 
@@ -45,6 +46,9 @@ class HeadLog {
   virtual absl::Status CatchUp() = 0;
   // Restores the policy's head of a tenant. Returns the drift before.
   virtual absl::StatusOr<double> Rollback(const std::string& tenant) = 0;
+  // As FleetHead::Undo(), of the head of a tenant.
+  virtual absl::StatusOr<MergeOutcome> Undo(const std::string& tenant,
+                                            const std::string& operator_id, absl::Duration ago) = 0;
   // Pauses or resumes the merges of all heads.
   virtual absl::Status SetPaused(bool paused) = 0;
 };

@@ -3,6 +3,7 @@
 #include <string>
 #include <utility>
 
+#include "absl/time/clock.h"
 #include "core/contract/dcheck.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/learner.h"
@@ -11,6 +12,12 @@
 #include "core/session/session_value.h"
 
 namespace spikeserve {
+namespace {
+
+// Other servers, which go on with the session, know this time, too.
+double SecondsSince1970() { return absl::ToDoubleSeconds(absl::Now() - absl::UnixEpoch()); }
+
+}  // namespace
 
 SessionHead::SessionHead(std::shared_ptr<const ServedPolicy> served, Session* session)
     : served_(std::move(served)) {
@@ -80,14 +87,27 @@ void SessionHead::OnExecuted(const Action& executed, Session* session) {
   if (*outcome != UpdateOutcome::kApplied) served_->observer->OnHeadUpdate(*outcome);
 }
 
-void SessionHead::OnOperator(const Action& executed, Session* session) {
+void SessionHead::OnOperator(const Action& executed, absl::string_view operator_id,
+                             Session* session) {
   if (!session->learner.has_value()) return;
   SPIKESERVE_DCHECK(session->last_answer.has_value());
   SuspendIfPaused(session);
-  OnUpdate(session->learner->OnOperator(*session->options.learning, served_->policy(),
-                                        session->last_answer->logits, executed,
-                                        session->options.head_delta),
-           *session);
+  const OperatorStep step = {
+      .executed = executed, .operator_id = operator_id, .time = SecondsSince1970()};
+  OnUpdate(
+      session->learner->OnOperator(*session->options.learning, served_->policy(),
+                                   session->last_answer->logits, step, session->options.head_delta),
+      *session);
+}
+
+std::optional<int64_t> SessionHead::UndoCorrections(absl::string_view operator_id,
+                                                    absl::Duration ago, Session* session) {
+  if (IsInFleet() || !session->learner.has_value()) return std::nullopt;
+  const auto undone =
+      session->learner->UndoCorrections(*session->options.learning, served_->policy(), operator_id,
+                                        SecondsSince1970() - absl::ToDoubleSeconds(ago));
+  HeadWith(served_->policy(), session->learner->head_delta, &*private_head_);
+  return undone;
 }
 
 std::optional<LearningSummary> SessionHead::OnEpisodeEnd(const EpisodeEnd& end,
@@ -119,7 +139,7 @@ void SessionHead::MergeIntoFleet(double episode_return, const Clock& clock, Sess
   Contribution contribution = {.episode = session->episode,
                                .contributor = member_->contributor(),
                                .held_out = member_->held_out(),
-                               .corrected = learner.corrections.in_episode > 0,
+                               .operators = learner.operators,
                                .delta = learner.head_delta,
                                .episode_return = episode_return};
   const auto snapshot = fleet.Read();

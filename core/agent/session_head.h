@@ -12,6 +12,8 @@
 #include <optional>
 
 #include "Eigen/Core"
+#include "absl/strings/string_view.h"
+#include "absl/time/time.h"
 #include "absl/types/span.h"
 #include "core/action/action_head.h"
 #include "core/agent/head_log.h"
@@ -40,7 +42,10 @@ class SessionHead {
   void OnExecuted(const Action& executed, Session* session);
   // Takes an operator's step: the action that was executed in the place of the last answered one,
   // or is answered in its place. REQUIRES: as OnExecuted.
-  void OnOperator(const Action& executed, Session* session);
+  void OnOperator(const Action& executed, absl::string_view operator_id, Session* session);
+  // As Learner::UndoCorrections, of the last `ago`; nothing is known of a head that is not private.
+  std::optional<int64_t> UndoCorrections(absl::string_view operator_id, absl::Duration ago,
+                                         Session* session);
   // Returns what the session has learned in the episode that `end` ends; nullopt if it is frozen.
   std::optional<LearningSummary> OnEpisodeEnd(const EpisodeEnd& end, double episode_return,
                                               const Clock& clock, Session* session);

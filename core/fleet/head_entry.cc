@@ -2,9 +2,16 @@
 
 #include <openssl/sha.h>
 
+#include <cstddef>
+#include <optional>
+#include <utility>
+#include <vector>
+
 #include "absl/strings/escaping.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/journal/field_codec.h"
 
@@ -17,7 +24,33 @@ constexpr size_t kFields = 7;
 // Stands before the contributor of a session that is held out. No session and no tenant has it in
 // its name. Entries of earlier releases have no mark, and count as contributing.
 constexpr absl::string_view kHeldOutMark = "held out: ";
-constexpr absl::string_view kCorrectedMark = "corrected: ";  // behind it
+// Stands behind it, before the operators, each as "LENGTH:BYTES,", and a semicolon.
+constexpr absl::string_view kOperatorsMark = "operators: ";
+
+std::string OperatorsMark(const std::vector<std::string>& operators) {
+  if (operators.empty()) return "";
+  std::string mark(kOperatorsMark);
+  for (const std::string& id : operators) absl::StrAppend(&mark, id.size(), ":", id, ",");
+  return mark + ";";
+}
+
+// Removes the mark from the contributor. Returns nullopt if it is no such mark.
+std::optional<std::vector<std::string>> TakeOperators(absl::string_view* contributor) {
+  std::vector<std::string> operators;
+  if (!absl::ConsumePrefix(contributor, kOperatorsMark)) return operators;
+  while (!absl::ConsumePrefix(contributor, ";")) {
+    const size_t colon = contributor->find(':');
+    size_t length = 0;
+    if (colon == contributor->npos || !absl::SimpleAtoi(contributor->substr(0, colon), &length) ||
+        length >= contributor->size() - colon - 1) {
+      return std::nullopt;
+    }
+    operators.emplace_back(contributor->substr(colon + 1, length));
+    contributor->remove_prefix(colon + 1 + length);
+    if (!absl::ConsumePrefix(contributor, ",")) return std::nullopt;
+  }
+  return operators;
+}
 
 }  // namespace
 
@@ -48,7 +81,7 @@ std::string SerializeHeadEntry(const HeadEntry& entry) {
   codec::Writer writer(&bytes);
   writer.Write(entry.contribution.head);
   writer.Write(absl::StrCat(entry.contribution.held_out ? kHeldOutMark : "",
-                            entry.contribution.corrected ? kCorrectedMark : "",
+                            OperatorsMark(entry.contribution.operators),
                             entry.contribution.contributor));
   writer.Write(entry.contribution.delta);
   writer.Write(entry.contribution.episode_return);
@@ -59,7 +92,11 @@ absl::StatusOr<HeadEntry> ParseHeadEntry(const std::string& bytes) {
   ASSIGN_OR_RETURN(HeadEntry entry, codec::Parse<HeadEntry>(bytes, "head entry", kEntryFormat));
   absl::string_view contributor = entry.contribution.contributor;
   entry.contribution.held_out = absl::ConsumePrefix(&contributor, kHeldOutMark);
-  entry.contribution.corrected = absl::ConsumePrefix(&contributor, kCorrectedMark);
+  auto operators = TakeOperators(&contributor);
+  if (!operators.has_value()) {
+    return InvalidArgument("head entry.contributor", "operators as LENGTH:BYTES,", contributor);
+  }
+  entry.contribution.operators = *std::move(operators);
   entry.contribution.contributor = std::string(contributor);
   return entry;
 }

@@ -15,20 +15,22 @@
 namespace spikeserve {
 
 struct HeadEntry {
-  enum class Kind { kMerge, kRollback, kPause, kResume };
+  enum class Kind { kMerge, kRollback, kPause, kResume, kUndo };
 
   Kind kind = Kind::kMerge;
-  // kRollback has only the head, and kPause and kResume, which change all heads, not even that; a
-  // random name is their session. The log has each session and episode once. The server of the
+  // kRollback has only the head, and kPause and kResume, which change all heads, not even that.
+  // kUndo has the operator as `operators`, and the seconds as `episode_return`. A random name is
+  // the session of them all. The log has each session and episode once. The server of the
   // session decides whether it is held out, so that all servers agree.
   Contribution contribution = {};
 };
 
-constexpr std::array<EnumName<HeadEntry::Kind>, 4> EnumNames(HeadEntry::Kind) {
+constexpr std::array<EnumName<HeadEntry::Kind>, 5> EnumNames(HeadEntry::Kind) {
   return {{{HeadEntry::Kind::kMerge, "merge"},
            {HeadEntry::Kind::kRollback, "rollback"},
            {HeadEntry::Kind::kPause, "pause"},
-           {HeadEntry::Kind::kResume, "resume"}}};
+           {HeadEntry::Kind::kResume, "resume"},
+           {HeadEntry::Kind::kUndo, "undo"}}};
 }
 
 std::string SerializeHeadEntry(const HeadEntry& entry);

@@ -50,10 +50,27 @@ SPIKESERVE_FIELDS(FleetHead::Gathered, contributor, delta)
 
 SPIKESERVE_FIELDS(FleetHead::State, delta, gathered, guard, held_out_guard, budget, held_out_budget,
                   norms, updates, rejected, trimmed, rollbacks)
+inline size_t MoreFields(const FleetHead::State& state) { return state.past == nullptr ? 0 : 1; }
+SPIKESERVE_MORE_FIELDS(FleetHead::State, past)
+
+template <Is<FleetHead::Kept> T, typename Visitor>
+void VisitFields(T& kept, Visitor&& visit) {
+  visit("contributor", kept.contribution.contributor);
+  visit("held_out", kept.contribution.held_out);
+  visit("operators", kept.contribution.operators);
+  visit("delta", kept.contribution.delta);
+  visit("episode_return", kept.contribution.episode_return);
+  visit("time_ms", kept.time_ms);
+  visit("members", kept.members);
+}
+
+SPIKESERVE_FIELDS(FleetHead::Past, base, kept, forgotten_ms)
 
 SPIKESERVE_FIELDS(HeadPosition, id, number, digest)
 
 SPIKESERVE_FIELDS(MergeOutcome, paused, update, rolled_back, drift, watched_return)
+inline size_t MoreFields(const MergeOutcome& outcome) { return outcome.undone == 0 ? 0 : 1; }
+SPIKESERVE_MORE_FIELDS(MergeOutcome, undone)
 
 SPIKESERVE_FIELDS(HeadFold::Folded, position, session, episode, outcome)
 
@@ -78,6 +95,9 @@ absl::Status HeadFold::Fold(const LoggedEntry& entry) {
     return InvalidArgument("delta", absl::StrCat(size, " numbers"),
                            parsed.contribution.delta.size());
   }
+  if (parsed.kind == HeadEntry::Kind::kUndo && parsed.contribution.operators.empty()) {
+    return InvalidArgument("operators", "that of an undo", "none");
+  }
   position_ = entry.position;
   Remember(position_);
   last_.push_back({.position = position_,
@@ -97,6 +117,10 @@ MergeOutcome HeadFold::Apply(const HeadEntry& entry, const LoggedEntry& logged) 
     case HeadEntry::Kind::kRollback:
       outcome.drift = heads_->Of(entry.contribution.head)->Rollback()->drift;
       return outcome;
+    case HeadEntry::Kind::kUndo:
+      return heads_->Of(entry.contribution.head)
+          ->Undo(entry.contribution.operators.front(),
+                 absl::Seconds(entry.contribution.episode_return), TimeOf(logged.position));
     case HeadEntry::Kind::kMerge:
       break;
   }

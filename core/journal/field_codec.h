@@ -9,6 +9,7 @@
 #include <cmath>
 #include <concepts>
 #include <cstdint>
+#include <deque>
 #include <limits>
 #include <map>
 #include <memory>
@@ -73,6 +74,10 @@ class Writer {
   }
   template <typename T>
   void Write(const std::vector<T>& values) {
+    WriteAll(values);
+  }
+  template <typename T>
+  void Write(const std::deque<T>& values) {
     WriteAll(values);
   }
   template <typename T>
@@ -198,11 +203,11 @@ class Reader {
 
   template <typename T>
   void Read(const Json& json, const std::string& path, std::vector<T>& values) {
-    if (!json.is_array()) return Fail(path, "an array", json);
-    values.resize(json.size());
-    for (size_t i = 0; i < json.size(); ++i) {
-      Read(json[i], absl::StrCat(path, "[", i, "]"), values[i]);
-    }
+    ReadAll(json, path, values);
+  }
+  template <typename T>
+  void Read(const Json& json, const std::string& path, std::deque<T>& values) {
+    ReadAll(json, path, values);
   }
 
   template <typename T>
@@ -268,6 +273,14 @@ class Reader {
   }
 
  private:
+  template <typename Values>
+  void ReadAll(const Json& json, const std::string& path, Values& values) {
+    if (!json.is_array()) return Fail(path, "an array", json);
+    values.resize(json.size());
+    for (size_t i = 0; i < json.size(); ++i) {
+      Read(json[i], absl::StrCat(path, "[", i, "]"), values[i]);
+    }
+  }
   void Fail(const std::string& path, absl::string_view expected, const Json& received) {
     status_.Update(InvalidArgument(path, expected, Describe(received)));
   }

@@ -33,6 +33,14 @@ absl::Status CheckLearner(const LearningOptions& options, const Learner& learner
     if (length == expected) continue;
     return Inconsistent(field, absl::StrCat(expected, " numbers"), length);
   }
+  for (const CorrectionRun& run : learner.runs.runs) {
+    if (run.before.size() == kept) continue;
+    return Inconsistent("learner.runs.before", absl::StrCat(kept, " numbers"), run.before.size());
+  }
+  if (learner.runs.runs.size() > CorrectionRuns::kMost) {
+    return Inconsistent("learner.runs", absl::StrCat("at most ", CorrectionRuns::kMost),
+                        static_cast<int64_t>(learner.runs.runs.size()));
+  }
   if (learner.post.size() > 0) {
     if (learner.post.size() * learner.readout.size() != size) {
       return Inconsistent("learner.readout", "one number for each input of the head",

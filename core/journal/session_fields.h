@@ -58,10 +58,16 @@ SPIKESERVE_FIELDS(Learner, head_delta, returns, guard, trace, episode, trace_sum
 
 SPIKESERVE_FIELDS(Corrections, steps, in_episode, measured, error, start_error, size)
 
+SPIKESERVE_FIELDS(CorrectionRun, operator_id, began, ended, updates, before, measured)
+
+SPIKESERVE_FIELDS(CorrectionRuns, runs, forgotten)
+
 inline size_t MoreFields(const Learner& learner) {
+  if (!learner.operators.empty()) return 3;
+  if (!learner.runs.runs.empty() || learner.runs.forgotten != 0.0) return 2;
   return learner.corrections == Corrections() ? 0 : 1;
 }
-SPIKESERVE_MORE_FIELDS(Learner, corrections)
+SPIKESERVE_MORE_FIELDS(Learner, corrections, runs, operators)
 
 SPIKESERVE_FIELDS(EpisodeEnd, reward, terminated, target_return, truncated, observation,
                   executed_action)
@@ -79,9 +85,9 @@ SPIKESERVE_FIELDS(SessionOptions, policy, version, target_return, seed, action_s
 // The session itself has the other members of a contribution.
 SPIKESERVE_FIELDS(Contribution, episode, delta, episode_return, summary)
 inline size_t MoreFields(const Contribution& contribution) {
-  return contribution.corrected ? 1 : 0;
+  return contribution.operators.empty() ? 0 : 1;
 }
-SPIKESERVE_MORE_FIELDS(Contribution, corrected)
+SPIKESERVE_MORE_FIELDS(Contribution, operators)
 
 SPIKESERVE_FIELDS(WiringHypothesis, number, evidence, total)
 

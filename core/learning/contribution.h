@@ -2,9 +2,11 @@
 // values.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "Eigen/Core"
 #include "core/learning/head_update.h"
@@ -25,14 +27,17 @@ struct LearningSummary {
 };
 
 struct Contribution {
+  static constexpr size_t kMostOperators = 8;
+
   // Identify it: the session and the index of its episode.
   std::string session = "";
   int64_t episode = 0;
   std::string head = "";  // tenant whose head it is for (TenantHeads)
   // The session, or its tenant if several share the head; empty: no client, no budget applies.
   std::string contributor = "";
-  bool held_out = false;   // of the session, see held_out.h
-  bool corrected = false;  // an operator acted, so that no guard judges the return
+  bool held_out = false;  // of the session, see held_out.h
+  // Who acted in the policy's place, so that no guard judges the return; the first kMostOperators.
+  std::vector<std::string> operators = {};
   // [act * d]: sum of the updates, in the precision in which it is stored, sent and applied.
   Eigen::VectorXf delta = {};
   double episode_return = 0.0;
@@ -46,6 +51,8 @@ struct MergeOutcome {
   bool rolled_back = false;     // a guard restored an earlier head
   double drift = 0.0;           // of the head after it
   double watched_return = 0.0;  // level of the guard's last window after it
+  // Of an undo: contributions that were taken out; -1: the head no longer has them one by one.
+  int64_t undone = 0;
 };
 
 // Completes the summary of an episode with the outcome of its contribution.

@@ -45,9 +45,19 @@ FleetHead::Member::~Member() {
 
 MergeOutcome FleetHead::Merge(const Contribution& contribution, absl::Duration now,
                               std::optional<size_t> members) {
-  MergeOutcome outcome;
   absl::MutexLock lock(&mutex_);
   if (members.has_value()) counted_ = members;
+  now = absl::Trunc(now, absl::Milliseconds(1));  // as it is kept
+  Keep(contribution, now);
+  MergeOutcome outcome = Fold(contribution, now);
+  Publish();
+  outcome.drift = Read()->drift;
+  outcome.watched_return = state_.guard.last.mean;
+  return outcome;
+}
+
+MergeOutcome FleetHead::Fold(const Contribution& contribution, absl::Duration now) {
+  MergeOutcome outcome;
   const std::string& contributor = contribution.contributor;
   const bool held_out = contribution.held_out && is_protected();
   if (!contributor.empty() && !state_.budget.Take(contributor, now, is_protected())) {
@@ -61,6 +71,55 @@ MergeOutcome FleetHead::Merge(const Contribution& contribution, absl::Duration n
     state_.updates = 0;
     ++state_.rollbacks;
   }
+  return outcome;
+}
+
+void FleetHead::FoldInto(State* state, const Kept& kept) {
+  const auto counted = std::exchange(counted_, static_cast<size_t>(kept.members));
+  std::swap(state_, *state);
+  Fold(kept.contribution, absl::Milliseconds(kept.time_ms));
+  std::swap(state_, *state);
+  counted_ = counted;
+}
+
+void FleetHead::Keep(const Contribution& contribution, absl::Duration now) {
+  auto& [base, kept, forgotten_ms] = past_;
+  const int64_t time_ms = absl::ToInt64Milliseconds(now);
+  const int64_t oldest_ms = time_ms - absl::ToInt64Milliseconds(kKept);
+  const auto most = std::max<size_t>(
+      1, kMostKeptNumbers / std::max<size_t>(1, static_cast<size_t>(contribution.delta.size())));
+  // The base goes on to the next contribution of an operator.
+  while (!kept.empty() && (kept.front().contribution.operators.empty() || kept.size() >= most ||
+                           kept.front().time_ms < oldest_ms)) {
+    if (!kept.front().contribution.operators.empty()) forgotten_ms = kept.front().time_ms;
+    FoldInto(&base, kept.front());
+    kept.pop_front();
+  }
+  if (kept.empty()) {
+    if (contribution.operators.empty()) return;
+    base = state_;
+  }
+  kept.push_back({contribution, time_ms, static_cast<int64_t>(members())});
+}
+
+MergeOutcome FleetHead::Undo(const std::string& operator_id, absl::Duration ago,
+                             absl::Duration now) {
+  absl::MutexLock lock(&mutex_);
+  MergeOutcome outcome = {.drift = Read()->drift, .watched_return = state_.guard.last.mean};
+  const int64_t since_ms = absl::ToInt64Milliseconds(now - ago);
+  if (past_.forgotten_ms != 0 && past_.forgotten_ms >= since_ms) {
+    outcome.undone = -1;
+    return outcome;
+  }
+  outcome.undone = static_cast<int64_t>(std::erase_if(past_.kept, [&](const Kept& kept) {
+    const auto& operators = kept.contribution.operators;
+    return kept.time_ms >= since_ms &&
+           std::find(operators.begin(), operators.end(), operator_id) != operators.end();
+  }));
+  if (outcome.undone == 0) return outcome;
+  State state = past_.base;
+  for (const Kept& kept : past_.kept) FoldInto(&state, kept);
+  state_ = std::move(state);
   Publish();
   outcome.drift = Read()->drift;
   outcome.watched_return = state_.guard.last.mean;
@@ -99,7 +158,7 @@ UpdateOutcome FleetHead::Add(const Eigen::VectorXf& delta, const std::string& co
 }
 
 bool FleetHead::Judge(const Contribution& contribution, absl::Duration now, bool held_out) {
-  if (contribution.corrected) return false;
+  if (!contribution.operators.empty()) return false;
   const double margin = options_.guard_margin;
   if (state_.guard.OnEpisode(contribution.episode_return, margin, &state_.delta)) {
     state_.held_out_guard.OnRestored(state_.delta);
@@ -134,6 +193,7 @@ void FleetHead::EndWindow(bool bad) {
 std::shared_ptr<const FleetHead::Snapshot> FleetHead::Rollback() {
   absl::MutexLock lock(&mutex_);
   std::shared_ptr<const Snapshot> before = Read();
+  past_ = {};
   state_.delta.setZero();
   state_.gathered.clear();
   state_.budget.OnWindowEnd(/*bad=*/false, is_protected());
@@ -162,13 +222,18 @@ int64_t FleetHead::HeldOutSessions() const {
 
 FleetHead::State FleetHead::state() const {
   absl::MutexLock lock(&mutex_);
-  return state_;
+  State state = state_;
+  const bool has_past = !past_.kept.empty() || past_.forgotten_ms != 0;
+  if (has_past) state.past = std::make_shared<const Past>(past_);
+  return state;
 }
 
 void FleetHead::Restore(const State& state) {
   SPIKESERVE_DCHECK(IsPossible(state));
   absl::MutexLock lock(&mutex_);
   state_ = state;
+  const auto past = std::exchange(state_.past, nullptr);
+  past_ = past == nullptr ? Past() : *past;
   Publish();
 }
 
@@ -182,8 +247,14 @@ bool FleetHead::IsPossible(const State& state) const {
     return budget.contributors.size() == budget.accounts.size() &&
            std::is_sorted(budget.contributors.begin(), budget.contributors.end());
   };
-  return state.delta.size() == size && is_guard(state.guard) && is_guard(state.held_out_guard) &&
-         is_budget(state.budget) && is_budget(state.held_out_budget) &&
+  const auto is_past = [&](const Past& past) {
+    return (past.kept.empty() || IsPossible(past.base)) &&
+           std::all_of(past.kept.begin(), past.kept.end(),
+                       [size](const Kept& kept) { return kept.contribution.delta.size() == size; });
+  };
+  return (state.past == nullptr || is_past(*state.past)) && state.delta.size() == size &&
+         is_guard(state.guard) && is_guard(state.held_out_guard) && is_budget(state.budget) &&
+         is_budget(state.held_out_budget) &&
          state.norms.contributors.size() == state.norms.norms.size() &&
          state.norms.norms.size() <= PeerNorms::kContributors &&
          state.gathered.size() < ReturnGuard::kWindow &&

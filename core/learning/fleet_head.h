@@ -16,14 +16,18 @@
 //   and therefore decides sooner. After a rollback by one of them both start a new window, and no
 //   session contributes in the next one of the first guard, which measures the restored head.
 //
-// Equal sequences of Merge() and Rollback() leave heads that are equal bit for bit, in whichever
-// processes they run, if all of them pass the time and the number of members.
+// A contribution of an episode in which an operator acted is kept for a while, and so is all that
+// was merged since: Undo() merges the rest again, as if the operator's had never come.
+//
+// Equal sequences of Merge(), Undo() and Rollback() leave heads that are equal bit for bit, in
+// whichever processes they run, if all of them pass the time and the number of members.
 //
 // Thread-safe.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <map>
 #include <memory>
 #include <optional>
@@ -58,6 +62,10 @@ class FleetHead {
   // Largest difference of a weight between two orders of the same contributions, which comes from
   // the rounding of float additions; for up to a thousand contributions between rollbacks.
   static constexpr double kMergeTolerance = 1e-5;
+  // For how long an operator's contribution can be undone, and of how many numbers the
+  // contributions since may be: 1,024 of a head of 256.
+  static constexpr absl::Duration kKept = absl::Minutes(10);
+  static constexpr size_t kMostKeptNumbers = size_t{1} << 18;
 
   // The head at one point in time; immutable.
   struct Snapshot {
@@ -86,6 +94,10 @@ class FleetHead {
   MergeOutcome Merge(const Contribution& contribution, absl::Duration now,
                      std::optional<size_t> members = std::nullopt);
 
+  // Makes the head the one that all contributions make except those of the last `ago` in which
+  // `operator_id` acted. Sets `undone` and `drift` of the outcome. `now` as Merge().
+  MergeOutcome Undo(const std::string& operator_id, absl::Duration ago, absl::Duration now);
+
   // Returns contributors with a Member, at most kProtectedMembers: more make no difference.
   std::vector<std::string> Members() const;
   // Returns how many sessions of this process are held out: 0 while the head is not protected.
@@ -98,6 +110,7 @@ class FleetHead {
   };
 
   // All that decides about the head and its later changes.
+  struct Past;
   struct State {
     Eigen::VectorXf delta;  // [act * d]
     std::vector<Gathered> gathered;
@@ -110,6 +123,18 @@ class FleetHead {
     int64_t rejected = 0;
     int64_t trimmed = 0;
     int64_t rollbacks = 0;
+    std::shared_ptr<const Past> past;  // null: nothing to undo, and nothing was forgotten
+  };
+  // What was merged, with the time and the members.
+  struct Kept {
+    Contribution contribution;
+    int64_t time_ms = 0;
+    int64_t members = 0;
+  };
+  struct Past {
+    State base;                // before the first of `kept`
+    std::deque<Kept> kept;     // oldest first, which is an operator's
+    int64_t forgotten_ms = 0;  // when the last operator's came that can be undone no more; 0: none
   };
   State state() const;
   // Continues from `state`. REQUIRES: IsPossible(state).
@@ -140,9 +165,20 @@ class FleetHead {
   std::shared_ptr<const Snapshot> Rollback();
 
  private:
-  bool is_protected() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
-    return counted_.value_or(members_.size()) >= ContributionBudget::kProtectedMembers;
+  size_t members() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    return counted_.value_or(members_.size());
   }
+  bool is_protected() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    return members() >= ContributionBudget::kProtectedMembers;
+  }
+  // Does what Merge() does to the state. Sets `update` and `rolled_back` of the outcome.
+  MergeOutcome Fold(const Contribution& contribution, absl::Duration now)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Does it for a contribution that was kept, to `state`.
+  void FoldInto(State* state, const Kept& kept) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Keeps a contribution that is about to be merged, and forgets what is too old, or too much.
+  void Keep(const Contribution& contribution, absl::Duration now)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Takes a contribution that is within the budget. Returns its outcome.
   UpdateOutcome Take(const Contribution& contribution, bool held_out)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
@@ -163,8 +199,9 @@ class FleetHead {
   const FleetOptions options_;
   const HeldOutKey held_out_key_;
 
-  mutable absl::Mutex mutex_;  // held for a whole merge
-  State state_ ABSL_GUARDED_BY(mutex_);
+  mutable absl::Mutex mutex_;            // held for a whole merge
+  State state_ ABSL_GUARDED_BY(mutex_);  // without `past`
+  Past past_ ABSL_GUARDED_BY(mutex_);
   std::map<std::string, int> members_ ABSL_GUARDED_BY(mutex_);  // open sessions by contributor
   std::optional<size_t> counted_ ABSL_GUARDED_BY(mutex_);       // members in all processes
   int64_t held_out_sessions_ ABSL_GUARDED_BY(mutex_) = 0;       // Members

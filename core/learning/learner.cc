@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/learning/contribution.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/postsynaptic.h"
 #include "core/math/vector_view.h"
@@ -16,6 +17,14 @@ namespace {
 // them, because the return-to-go that conditions a decision is not discounted.
 double Discount(const LearningOptions& options) {
   return options.modulator == Modulator::kRealized ? options.discount : 1.0;
+}
+
+// Returns the bounds of an update. `max_drift` limits a private head; the shared head has limits of
+// its own (FleetOptions).
+UpdateBounds BoundsOf(const LearningOptions& options, const Policy& policy) {
+  const double longest =
+      options.scope == Scope::kFleet ? options.clip : options.max_drift * BaseNorm(policy);
+  return {.clip = options.clip, .max_norm = std::min(longest, kLongestHeadDelta)};
 }
 
 }  // namespace
@@ -94,15 +103,18 @@ std::optional<UpdateOutcome> Learner::OnExecuted(const LearningOptions& options,
 std::optional<UpdateOutcome> Learner::OnOperator(const LearningOptions& options,
                                                  const Policy& policy,
                                                  absl::Span<const float> logits,
-                                                 const Action& executed,
+                                                 const OperatorStep& step,
                                                  const Eigen::VectorXf& start_delta) {
   if (suspended || post.size() == 0 || options.rule != Rule::kCorrections) return std::nullopt;
+  const Corrections before = corrections;
+  const Action& executed = step.executed;
   ++corrections.steps;
   ++corrections.in_episode;
   const auto act = static_cast<Eigen::Index>(logits.size());
   post.resize(0);
   // A fleet's head answered without what this episode has learned.
   const bool in_fleet = options.scope == Scope::kFleet;
+  if (in_fleet) NoteOperator(step.operator_id);
   Eigen::VectorXf learned = head_delta;
   if (!in_fleet && start_delta.size() > 0) learned -= start_delta;
   const Eigen::VectorXf change = AsMatrix(learned, act) * readout;
@@ -118,6 +130,7 @@ std::optional<UpdateOutcome> Learner::OnOperator(const LearningOptions& options,
   if (corrections.DoesHarm()) {
     head_delta -= learned;
     corrections.PutBack();
+    runs = {};
     if (!in_fleet) ++guard.rollbacks;
     return UpdateOutcome::kApplied;
   }
@@ -126,7 +139,27 @@ std::optional<UpdateOutcome> Learner::OnOperator(const LearningOptions& options,
   Eigen::VectorXf direction(head_delta.size());
   AsMatrix(direction, act).noalias() = error * readout.transpose();
   const double rate = options.learning_rate * corrections.Weight();
+  if (!in_fleet) runs.Add(step.operator_id, step.time, head_delta, before);
   return Apply(options, policy, rate / static_cast<double>(energy), direction);
+}
+
+void Learner::NoteOperator(absl::string_view operator_id) {
+  if (operators.size() == Contribution::kMostOperators) return;
+  if (std::find(operators.begin(), operators.end(), operator_id) != operators.end()) return;
+  operators.emplace_back(operator_id);
+}
+
+std::optional<int64_t> Learner::UndoCorrections(const LearningOptions& options,
+                                                const Policy& policy, absl::string_view operator_id,
+                                                double since) {
+  const auto undone = runs.Undo(operator_id, since, &head_delta, &corrections);
+  if (undone.value_or(0) == 0) return undone;
+  // The sum of the others' changes may be longer than what was left of them all.
+  ApplyUpdate(0.0, head_delta, BoundsOf(options, policy), &head_delta);
+  const int64_t rollbacks = guard.rollbacks;
+  guard = ReturnGuard::New(head_delta);
+  guard.rollbacks = rollbacks;
+  return undone;
 }
 
 UpdateOutcome Learner::ApplyTarget(const LearningOptions& options, const Policy& policy,
@@ -175,6 +208,7 @@ void Learner::StartEpisode(const LearningOptions& options) {
   suspended = false;
   post.resize(0);
   corrections.in_episode = 0;
+  operators.clear();
   if (options.scope == Scope::kFleet) head_delta.setZero();
 }
 
@@ -186,12 +220,8 @@ void Learner::AddReward(double reward) {
 template <typename Direction>
 UpdateOutcome Learner::Apply(const LearningOptions& options, const Policy& policy, double factor,
                              const Direction& direction) {
-  // `max_drift` limits a private head. The shared head has limits of its own (FleetOptions).
-  const double longest =
-      options.scope == Scope::kFleet ? options.clip : options.max_drift * BaseNorm(policy);
-  const UpdateBounds bounds = {.clip = options.clip,
-                               .max_norm = std::min(longest, kLongestHeadDelta)};
-  const UpdateOutcome outcome = ApplyUpdate(factor, direction, bounds, &head_delta);
+  const UpdateOutcome outcome =
+      ApplyUpdate(factor, direction, BoundsOf(options, policy), &head_delta);
   ++(outcome == UpdateOutcome::kApplied ? updates : rejected);
   if (outcome != UpdateOutcome::kApplied) post.resize(0);  // there is no update to replace
   if (outcome == UpdateOutcome::kNonFinite) trace.setZero();

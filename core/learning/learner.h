@@ -33,11 +33,15 @@
 
 #include <cstdint>
 #include <optional>
+#include <string>
+#include <vector>
 
 #include "Eigen/Core"
+#include "absl/strings/string_view.h"
 #include "absl/types/span.h"
 #include "core/action/action_head.h"
 #include "core/learning/correction.h"
+#include "core/learning/correction_runs.h"
 #include "core/learning/head_update.h"
 #include "core/learning/learning_options.h"
 #include "core/learning/return_guard.h"
@@ -45,6 +49,13 @@
 #include "core/model/policy.h"
 
 namespace spikeserve {
+
+// A step that an operator took.
+struct OperatorStep {
+  const Action& executed;  // in the place of the last decision
+  absl::string_view operator_id;
+  double time;  // seconds since 1970
+};
 
 // What a session has learned, and the state that it needs to continue bit for bit. The vectors are
 // flat row-major [act * d] arrays of the shape of W.
@@ -69,6 +80,9 @@ struct Learner {
   Eigen::VectorXf readout;        // [d]: r
   Eigen::VectorXf before_update;  // kTarget only: head_delta before the decision's update
   Corrections corrections;        // kCorrections only
+  CorrectionRuns runs;            // kCorrections of Scope::kSession only
+  // Scope::kFleet only: who has acted in the running episode, as Contribution::operators.
+  std::vector<std::string> operators;
 
   // Returns a learner for the head W_base + head_delta. `options` must be valid. All later calls
   // take the same `options` and `policy`.
@@ -94,13 +108,19 @@ struct Learner {
                                           absl::Span<const float> logits, const Action& answered,
                                           const Action& executed, double return_to_go);
 
-  // Takes an operator's step: `executed` is what was done in the place of the last decision, whose
-  // answer was chosen from `logits`. For kCorrections, updates the head, or puts `start_delta`
-  // back, the head_delta that the session was opened with (empty: zero), if what was learned since
-  // does harm. Returns the outcome of the update, if there was one. Does nothing a second time.
+  // Takes an operator's step; the answer of the last decision was chosen from `logits`. For
+  // kCorrections, updates the head, or puts `start_delta` back, the head_delta that the session was
+  // opened with (empty: zero), if what was learned since does harm. Returns the outcome of the
+  // update, if there was one. Does nothing a second time.
   std::optional<UpdateOutcome> OnOperator(const LearningOptions& options, const Policy& policy,
-                                          absl::Span<const float> logits, const Action& executed,
+                                          absl::Span<const float> logits, const OperatorStep& step,
                                           const Eigen::VectorXf& start_delta);
+
+  // Takes what an operator has taught a private head since then out of it (correction_runs.h), and
+  // begins a new guard, as the old one may have what was taken out. Returns the updates that were;
+  // nullopt, and changes nothing, if they are not known one by one any more.
+  std::optional<int64_t> UndoCorrections(const LearningOptions& options, const Policy& policy,
+                                         absl::string_view operator_id, double since);
 
   // Takes a step of which only the `reward` of the action before is known: the reward belongs to
   // the decisions before it, and the traces decay, but no activity enters them.
@@ -115,9 +135,12 @@ struct Learner {
   // Scope::kSession: passes the return of an episode to the guard. Returns true if the guard
   // restored an earlier head.
   bool Watch(const LearningOptions& options, double episode_return) {
-    if (corrections.in_episode > 0) return false;     // the return is not the head's alone
-    if (guard.on_probation) head_delta = guard.good;  // a head that is measured does not learn
-    return guard.OnEpisode(episode_return, options.guard_margin, &head_delta);
+    if (corrections.in_episode > 0) return false;  // the return is not the head's alone
+    const bool was_measured = guard.on_probation;
+    if (was_measured) head_delta = guard.good;  // a head that is measured does not learn
+    const bool restored = guard.OnEpisode(episode_return, options.guard_margin, &head_delta);
+    if (restored || was_measured) runs.Forget();
+    return restored;
   }
 
   // Clears the state of the episode that has ended. Scope::kFleet: also clears `head_delta`, which
@@ -126,6 +149,7 @@ struct Learner {
 
  private:
   void AddReward(double reward);
+  void NoteOperator(absl::string_view operator_id);
   // kTarget: applies eqs. 4.2 and 4.3 to the trace.
   UpdateOutcome ApplyTarget(const LearningOptions& options, const Policy& policy,
                             double return_to_go);

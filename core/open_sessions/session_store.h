@@ -119,6 +119,9 @@ class SessionStore {
   // `clock` must outlive the store and every entry.
   SessionStore(int64_t max_sessions, const Clock* clock);
 
+  // Returns the clock of its sessions.
+  const Clock* clock() const { return clock_; }
+
   // Opens a session and returns its id. RESOURCE_EXHAUSTED if max_sessions are open or the quota is
   // used up; ALREADY_EXISTS if the tenant has an open session with the id of `extras`; UNAVAILABLE
   // while draining.

@@ -105,6 +105,10 @@ class AdminHandler {
                            v1::PromoteHeadResponse* response) const;
   absl::Status RollbackHead(CallContext& context, const v1::RollbackHeadRequest& request,
                             v1::RollbackHeadResponse* response) const;
+  // Of a session of this server, or of such a head. FAILED_PRECONDITION if the head has forgotten
+  // which of its updates are the operator's, and for sessions without a private head that learns.
+  absl::Status UndoCorrections(CallContext& context, const v1::UndoCorrectionsRequest& request,
+                               v1::UndoCorrectionsResponse* response) const;
   absl::Status PauseLearning(CallContext& context, const v1::PauseLearningRequest& request,
                              v1::PauseLearningResponse* response) const;
   absl::Status ResumeLearning(CallContext& context, const v1::ResumeLearningRequest& request,
@@ -144,6 +148,8 @@ class AdminHandler {
   absl::Status Remove(const PolicyVersion& version, const std::string& tenant) const;
   // Fills in the last roll-out of `policy`.
   void Describe(const std::string& policy, v1::Rollout* rollout) const;
+  absl::Status UndoOfSession(CallContext& context, const v1::UndoCorrectionsRequest& request,
+                             v1::UndoCorrectionsResponse* response) const;
   // Pauses or resumes learning of a policy, or of all policies if `policy` is empty: in the
   // settings and in the logs of the heads.
   absl::Status SetPaused(const std::string& policy, bool paused) const;

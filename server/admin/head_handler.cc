@@ -1,22 +1,31 @@
+#include <cstddef>
 #include <cstdint>
 #include <string>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+#include "core/action/step_source.h"
 #include "core/agent/head_log.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/learner.h"
 #include "nlohmann/json.hpp"
 #include "server/admin/admin_handler.h"
 #include "server/admin/traffic.h"
+#include "server/agent/durable_answer.h"
 #include "server/policies/policy_folder.h"
 
 namespace spikeserve {
 namespace {
 
 using nlohmann::json;
+
+constexpr double kShortestUndo = 1.0;  // seconds
+constexpr double kLongestUndo = 86400.0;
 
 // The training record that is stored in the file of `policy`, and how often a head of it was
 // promoted. The record of a promoted policy is that of the ancestor that was trained, so that
@@ -69,6 +78,34 @@ std::shared_ptr<FleetHead> HeadOf(const ServedPolicy& served, const std::string&
 // Brings the heads of a version up to date with their log, if they have one.
 absl::Status CatchUp(const ServedPolicy& served) {
   return served.log == nullptr ? absl::OkStatus() : served.log->CatchUp();
+}
+
+absl::Status CheckUndo(const v1::UndoCorrectionsRequest& request) {
+  const bool names_head =
+      !request.policy().empty() || request.version() != 0 || !request.tenant().empty();
+  if (names_head == !request.session_id().empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("session_id: expected either a session or the policy of a shared head, "
+                     "received ",
+                     names_head ? "both" : "neither"));
+  }
+  const size_t length = request.operator_id().size();
+  if (length < 1 || length > kLongestOperatorId) {
+    return InvalidArgument("operator_id", absl::StrCat("1 to ", kLongestOperatorId, " bytes"),
+                           length);
+  }
+  if (!(request.seconds() >= kShortestUndo && request.seconds() <= kLongestUndo)) {
+    return InvalidArgument("seconds", absl::StrCat(kShortestUndo, " to ", kLongestUndo),
+                           request.seconds());
+  }
+  return absl::OkStatus();
+}
+
+absl::Status ForgottenCorrections(const v1::UndoCorrectionsRequest& request) {
+  return absl::FailedPreconditionError(
+      absl::StrCat("seconds: expected a time since which the head has every correction by itself, "
+                   "received ",
+                   request.seconds()));
 }
 
 }  // namespace
@@ -148,6 +185,49 @@ absl::Status AdminHandler::RollbackHead(CallContext& context,
   const auto drift = served->log->Rollback(served->HeadName(tenant));
   if (drift.ok()) response->set_drift(*drift);
   return drift.status();
+}
+
+absl::Status AdminHandler::UndoCorrections(CallContext& context,
+                                           const v1::UndoCorrectionsRequest& request,
+                                           v1::UndoCorrectionsResponse* response) const {
+  RETURN_IF_ERROR(CheckUndo(request));
+  if (!request.session_id().empty()) return UndoOfSession(context, request, response);
+  ASSIGN_OR_RETURN(const auto served,
+                   parts_.registry->catalog()->Find(request.policy(), request.version()));
+  ASSIGN_OR_RETURN(const auto tenant, TenantOf(*context.caller, request.tenant()));
+  const absl::Duration ago = absl::Seconds(request.seconds());
+  MergeOutcome outcome;
+  if (served->log != nullptr) {
+    ASSIGN_OR_RETURN(outcome,
+                     served->log->Undo(served->HeadName(tenant), request.operator_id(), ago));
+  } else {
+    outcome =
+        HeadOf(*served, tenant)->Undo(request.operator_id(), ago, parts_.store->clock()->Now());
+  }
+  if (outcome.undone < 0) return ForgottenCorrections(request);
+  response->set_updates(outcome.undone);
+  response->set_head_drift(outcome.drift);
+  return absl::OkStatus();
+}
+
+absl::Status AdminHandler::UndoOfSession(CallContext& context,
+                                         const v1::UndoCorrectionsRequest& request,
+                                         v1::UndoCorrectionsResponse* response) const {
+  ASSIGN_OR_RETURN(const auto entry, Find(context, request.session_id()));
+  absl::MutexLock lock(&entry->mutex);
+  const auto& learning = entry->agent.session().options.learning;
+  if (!learning.has_value() || learning->scope != Scope::kSession) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "session_id: expected a session that learns a head of its own, received one ",
+        learning.has_value() ? "of a fleet, whose head policy names" : "that does not learn"));
+  }
+  const auto undone =
+      entry->agent.UndoCorrections(request.operator_id(), absl::Seconds(request.seconds()));
+  if (!undone.has_value()) return ForgottenCorrections(request);
+  AddConfirmation(*entry, /*has_decided=*/*undone > 0, &context.commits);
+  response->set_updates(*undone);
+  response->set_head_drift(entry->agent.HeadDrift());
+  return absl::OkStatus();
 }
 
 absl::Status AdminHandler::PauseLearning(CallContext& /*context*/,

@@ -53,9 +53,10 @@ VersionLog::VersionLog(const HeadLogSettings* settings, const ServedPolicy& serv
           std::shared_ptr<const Policy>(served.engine, &served.policy()))),
       retry_delay_(kFirstRetry) {}
 
-VersionLog::Request VersionLog::NewRequest(HeadEntry::Kind kind, const std::string& head) {
+VersionLog::Request VersionLog::NewRequest(HeadEntry::Kind kind, Contribution contribution) {
   const auto id = NewSessionId();  // any random name
-  HeadEntry entry = {.kind = kind, .contribution = {.session = id.value_or(""), .head = head}};
+  contribution.session = id.value_or("");
+  HeadEntry entry = {.kind = kind, .contribution = std::move(contribution)};
   std::string bytes = id.ok() ? SerializeHeadEntry(entry) : "";
   return {.entry = std::move(entry), .bytes = std::move(bytes), .done = [](const auto&, bool) {}};
 }
@@ -93,8 +94,18 @@ absl::StatusOr<double> VersionLog::Rollback(const std::string& tenant) {
   RETURN_IF_ERROR(CatchUp());
   // A tenant that has learned nothing gets no head.
   if (heads()->Find(tenant) == nullptr) return 0.0;
-  ASSIGN_OR_RETURN(const auto outcome, Do(NewRequest(HeadEntry::Kind::kRollback, tenant)));
+  ASSIGN_OR_RETURN(const auto outcome,
+                   Do(NewRequest(HeadEntry::Kind::kRollback, {.head = tenant})));
   return outcome.drift;
+}
+
+absl::StatusOr<MergeOutcome> VersionLog::Undo(const std::string& tenant,
+                                              const std::string& operator_id, absl::Duration ago) {
+  RETURN_IF_ERROR(CatchUp());
+  if (heads()->Find(tenant) == nullptr) return MergeOutcome();
+  return Do(NewRequest(
+      HeadEntry::Kind::kUndo,
+      {.head = tenant, .operators = {operator_id}, .episode_return = absl::ToDoubleSeconds(ago)}));
 }
 
 absl::Status VersionLog::SetPaused(bool paused) {

@@ -64,6 +64,8 @@ class VersionLog final : public HeadLog {
   void Append(std::shared_ptr<FleetContribution> contribution) override;
   absl::Status CatchUp() override;
   absl::StatusOr<double> Rollback(const std::string& tenant) override;
+  absl::StatusOr<MergeOutcome> Undo(const std::string& tenant, const std::string& operator_id,
+                                    absl::Duration ago) override;
   absl::Status SetPaused(bool paused) override;
 
   // Thread-safe, too.
@@ -107,7 +109,7 @@ class VersionLog final : public HeadLog {
   using Requests = std::deque<Request>;
 
   // Returns a request for an entry without a session.
-  static Request NewRequest(HeadEntry::Kind kind, const std::string& head = "");
+  static Request NewRequest(HeadEntry::Kind kind, Contribution contribution = {});
   void Add(Request request) ABSL_LOCKS_EXCLUDED(mutex_);
   // Waits for the outcome of a request.
   absl::StatusOr<MergeOutcome> Do(Request request);

@@ -147,6 +147,7 @@ void Services::AddPolicyAdmin() {
   AddAdmin(admin, &AdminHandler::GetHead);
   AddAdmin(admin, &AdminHandler::PromoteHead);
   AddAdmin(admin, &AdminHandler::RollbackHead);
+  AddAdmin(admin, &AdminHandler::UndoCorrections);
   AddAdmin(admin, &AdminHandler::PauseLearning);
   AddAdmin(admin, &AdminHandler::ResumeLearning);
   AddAdmin(admin, &AdminHandler::HoldSessions);

@@ -89,7 +89,7 @@ COMMANDS = [
     *(["admin", action, *POLICY] for action in ("load", "unload", "default")),
     ["admin", "label", *POLICY, "--label=a"],
     ["admin", "unlabel", POLICY[0], "--label=a"],
-    *(["admin", action, POLICY[0]] for action in ("rollout", "head", "promote_head", "reset_head", "pause_learning")),
+    *(["admin", action, POLICY[0]] for action in ("rollout", "head", "promote_head", "reset_head", "undo_corrections", "pause_learning")),
     ["pull", "pulled.safetensors", *POLICY],
     ["rm", *POLICY],
     ["hold", POLICY[0], "--wait=0s"],

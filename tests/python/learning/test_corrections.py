@@ -1,10 +1,12 @@
 """Compares a head that operators teach with the rule in NumPy, over the network, at the seat and from the robot."""
 
+import json
+
 import grpc
 import numpy as np
 import pytest
 from restartable_server import RestartableServer
-from security import fails_with
+from security import ADMIN, fails_with
 from serving import POLICY, Service
 from test_learning import HIGH, LOW, TOLERANCE, norm, policies, server  # noqa: F401
 
@@ -84,8 +86,8 @@ class Robot:
         self.step, self.executed = self.step + 1, {}
         return rates, answer
 
-    def execute(self, action, kind="OPERATOR"):
-        operator = {"operator_id": "anna"} if kind == "OPERATOR" else {}
+    def execute(self, action, kind="OPERATOR", operator_id="anna"):
+        operator = {"operator_id": operator_id} if kind == "OPERATOR" else {}
         self.executed = {
             "executed_action": action,
             "executed_source": {"kind": kind, **operator},
@@ -173,9 +175,11 @@ def test_a_fleet_learns_from_one_corrected_robot(policies, server):  # noqa: F81
         np.array_equal(other.delta(), np.array(shared.delta, "f4"))
         and norm(head.delta) > 100 * TOLERANCE
     )
+    undo = ("--json", "admin", "undo_corrections", "--policy=discrete", "--operator=anna", "--last=5m")
+    assert json.loads(server.spikectl(*undo).stdout) == {"updates": 1, "head_drift": 0.0}
+    assert not other.delta().any()
     for robot in (corrected, other):
         server.agent.CloseSession(session_id=robot.id)
-    server.admin.RollbackHead(policy="discrete")
 
 
 def test_a_server_that_is_killed_has_the_same_head_again(policies, tmp_path):  # noqa: F811
@@ -205,6 +209,92 @@ def test_a_server_that_is_killed_has_the_same_head_again(policies, tmp_path):  #
             restartable.kill()
     assert any(states[0].head_delta) and states[0].head_delta == states[1].head_delta
     assert str(states[0].corrections) == str(states[1].corrections)
+
+
+def test_what_an_operator_taught_a_session_is_undone(policies, tmp_path):  # noqa: F811
+    """And stays so after a kill; what another one taught before stays."""
+    store = (f"--session_store=file:{tmp_path / 'store'}", f"--audit_log={tmp_path / 'audit'}")
+    restartable = RestartableServer(f"--policies={policies[0]}", *store)
+    restartable.start()
+    try:
+        with grpc.insecure_channel(restartable.address) as channel:
+            admin = Service(channel, ADMIN)
+            robot = Robot(Service(channel, POLICY), "discrete", probed=False, durability="SYNC")
+            undo = {"session_id": robot.id, "seconds": 600.0}
+
+            def teach(operator_id, steps):
+                for _ in range(steps):
+                    _, answer = robot.act()
+                    robot.execute(type(answer.action)(discrete=1 - answer.action.discrete), operator_id=operator_id)
+                robot.act()
+
+            teach("anna", 8)
+            by_anna, agreement = robot.delta(), robot.state().corrections.disagreement
+            teach("eve", 8)
+            assert not np.array_equal(robot.delta(), by_anna)
+            restartable.kill()
+            restartable.start()
+            grpc.channel_ready_future(channel).result()
+            robot.state()  # which makes the server take the session over
+            assert admin.UndoCorrections(operator_id="bob", **undo).updates == 0
+            undone = admin.UndoCorrections(operator_id="eve", **undo)
+            assert undone.updates == 8 and undone.head_drift == robot.state().head_drift > 0
+            assert np.array_equal(robot.delta(), by_anna)  # bit for bit
+            assert robot.state().corrections.disagreement == agreement
+            restartable.kill()
+            restartable.start()
+            grpc.channel_ready_future(channel).result()
+            assert np.array_equal(robot.delta(), by_anna)
+            assert admin.UndoCorrections(operator_id="anna", **undo).updates > 0
+            assert not robot.delta().any()
+            assert (tmp_path / "audit").read_text().count('"UndoCorrections"') == 3
+    finally:
+        restartable.kill()
+
+
+def test_a_session_does_not_know_its_corrections_for_ever(server):  # noqa: F811
+    robot = Robot(server.agent, "discrete", probed=False)
+    for step in range(12):
+        _, answer = robot.act()
+        action = type(answer.action)(discrete=1 - answer.action.discrete)
+        robot.execute(action, operator_id=f"operator {step % 2}")
+    robot.act()
+    taught = robot.delta()
+    with fails_with(grpc.StatusCode.FAILED_PRECONDITION, "seconds: expected a time since which"):
+        server.admin.UndoCorrections(session_id=robot.id, operator_id="operator 0", seconds=600.0)
+    assert np.array_equal(robot.delta(), taught)
+
+
+BAD_UNDO = [
+    ({"policy": "discrete", "session_id": "SESSION"}, "session_id: expected either a session or the policy", "both"),
+    ({}, "session_id: expected either a session or the policy", "neither"),
+    ({"policy": "discrete", "operator_id": ""}, "operator_id: expected 1 to 128 bytes", "0"),
+    ({"policy": "discrete", "operator_id": "a" * 129}, "operator_id: expected 1 to 128 bytes", "129"),
+    ({"policy": "discrete", "seconds": 0.5}, "seconds: expected 1 to 86400", "0.5"),
+    ({"policy": "discrete", "seconds": 1e6}, "seconds: expected 1 to 86400", "1e+06"),
+    ({"policy": "discrete", "seconds": float("nan")}, "seconds: expected 1 to 86400", "nan"),
+]
+
+
+@pytest.mark.parametrize(("fields", "expected", "received"), BAD_UNDO)
+def test_a_bad_undo_is_refused(server, fields, expected, received):  # noqa: F811
+    with fails_with(grpc.StatusCode.INVALID_ARGUMENT, expected) as failure:
+        server.admin.UndoCorrections(**{"operator_id": "anna", "seconds": 60.0, **fields})
+    assert f"received {received}" in failure.value.details()
+
+
+def test_heads_that_no_operator_teaches_have_nothing_to_undo(server):  # noqa: F811
+    undo = {"operator_id": "anna", "seconds": 60.0}
+    assert server.admin.UndoCorrections(policy="box", **undo).updates == 0
+    with fails_with(grpc.StatusCode.NOT_FOUND, "nobody"):
+        server.admin.UndoCorrections(policy="nobody", **undo)
+    with fails_with(grpc.StatusCode.NOT_FOUND, "session_id"):
+        server.admin.UndoCorrections(session_id="0" * 32, **undo)
+    for learning, what in ((None, "that does not learn"), ({"scope": "FLEET"}, "of a fleet")):
+        session = server.agent.OpenSession(policy="discrete", action_selection="SAMPLE", learning=learning)
+        with fails_with(grpc.StatusCode.FAILED_PRECONDITION, what):
+            server.admin.UndoCorrections(session_id=session.session_id, **undo)
+        server.agent.CloseSession(session_id=session.session_id)
 
 
 def test_a_random_operator_teaches_nothing_that_stays(server):  # noqa: F811

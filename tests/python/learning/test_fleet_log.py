@@ -191,6 +191,44 @@ def test_what_one_replica_does_all_see(start):
     assert (head.drift, head.updates, head.rollbacks) == (0, 0, 1)
 
 
+def teach(replica, session_id, operator_id, actions):
+    """Plays an episode in which an operator takes these actions beside the robot."""
+    executed = {"executed_source": {"kind": "OPERATOR", "operator_id": operator_id}}
+    for step, action in enumerate(actions):
+        observation = [0.02 * step, 0.1, -0.1, 0.05]
+        reported = {"executed_action": {"discrete": action}, **executed} if step else {}
+        replica.Act(session_id=session_id, step=step, observation=observation, reward=1.0, **reported)
+    return replica.EndEpisode(session_id=session_id, reward=1.0, terminated=True)
+
+
+def test_an_operator_is_undone_on_all_replicas(start):
+    """Also on one that was killed, and by one that was: the log says who has taught what."""
+    first, second = start(), start()
+    learning = {"scope": "FLEET", "rule": "corrections"}
+    ours, theirs = (r.OpenSession(policy="cartpole", version=1, learning=learning).session_id for r in (first, second))
+    head = {"policy": "cartpole", "version": 1}
+    undo = {**head, "seconds": 600.0}
+    teach(first, ours, "ann", [1, 0, 0, 1])
+    by_ann = weights(second)
+    teach(second, theirs, "eve", [0, 1, 1, 1, 0])
+    teach(first, ours, "eve", [0, 0, 1, 0, 1])
+    poisoned = weights(first)
+    second.kill()
+    second.start()
+    assert weights(second) == weights(first) == poisoned != by_ann
+    assert second.admin.UndoCorrections(operator_id="bob", **undo).updates == 0
+    undone = second.admin.UndoCorrections(operator_id="eve", **undo)
+    assert (undone.updates, undone.head_drift) == (2, head_of(first).drift)
+    assert weights(first) == weights(second) == by_ann and any(by_ann[0])  # bit for bit
+    first.kill()
+    first.start()
+    assert weights(first) == by_ann
+    teach(second, theirs, "eve", [0, 1, 1, 1, 0])  # and the fleet learns on
+    assert weights(first) == weights(second) != by_ann
+    assert first.admin.UndoCorrections(operator_id="ann", **undo).updates == 1
+    assert weights(first) == weights(second) == weights(start())
+
+
 def test_the_nodes_of_a_cluster(start_on_cluster):
     first, second = start_on_cluster(), start_on_cluster()
     for replica in (first, second):

@@ -57,6 +57,7 @@ METHODS = {
         "GetHead": ("listing", {}),
         "PromoteHead": ("operator", {}),
         "RollbackHead": ("operator", {}),
+        "UndoCorrections": ("operator", {}),
         "PauseLearning": ("operator", {}),
         "ResumeLearning": ("operator", {}),
         "HoldSessions": ("operator", {}),

@@ -34,6 +34,7 @@ HeadEntry EntryOf(int i) {
                                .delta = Eigen::VectorXf(kSize),
                                .episode_return = i < 100 ? 10.0 : 1.0};
   contribution.contributor = contribution.session;
+  if (i % 7 == 4) contribution.operators = {"ann", "operators: 3:bob,;"};
   for (Eigen::Index j = 0; j < kSize; ++j) {
     contribution.delta[j] = 0.03f * std::sin(0.7f * static_cast<float>(i) + static_cast<float>(j));
   }
@@ -68,7 +69,8 @@ class Log {
   std::vector<LoggedEntry> entries_;
 };
 
-// Contributions with rollbacks by the guard, an operator's rollback, a pause and its end.
+// Contributions with rollbacks by the guard, an operator's rollback, a pause and its end, and
+// corrections that are undone.
 Log FullLog() {
   Log log;
   for (int i = 0; i < 150; ++i) {
@@ -77,6 +79,11 @@ Log FullLog() {
     if (i == 30) action.kind = HeadEntry::Kind::kRollback;
     if (i == 60) action.kind = HeadEntry::Kind::kPause;
     if (i == 64) action.kind = HeadEntry::Kind::kResume;
+    if (i == 45 || i == 120) {
+      action.kind = HeadEntry::Kind::kUndo;
+      action.contribution.operators = {"ann"};
+      action.contribution.episode_return = i == 45 ? 10.0 : 600.0;  // seconds
+    }
     if (action.kind != HeadEntry::Kind::kMerge) log.Append(action);
   }
   return log;
@@ -96,6 +103,23 @@ TEST(HeadFoldTest, AFoldThatJoinsAtAnyPlaceBecomesEqual) {
     EXPECT_EQ(second.position(), whole.position());
   }
   EXPECT_GT(first.heads()->Of("")->Read()->rollbacks, 1);  // one by the guard
+  EXPECT_EQ(first.Find("action45", 0)->undone, 1);
+  EXPECT_GT(first.Find("action120", 0)->undone, 1);
+}
+
+TEST(HeadFoldTest, OperatorsOfAnEntryAreRead) {
+  const HeadEntry entry = EntryOf(4);
+  const auto parsed = ParseHeadEntry(SerializeHeadEntry(entry));
+  ASSERT_TRUE(parsed.ok()) << parsed.status();
+  EXPECT_EQ(parsed->contribution.operators, entry.contribution.operators);
+  EXPECT_EQ(parsed->contribution.contributor, "session4");
+  for (const char* contributor : {"operators: ", "operators: 9:ann,;", "operators: 3:ann;"}) {
+    HeadEntry damaged = entry;
+    damaged.contribution.operators.clear();
+    damaged.contribution.contributor = contributor;
+    const auto refused = ParseHeadEntry(SerializeHeadEntry(damaged)).status();
+    EXPECT_TRUE(absl::IsInvalidArgument(refused)) << contributor;
+  }
 }
 
 TEST(HeadFoldTest, WhatDoesNotFollowChangesNothing) {

@@ -115,6 +115,74 @@ TEST(FleetHeadTest, TheGuardPutsTheLastGoodHeadBack) {
   EXPECT_EQ(fleet.Read()->level.mean, 100.0);
 }
 
+// Returns contribution `i` of fifteen, at a fleet that gets worse for a while.
+Contribution ContributionOf(int i) {
+  Contribution contribution = {.contributor = std::string(1, static_cast<char>('a' + i % 15)),
+                               .held_out = i % 15 == 2,
+                               .delta = DeltaOf(i),
+                               .episode_return = i < 60 || i > 100 ? 10.0 : 1.0};
+  if (i % 15 == 4) contribution.operators = {"bob", "ann"};
+  if (i % 15 == 5) contribution.operators = {"bob"};
+  return contribution;
+}
+
+TEST(FleetHeadTest, AnUndoneOperatorWasNeverThere) {
+  FleetHead fleet(TestPolicy()), without(TestPolicy());
+  int64_t anns = 0;
+  for (int i = 0; i < 200; ++i) {
+    const absl::Duration now = absl::Seconds(i + 1);
+    const Contribution contribution = ContributionOf(i);
+    const bool is_anns = !contribution.operators.empty() && contribution.operators.back() == "ann";
+    anns += i >= 49 && is_anns ? 1 : 0;
+    fleet.Merge(contribution, now, 15);
+    if (i < 49 || !is_anns) without.Merge(contribution, now, 15);
+  }
+  const auto taught = fleet.Read();
+  EXPECT_EQ(fleet.Undo("eve", absl::Seconds(150), absl::Seconds(200)).undone, 0);
+  EXPECT_EQ(fleet.Read(), taught);
+  const MergeOutcome outcome = fleet.Undo("ann", absl::Seconds(150), absl::Seconds(200));
+  EXPECT_EQ(outcome.undone, anns);
+  const auto undone = fleet.Read(), expected = without.Read();
+  EXPECT_NE(undone->delta, taught->delta);
+  EXPECT_EQ(undone->delta, expected->delta);  // bit for bit
+  EXPECT_EQ(outcome.drift, expected->drift);
+  EXPECT_GT(undone->rollbacks, 0);
+  EXPECT_EQ(undone->rollbacks, expected->rollbacks);
+  EXPECT_EQ(undone->updates, expected->updates);
+  EXPECT_EQ(undone->rejected, expected->rejected);
+  EXPECT_EQ(fleet.Undo("ann", absl::Seconds(150), absl::Seconds(200)).undone, 0);
+}
+
+TEST(FleetHeadTest, WhatIsForgottenIsNotUndone) {
+  FleetHead fleet(TestPolicy());
+  const absl::Duration begin = absl::Seconds(1), later = begin + FleetHead::kKept;
+  fleet.Merge({.operators = {"ann"}, .delta = DeltaOf(1)}, begin);
+  fleet.Merge({.operators = {"bob"}, .delta = DeltaOf(2)}, later);
+  fleet.Merge({.delta = DeltaOf(3)}, later + absl::Seconds(1));
+  const auto taught = fleet.Read();
+  const absl::Duration now = later + absl::Seconds(2);
+  EXPECT_EQ(fleet.Undo("bob", now - begin, now).undone, -1);
+  EXPECT_EQ(fleet.Read(), taught);
+  EXPECT_EQ(fleet.Undo("bob", absl::Seconds(60), now).undone, 1);
+  FleetHead without(TestPolicy());
+  for (const int i : {1, 3}) without.Merge({.delta = DeltaOf(i)}, begin);
+  EXPECT_EQ(fleet.Read()->delta, without.Read()->delta);
+  fleet.Rollback();  // leaves nothing to undo
+  EXPECT_EQ(fleet.Undo("ann", now - begin, now).undone, 0);
+}
+
+TEST(FleetHeadTest, ContributionsAreKeptUpToABound) {
+  FleetHead fleet(TestPolicy());
+  const auto most = static_cast<int>(FleetHead::kMostKeptNumbers) / kSize;
+  for (int i = 0; i <= most; ++i) {
+    fleet.Merge({.operators = {"ann"}, .delta = DeltaOf(i)}, absl::Milliseconds(i + 1));
+  }
+  const absl::Duration now = absl::Milliseconds(most + 1);
+  EXPECT_EQ(fleet.Undo("ann", absl::Milliseconds(most), now).undone, -1);
+  EXPECT_EQ(fleet.Undo("ann", absl::Milliseconds(most - 1), now).undone, most);
+  EXPECT_EQ(fleet.Read()->delta, DeltaOf(0));
+}
+
 // A protected head and what its contributors do, with names that tell them apart.
 class ProtectedHead {
  public:
