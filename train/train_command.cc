@@ -78,8 +78,6 @@ void AddFlags(Command command, TrainFlags* flags) {
            "Norms: fade ends without any; layer keeps the policy's")
       .Add("observation_changes", "true|false", &flags->shape.observation_changes,
            "State tokens contain the change, too; default: by the data")
-      .Add("relative_bias", "true|false", &flags->shape.relative_bias,
-           "Attention learns a bias for each distance in tokens; default: false")
       .Add("lookback", "K", &flags->lookback,
            "Attention starts at the timestep K steps back; default: undirected")
       .Add("mirror", "K", &flags->mirror,

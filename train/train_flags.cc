@@ -29,7 +29,6 @@ void ForEachFlag(const ShapeFlags& flags, ModelConfig& config, const Visit& visi
   visit("merge", flags.merge, config.merge);
   visit("gate", flags.gate, config.gate);
   visit("observation_changes", flags.observation_changes, config.observation_changes);
-  visit("relative_bias", flags.relative_bias, config.relative_bias);
 }
 
 // Adds a flag whose default is the value of `paper`, or with --init that of the initial policy.
@@ -133,7 +132,6 @@ absl::Status SetShape(const ShapeFlags& flags, ModelConfig* config) {
 
 absl::Status ContinueShape(const ShapeFlags& flags, ModelConfig* config) {
   config->ticks = flags.ticks.value_or(config->ticks);
-  if (flags.relative_bias.value_or(false)) config->relative_bias = true;
   if (absl::Status valid = config->Validate(); !valid.ok()) return NameFlag(valid);
   absl::Status status;
   const auto check = [&](const char* name, const auto& flag, const auto& field) {

@@ -26,7 +26,6 @@ struct ShapeFlags {
   std::optional<Merge> merge;
   std::optional<Gate> gate;
   std::optional<bool> observation_changes;
-  std::optional<bool> relative_bias;
 };
 
 struct TrainerFlags {

@@ -195,7 +195,6 @@ absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const std::string& e
                      std::string(ToString(policy.config.arithmetic))));
   }
   RETURN_IF_ERROR(ContinueShape(flags.shape, &policy.config));
-  AddRelativeBias(&policy);
   if (flags.lookback.has_value()) {
     return absl::InvalidArgumentError(absl::StrCat(
         "--lookback: expected no such flag beside --init, received ", *flags.lookback));

@@ -39,7 +39,7 @@ std::string ShapeText(const Policy& policy) {
       config.ticks);
   return absl::StrCat(
       shape, config.observation_changes ? ", observation changes" : "",
-      config.relative_bias ? ", biases by distance" : "", config.has_norms() ? "" : ", no norms",
+      config.has_norms() ? "" : ", no norms",
       config.arithmetic == Arithmetic::kFloat32
           ? ""
           : absl::StrCat(", arithmetic ", std::string(ToString(config.arithmetic))));

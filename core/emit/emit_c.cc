@@ -75,8 +75,7 @@ int64_t LargestOfAttention(const Policy& policy) {
     }
   }
   // A row is divided by RoundDivide(256 * sum of weights * counts, T * sum of weights).
-  return std::max(2 * scale * overlap + 4 * kLargestRelative,
-                  int64_t{513} * config.ticks * 256 * keys);
+  return std::max(2 * scale * overlap, int64_t{513} * config.ticks * 256 * keys);
 }
 
 absl::Status Check(const Policy& policy, const EmitOptions& options, int64_t state_bytes) {
@@ -141,7 +140,6 @@ std::string Sizes(const Policy& policy, const EmitOptions& options, absl::string
   define("SIGMOID", int{config.gate == Gate::kSigmoid});
   define("PHASES", int{config.has_phase()});
   define("NORMS", int{config.has_norms()});
-  define("RELATIVE", int{config.relative_bias});
   define("CHANGES", int{config.observation_changes});
   define("LEAKED(v)", absl::StrCat("(((v) * ", config.leak(), " + 128) >> 8)"));
   define("BY_TICK", int{config.attention == AttentionTicks::kByTick});

@@ -108,10 +108,7 @@ class TableWriter {
         Population(name + "ffn_hidden_", layer.integer.ffn_hidden),
         Mapped(name + "attention_output_", maps.attention_output, maps.attention_norm),
         Mapped(name + "ffn_output_", maps.ffn_output, maps.ffn_norm),
-        Table<int16_t>("int16_t", name + "attention_scale", maps.attention_scale.values),
-        config_.relative_bias
-            ? Table<int16_t>("int16_t", name + "attention_relative", maps.attention_relative.values)
-            : "NULL"};
+        Table<int16_t>("int16_t", name + "attention_scale", maps.attention_scale.values)};
     if (config_.has_routing()) {
       members.push_back(Map(name + "routing_hidden_", maps.routing_hidden));
       members.push_back(Map(name + "routing_gate_", maps.routing_gate));

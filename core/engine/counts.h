@@ -35,8 +35,7 @@ struct Counts {
   // Synaptic operations as NeuroBench counts them, without biases.
   uint64_t accumulates = 0;           // input spike x nonzero weight
   uint64_t multiply_accumulates = 0;  // nonzero analog input x nonzero weight
-  // Nonzero products inside attention (q & k, and p * v), and additions of biases by distance,
-  // which NeuroBench's hooks do not count.
+  // Nonzero products inside attention (q & k, and p * v), which NeuroBench's hooks do not count.
   uint64_t attention_products = 0;
   // Those of multiply_accumulates whose weight is an 8-bit integer.
   uint64_t integer_multiply_accumulates = 0;

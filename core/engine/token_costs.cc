@@ -21,7 +21,6 @@ void AddTokenCosts(const ModelConfig& config, TokenKind kind, int keys, Counts* 
   counts->membrane_updates += ticks * (neurons + coded);
   if (config.has_norms()) counts->layer_norm_elements += (1 + 2 * outputs) * d;
   counts->softmax_terms += outputs * ticks * heads * size(keys);
-  if (config.relative_bias) counts->attention_products += outputs * ticks * heads * size(keys);
   if (!config.has_routing()) return;
   counts->gate_products += outputs * ticks * d;
   if (config.gate == Gate::kSoftmax) counts->softmax_terms += outputs * ticks * heads;

@@ -64,9 +64,6 @@ absl::Status ModelConfig::Validate() const {
   if (is_dense() && !has_norms()) {
     return InvalidArgument("norm", "layer in mode dense", "none");
   }
-  if (is_dense() && relative_bias) {
-    return InvalidArgument("relative_bias", "false in mode dense", "true");
-  }
   return is_integer() ? CheckInteger(*this) : absl::OkStatus();
 }
 

@@ -82,9 +82,6 @@ struct ModelConfig {
   Arithmetic arithmetic = Arithmetic::kFloat32;
   // Whether the state token also contains the change of the observation since the timestep before.
   bool observation_changes = false;
-  // Whether attention adds a learned number to each score, by head and by the distance between
-  // query and key in tokens.
-  bool relative_bias = false;
   // The following belong to Arithmetic::kInteger.
   AttentionTicks attention = AttentionTicks::kByTick;
   int input_fraction = 8;      // fraction bits of the embeddings' inputs

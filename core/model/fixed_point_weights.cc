@@ -103,8 +103,6 @@ absl::Status CheckFixedPointLayer(absl::string_view name, const ModelConfig& con
   if (config.is_dense()) return CheckDenseLayer(name, layer);
   const auto part = [name](absl::string_view suffix) { return absl::StrCat(name, suffix); };
   absl::Status status = CheckCoder(part(".coder"), layer.coder);
-  status.Update(CheckNumbers(part(".attention.relative"), layer.attention_relative,
-                             -kLargestRelative, kLargestRelative));
   if (config.has_routing()) {
     status.Update(CheckMap(part(".routing.hidden"), layer.routing_hidden, kLargestAttended));
     status.Update(CheckMap(part(".routing.gate"), layer.routing_gate, kLargestResidual));

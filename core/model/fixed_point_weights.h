@@ -25,9 +25,6 @@ inline constexpr int kLargestResidual = 32767;
 // Fraction bits of the scale of a head, which counts octaves of a key's weight for each spike by
 // which the key's overlap falls short of the best one.
 inline constexpr int kScaleFraction = 8;
-// The largest magnitude of a bias by distance, which has kScaleFraction fraction bits. With it, an
-// overlap that falls short by 2^16 has weight 0 whatever the biases are.
-inline constexpr int kLargestRelative = 16383;
 
 // The affine map y_k = RoundShift(sum over j of weight_kj * x_j, shift_k) + bias_k.
 struct FixedPointMap {
@@ -62,8 +59,7 @@ struct FixedPointLayer {
   FixedPointMap value;       // [d, d], [d]
   FixedPointMap ffn_hidden;  // [F, d], [F]
   PeriodCoder coder;
-  Int16Tensor attention_scale;     // [H]
-  Int16Tensor attention_relative;  // [H, 3 N]; with config.relative_bias
+  Int16Tensor attention_scale;  // [H]
   FixedPointMap routing_hidden;
   FixedPointMap routing_gate;
   FixedPointMap attention_output;

@@ -189,8 +189,6 @@ void Initialise(const ModelConfig& config, uint64_t seed, int fan_in, const Tens
     Fill(tensor, is_bias ? 0.0f : 1.0f);
   } else if (absl::StrContains(name, "coder.")) {
     Fill(tensor, is_bias ? 0.2f : 0.5f);
-  } else if (absl::EndsWith(name, ".relative")) {
-    Fill(tensor, 0.0f);
   } else if (absl::EndsWith(name, ".scale")) {
     Fill(tensor, static_cast<float>(1.0 / std::sqrt(static_cast<double>(config.head_size()))));
   } else if (name == "phase.omega") {

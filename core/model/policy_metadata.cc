@@ -79,7 +79,6 @@ std::string FormatConfig(const ModelConfig& config) {
   for (const auto& [key, name] : FormerChoices(config)) object[key] = name;
   if (config.is_integer()) VisitIntegerConfig(config, write);
   if (config.observation_changes) object["observation_changes"] = true;
-  if (config.relative_bias) object["relative_bias"] = true;
   if (!config.has_norms()) object["norm"] = std::string(ToString(config.norm));
   return object.dump();
 }
@@ -109,7 +108,6 @@ absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
   RETURN_IF_ERROR(RefuseInt8(object));
   reader.Optional("arithmetic", &config->arithmetic);
   reader.Optional("observation_changes", &config->observation_changes);
-  reader.Optional("relative_bias", &config->relative_bias);
   reader.Optional("norm", &config->norm);
   for (const auto& [key, name] : FormerChoices(*config)) {
     std::string received = name;

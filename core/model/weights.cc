@@ -76,9 +76,6 @@ void AddLayer(const ModelConfig& config, const std::string& name, LayerWeights* 
   slots->Add(attention + ".key", d, config.attention_inputs(), &layer->key);
   slots->Add(attention + ".value", d, config.attention_inputs(), &layer->value);
   if (!config.is_dense()) slots->Add(attention + ".scale", {config.heads}, &layer->scale);
-  if (config.relative_bias) {
-    slots->Add(attention + ".relative", {config.heads, 3 * config.context}, &layer->relative);
-  }
   if (config.has_routing()) {
     const int m = config.routing_hidden_size;
     slots->Add(name + ".routing.hidden", m, d, &layer->routing_hidden);
@@ -102,10 +99,6 @@ void AddIntegerLayer(const ModelConfig& config, const std::string& name, LayerWe
   slots->Add(attention + ".key", d, config.attention_inputs(), &layer->integer.key);
   slots->Add(attention + ".value", d, config.attention_inputs(), &layer->integer.value);
   slots->Add(attention + ".scale", {config.heads}, &fixed.attention_scale);
-  if (config.relative_bias) {
-    slots->Add(attention + ".relative", {config.heads, 3 * config.context},
-               &fixed.attention_relative);
-  }
   if (config.has_routing()) {
     const int m = config.routing_hidden_size;
     slots->Add(name + ".routing.hidden", m, d, &fixed.routing_hidden);

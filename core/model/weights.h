@@ -42,7 +42,6 @@ struct LayerWeights {
   Linear key;               // [d, in], [d]
   Linear value;             // [d, in], [d]
   Tensor scale;             // [H]: c_h; not in dense mode, where the scale is 1/sqrt(d_h)
-  Tensor relative;          // [H, 3 N]: bias by distance in tokens; with config.relative_bias
   Linear routing_hidden;    // [m, d], [m]; modes with routing
   Linear routing_gate;      // [H, m], [H]; modes with routing
   Linear attention_output;  // [d, d_h] ([d, d] if heads are concatenated, and in dense mode), [d]

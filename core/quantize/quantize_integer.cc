@@ -114,10 +114,6 @@ class Rounding {
     status.Update(RoundSpiking(name + ".ffn.hidden", layer.ffn_hidden, config_.hidden_size,
                                &maps.ffn_hidden));
     status.Update(RoundScores(attention + ".scale", layer.scale, &fixed.attention_scale));
-    if (config_.relative_bias) {
-      status.Update(
-          RoundScores(attention + ".relative", layer.relative, &fixed.attention_relative));
-    }
     if (config_.has_routing()) {
       status.Update(RoundMap(name + ".routing.hidden", layer.routing_hidden, 1.0, kGateFraction,
                              kGateFraction, &fixed.routing_hidden));

@@ -40,7 +40,6 @@ T ValueOf(absl::StatusOr<T> value) {
 Policy TwinOf(const Policy& policy) {
   ModelConfig config = DenseBaseline(policy.config);
   config.arithmetic = Arithmetic::kFloat32;
-  config.relative_bias = false;
   // An attention's sum has 255 times 127 times 2^8 for each key, and is doubled to be divided.
   if (int64_t{2} * 255 * 127 * 256 * 3 * config.context > INT32_MAX) {
     std::cerr << "policy: expected a context whose sums have 32 bits, received " << config.context

@@ -77,8 +77,8 @@ def run_named(name, tasks, seeds):
 
 
 def train_all(study, runs, command, jobs):
-    """Runs every run in a process of its own. Returns whether all succeeded."""
-    open_runs = [run for run in runs if not study.is_finished(run)]
+    """Runs every run in a process of its own that `spiketrain` has the options of. Returns whether all succeeded."""
+    open_runs = [run for run in runs if not study_plan.is_former(run) and not study.is_finished(run)]
 
     def train(run):
         sys.stderr.write(f"study: {run.name}\n")  # whole: print() writes the end of the line on its own

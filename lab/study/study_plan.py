@@ -194,6 +194,11 @@ def train_flags(run, rate, budget):
     return without_repetition([*flags, *budget.further, *arm.flags])
 
 
+def is_former(run):
+    """Returns whether a run needs biases by distance, which `spiketrain` had until commit d7cda46c."""
+    return "--relative_bias=true" in train_flags(run, "", Budget())
+
+
 def without_repetition(flags):
     """Returns the flags, of which the last with a name counts."""
     return list({flag.partition("=")[0]: flag for flag in flags}.values())

@@ -324,7 +324,12 @@ def test_spiking_arms_have_what_a_structured_task_needs():
     }
     assert {"--mode=pos", "--mirror=51", "--ticks=2"} <= set(flags["spiking"])
     assert "--mode=dense" in flags["dense"] and "--mirror=51" not in flags["dense"]
-    assert len(study_plan.structured_runs()) == 3 * 9 * 7
+    runs = study_plan.structured_runs()
+    assert len(runs) == 3 * 9 * 7
+    assert {(run.task, run.arm) for run in runs if study_plan.is_former(run)} == {
+        ("repeat-64", "spiking"),
+        ("concentration", "spiking"),
+    }
     swept = study_plan.structured_sweep_runs()
     assert {run.task for run in swept} == {"count-recall", "memory-13"}
     assert len(swept) == 2 * len(study_plan.RATES) * len(study_plan.SWEEP_SEEDS)

@@ -306,8 +306,7 @@ void WriteRandom(unsigned number, const char* path) {
   config.phase_clock = bit(3) ? PhaseClock::kWindow : PhaseClock::kTimestep;
   config.merge = bit(4) ? Merge::kConcat : Merge::kSum;
   config.gate = bit(5) ? Gate::kSigmoid : Gate::kSoftmax;
-  config.relative_bias = bit(6);
-  config.observation_changes = bit(7);
+  config.observation_changes = bit(6);
   const ActionSpace space =
       bit(3) ? ActionSpace::Discrete(3) : ActionSpace::Box({-1.0f, -3e38f}, {0.5f, 3e38f});
   const Policy policy = ValueOf(QuantizeToInteger(RandomPolicy(config, 3, space, number)));

@@ -180,17 +180,6 @@ std::vector<Shape> Float32Shapes() {
   ModelConfig& newest = add("ChangesContextOne", ConfigOf(16, 2)).config;
   newest.observation_changes = true;
   newest.context = 1;
-  for (const Mode mode : {Mode::kBaseline, Mode::kFull}) {
-    Shape& biased = add("Biases_" + std::string(ToString(mode)), ConfigOf(36, 3));
-    biased.config.mode = mode;
-    biased.config.relative_bias = true;
-    biased.config.context = 7;
-  }
-  Shape& often_silent = add("BiasesOfFewSpikes", ConfigOf(70, 2));
-  often_silent.config.relative_bias = true;
-  often_silent.config.context = 23;
-  often_silent.config.threshold = 1.3f;
-  often_silent.steps = 60;
   ModelConfig& other_neuron = add("OtherNeuron", ConfigOf(32, 4)).config;
   other_neuron.ticks = 8;
   other_neuron.membrane_decay = 0.5f;
@@ -211,15 +200,11 @@ std::vector<Shape> IntegerShapes() {
   shapes.back().config.arithmetic = Arithmetic::kInteger;
   // Files of former releases.
   for (const Mode mode : {Mode::kBaseline, Mode::kFull}) {
-    for (const bool biased : {false, true}) {
-      shapes.push_back({.name = absl::StrCat("AllTicks_", std::string(ToString(mode)),
-                                             biased ? "_biased" : "", "_integer"),
-                        .config = ConfigOf(36, 3)});
-      shapes.back().config.mode = mode;
-      shapes.back().config.arithmetic = Arithmetic::kInteger;
-      shapes.back().config.attention = AttentionTicks::kAllTicks;
-      shapes.back().config.relative_bias = biased;
-    }
+    shapes.push_back({.name = absl::StrCat("AllTicks_", std::string(ToString(mode)), "_integer"),
+                      .config = ConfigOf(36, 3)});
+    shapes.back().config.mode = mode;
+    shapes.back().config.arithmetic = Arithmetic::kInteger;
+    shapes.back().config.attention = AttentionTicks::kAllTicks;
   }
   shapes.push_back({.name = "Stripped_integer", .config = ConfigOf(64, 2)});
   shapes.back().config.mode = Mode::kBaseline;
@@ -248,9 +233,6 @@ Policy MakePolicy(const Shape& shape, uint64_t seed) {
       for (float& weight : linear->weight.values) weight *= shape.update;
     }
     for (size_t h = 1; h < layer.scale.values.size(); h += 2) layer.scale.values[h] *= -1.5f;
-    for (size_t i = 0; i < layer.relative.values.size(); ++i) {
-      layer.relative.values[i] = 4.0f * UniformFloat(RandomBits({3, seed, i})) - 2.0f;
-    }
     layer.ffn_hidden.weight.values[3] = 0.0f;  // a zero weight does not count as a synapse
   }
   std::vector<float>& change_std = policy.weights.observation_change_std.values;
@@ -425,11 +407,8 @@ Engine::Output ReferenceDecision(const Policy& policy, const Shape& shape, int s
 
 // The ring of a long context stores its keys in rows, clears expired tokens many at a time, and has
 // more slots than the band has tokens. The episode fills it more than once.
-class EngineParityInLongContextTest : public testing::TestWithParam<bool> {};
-
-TEST_P(EngineParityInLongContextTest, StreamingEqualsReferenceOnEveryTarget) {
+TEST(EngineParityInLongContextTest, StreamingEqualsReferenceOnEveryTarget) {
   Shape shape = {.name = "LongRing", .config = ConfigOf(16, 2), .steps = 1100};
-  shape.config.relative_bias = GetParam();
   shape.config.layers = 1;
   shape.config.context = 345;
   const auto policy = std::make_shared<const Policy>(MakePolicy(shape, 1));
@@ -442,8 +421,6 @@ TEST_P(EngineParityInLongContextTest, StreamingEqualsReferenceOnEveryTarget) {
     for (size_t i = 0; i < steps.size(); ++i) ExpectEqual(actual[steps[i]], expected[i], steps[i]);
   });
 }
-
-INSTANTIATE_TEST_SUITE_P(RelativeBias, EngineParityInLongContextTest, testing::Bool());
 
 }  // namespace
 }  // namespace spikeserve

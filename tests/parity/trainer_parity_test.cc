@@ -90,11 +90,6 @@ std::vector<Shape> Shapes() {
     s.config.merge = Merge::kConcat;
   });
   add("changes", [](Shape& s) { s.config.observation_changes = true; });
-  for (const Mode mode : {Mode::kBaseline, Mode::kFull}) {
-    Shape biased = {.name = "biases_" + std::string(ToString(mode)), .config = FourHeads(mode)};
-    biased.config.relative_bias = true;
-    shapes.push_back(biased);
-  }
   add("changes_dense", [](Shape& s) {
     s.config.mode = Mode::kDense;
     s.config.observation_changes = true;
@@ -127,9 +122,6 @@ Policy MakePolicy(const Shape& shape, uint64_t seed) {
   for (LayerWeights& layer : policy.weights.layers) {
     for (Linear* linear : {&layer.query, &layer.key, &layer.value, &layer.ffn_hidden}) {
       for (float& weight : linear->weight.values) weight *= 2.5f;
-    }
-    for (size_t i = 0; i < layer.relative.values.size(); ++i) {
-      layer.relative.values[i] = 4.0f * UniformFloat(RandomBits({3, seed, i})) - 2.0f;
     }
   }
   policy.weights.observation_mean.values = {0.1f, -0.2f, 0.3f, 0.0f};

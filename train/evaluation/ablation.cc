@@ -1,10 +1,6 @@
 #include "train/evaluation/ablation.h"
 
-#include <type_traits>
-#include <utility>
-
 #include "absl/strings/str_cat.h"
-#include "core/engine/token.h"
 #include "core/math/vector_view.h"
 
 namespace spikeserve {
@@ -20,17 +16,6 @@ void ClearColumnsFrom(int first, auto* weight) {
   }
 }
 
-// Takes the biases of distances away that a shorter context does not have.
-void CropRelative(int distances, auto* relative) {
-  if (relative->values.empty()) return;
-  auto cropped = std::decay_t<decltype(*relative)>::Zeros({relative->shape[0], distances});
-  for (size_t i = 0; i < cropped.values.size(); ++i) {
-    const int head = static_cast<int>(i) / distances;
-    cropped.values[i] = relative->at(head, static_cast<int>(i) % distances);
-  }
-  *relative = std::move(cropped);
-}
-
 absl::Status Missing(absl::string_view part, const ModelConfig& config) {
   return absl::InvalidArgumentError(absl::StrCat("ablate: a policy of mode ",
                                                  std::string(ToString(config.mode)), " has no ",
@@ -44,10 +29,6 @@ absl::Status Ablate(absl::string_view part, Policy* policy) {
   Weights& weights = policy->weights;
   if (part == "context") {
     config.context = 1;
-    for (LayerWeights& layer : weights.layers) {
-      CropRelative(kTokensPerTimestep, &layer.relative);
-      CropRelative(kTokensPerTimestep, &layer.fixed_point.attention_relative);
-    }
   } else if (part == "changes") {
     if (!config.observation_changes) {
       return absl::InvalidArgumentError(
@@ -66,8 +47,6 @@ absl::Status Ablate(absl::string_view part, Policy* policy) {
     for (LayerWeights& layer : weights.layers) {
       Clear(&layer.scale);
       Clear(&layer.fixed_point.attention_scale);
-      Clear(&layer.relative);
-      Clear(&layer.fixed_point.attention_relative);
     }
   } else if (part == "phase") {
     if (!config.has_phase()) return Missing(part, config);

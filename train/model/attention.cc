@@ -38,13 +38,6 @@ torch::Tensor BandMask(int64_t timesteps, int context, torch::Device device) {
   return torch::zeros(later.sizes(), device).masked_fill(later | forgotten, kUnseen);
 }
 
-torch::Tensor RelativeBiases(const torch::Tensor& relative, int64_t tokens) {
-  const torch::Tensor index = torch::arange(tokens, relative.device());
-  const torch::Tensor distance =
-      (index.unsqueeze(1) - index.unsqueeze(0)).clamp(0, relative.size(1) - 1);
-  return relative.index_select(1, distance.flatten()).view({-1, tokens, tokens});
-}
-
 torch::Tensor Attend(const torch::Tensor& q, const torch::Tensor& k, const torch::Tensor& v,
                      const torch::Tensor& scale, const torch::Tensor& mask, int heads) {
   const torch::Tensor scaled = SplitHeads(q, heads) * scale.view({-1, 1, 1});

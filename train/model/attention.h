@@ -17,13 +17,8 @@ namespace spikeserve {
 // number.
 torch::Tensor BandMask(int64_t timesteps, int context, torch::Device device);
 
-// Returns the biases of the scores of a clip of S tokens, [H, S, S], from those by distance
-// `relative` [H, 3 N]. An element whose distance is not from 0 to 3 N - 1 is outside of the band
-// and means nothing.
-torch::Tensor RelativeBiases(const torch::Tensor& relative, int64_t tokens);
-
 // Computes y = softmax(scale q k^T + mask) v for every head and leading dimension: q [..., Q, d], k
-// and v [..., S, d], mask [Q, S] or [H, Q, S], scale [H] or [1]. Returns [..., H, Q, d_h].
+// and v [..., S, d], mask [Q, S], scale [H] or [1]. Returns [..., H, Q, d_h].
 torch::Tensor Attend(const torch::Tensor& q, const torch::Tensor& k, const torch::Tensor& v,
                      const torch::Tensor& scale, const torch::Tensor& mask, int heads);
 

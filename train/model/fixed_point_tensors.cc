@@ -58,8 +58,7 @@ torch::Tensor SplitHeads(const torch::Tensor& spikes, const ModelConfig& config)
 torch::Tensor ShiftmaxWeights(const HeadInputs& inputs, const torch::Tensor& overlaps,
                               const torch::Tensor& scale) {
   constexpr double kOutside = -1e15;  // less than any score
-  torch::Tensor scores = overlaps * scale;
-  if (inputs.biases.defined()) scores = scores + inputs.biases;
+  const torch::Tensor scores = overlaps * scale;
   const torch::Tensor best = scores.masked_fill(inputs.band.logical_not(), kOutside).amax(-1, true);
   const torch::Tensor octaves = RoundScaled(best - scores, std::ldexp(1.0, -kScaleFraction));
   // 2^8 / 2^e for e from 0 to 8, and 0 from 9 on.
@@ -108,7 +107,7 @@ torch::Tensor AttendInIntegers(const HeadInputs& inputs, const Int16Tensor& scal
       torch::matmul(query, SplitHeads(inputs.key, config).transpose(-1, -2));
   torch::Tensor weights = ShiftmaxWeights(inputs, overlaps, Numbers(scale).view({-1, 1, 1}));
   const torch::Tensor fires = query.amax(-1, true) > 0.0;  // [T, B, H, Q, 1]
-  if (!inputs.biases.defined()) weights = torch::where(fires, weights, torch::ones_like(weights));
+  weights = torch::where(fires, weights, torch::ones_like(weights));
   weights = weights * inputs.band;
   torch::Tensor sums = torch::matmul(weights, SplitHeads(inputs.value, config));
   torch::Tensor totals = weights.sum(-1, true);

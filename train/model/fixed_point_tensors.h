@@ -40,11 +40,10 @@ torch::Tensor CodeSpikes(const PeriodCoder& coder, const torch::Tensor& x);
 
 // Spikes, 0 or 1, and which tokens see each other.
 struct HeadInputs {
-  torch::Tensor query;   // [T, B, Q, d]
-  torch::Tensor key;     // [T, B, S, d]
-  torch::Tensor value;   // [T, B, S, d]
-  torch::Tensor band;    // whether a token attends to another, bool: [Q, S]
-  torch::Tensor biases;  // of the scores: [H, Q, S], or undefined without biases
+  torch::Tensor query;  // [T, B, Q, d]
+  torch::Tensor key;    // [T, B, S, d]
+  torch::Tensor value;  // [T, B, S, d]
+  torch::Tensor band;   // whether a token attends to another, bool: [Q, S]
 };
 
 // Returns y with kGateFraction fraction bits: [T, B, H, Q, d_h], equal at all ticks at which the

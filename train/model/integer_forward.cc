@@ -133,25 +133,13 @@ class IntegerPass {
   // Returns y of each tick, token and head, [T, B, H, Q, d_h], with kGateFraction fraction bits.
   Fixed AttendHeads(const torch::Tensor& q, const torch::Tensor& k, const torch::Tensor& v,
                     int layer) {
-    const auto asking = [&](const torch::Tensor& of_all) {
-      return IsLast(layer) ? StateTokens(of_all, -2) : of_all;
-    };
     const std::string attention = absl::StrCat("layers.", layer, ".attention");
     const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
-    const int64_t tokens = mask_.size(-1);
-    HeadInputs inputs = {.query = q.detach(),
-                         .key = k.detach(),
-                         .value = v.detach(),
-                         .band = asking(mask_) == 0.0,
-                         .biases = {}};
-    torch::Tensor mask = mask_;
-    if (config_.relative_bias) {
-      inputs.biases = asking(RelativeBiases(Numbers(weights.attention_relative), tokens));
-      mask = mask + RelativeBiases(p_[attention + ".relative"], tokens);
-    }
+    const torch::Tensor mask = IsLast(layer) ? StateTokens(mask_, -2) : mask_;
+    const HeadInputs inputs = {
+        .query = q.detach(), .key = k.detach(), .value = v.detach(), .band = mask == 0.0};
     const torch::Tensor level = AttendInIntegers(inputs, weights.attention_scale, config_);
-    const torch::Tensor real =
-        Attend(q, k, v, p_[attention + ".scale"], asking(mask), config_.heads);
+    const torch::Tensor real = Attend(q, k, v, p_[attention + ".scale"], mask, config_.heads);
     return {level, StraightThrough(level * std::ldexp(1.0, -kGateFraction), real)};
   }
 

@@ -137,15 +137,8 @@ class ForwardPass {
     return Norm(after + p_.Linear(hidden, name + ".ffn.output"), name + ".ffn.norm");
   }
 
-  // Returns what is added to the scores of a layer: [Q, 3n], or with biases [H, Q, 3n].
-  torch::Tensor Mask(int layer) const {
-    torch::Tensor mask = mask_;
-    if (config_.relative_bias) {
-      const std::string name = absl::StrCat("layers.", layer, ".attention.relative");
-      mask = mask + RelativeBiases(p_[name], mask.size(-1));
-    }
-    return IsLast(layer) ? StateTokens(mask, -2) : mask;
-  }
+  // Returns what is added to the scores of a layer: [Q, 3n].
+  torch::Tensor Mask(int layer) const { return IsLast(layer) ? StateTokens(mask_, -2) : mask_; }
 
   // Returns the norm of x + W_O merged + b_O for the tokens that have an output in this layer.
   torch::Tensor AddAttention(const torch::Tensor& x, const torch::Tensor& merged,

@@ -1,7 +1,6 @@
 #include "train/trainer/initial_policy.h"
 
 #include "core/math/vector_view.h"
-#include "train/model/clip_tensors.h"
 #include "train/trainer/return_scaling.h"
 
 namespace spikeserve {
@@ -69,14 +68,6 @@ Policy InitialPolicy(const ModelConfig& config, const EpisodeSource& source, uin
   policy.environment = dataset.environment;
   if (!dataset.action_space.is_discrete()) FitToLabels(EncodedLabels(source), &policy);
   return policy;
-}
-
-void AddRelativeBias(Policy* policy) {
-  const ModelConfig& config = policy->config;
-  for (LayerWeights& layer : policy->weights.layers) {
-    if (!config.relative_bias || !layer.relative.values.empty()) continue;
-    layer.relative = Tensor::Zeros({config.heads, kTokens * config.context});
-  }
 }
 
 }  // namespace spikeserve

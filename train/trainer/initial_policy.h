@@ -23,8 +23,4 @@ Moments EncodedLabels(const EpisodeSource& source);
 Policy InitialPolicy(const ModelConfig& config, const EpisodeSource& source, uint64_t seed,
                      const PatchShape& patches = {});
 
-// Adds biases by distance of 0 to a policy whose config has them, but whose layers do not. They
-// change no decision but by the rounding of sums.
-void AddRelativeBias(Policy* policy);
-
 }  // namespace spikeserve

@@ -11,7 +11,6 @@
 #include "core/base/status_macros.h"
 #include "core/math/exp.h"
 #include "core/neuron/phase.h"
-#include "train/model/clip_tensors.h"
 
 namespace spikeserve {
 namespace {
@@ -144,17 +143,10 @@ void Attend(bool antiphase, Policy* policy) {
 
 absl::Status LookBack(int delay, Policy* policy) {
   const ModelConfig& config = policy->config;
-  if (!config.relative_bias) RETURN_IF_ERROR(CheckClock("--lookback", config));
+  RETURN_IF_ERROR(CheckClock("--lookback", config));
   if (delay < 1 || delay >= config.context) {
     return absl::InvalidArgumentError(absl::StrCat("--lookback: expected 1 to ", config.context - 1,
                                                    ", below --context, received ", delay));
-  }
-  if (config.relative_bias) {
-    Tensor& relative = policy->weights.layers[0].relative;
-    for (int head = 0; head < config.heads; ++head) {
-      relative.values[head * relative.shape[1] + kTokens * delay] = kMargin;
-    }
-    return absl::OkStatus();
   }
   const std::vector<double> omega = Frequencies(delay, config.heads);
   for (int k = 0; k < config.heads; ++k) {

@@ -2,7 +2,7 @@
 // far before a middle as the present timestep is after it.
 //
 // Where the action depends on what was observed at one of many timesteps, attention has to find it
-// by its phase spikes or its biases by distance alone. From random weights, whose attention is
+// by its phase spikes alone. From random weights, whose attention is
 // nearly uniform, training does not find a distant one, because its gradient is lost among those of
 // all others.
 //
@@ -14,10 +14,8 @@
 
 namespace spikeserve {
 
-// With biases by distance, sets those of the tokens of the same kind `delay` steps back in the
-// first layer. Without them, sets the phase generators, and the weights of query and key in the
-// first layer that read them, so that the attention of every head is largest at the timestep
-// `delay` steps back:
+// Sets the phase generators, and the weights of query and key in the first layer that read them, so
+// that the attention of every head is largest at the timestep `delay` steps back:
 //
 //   omega_k = (2 m_k + 1) pi / delay
 //
@@ -27,8 +25,8 @@ namespace spikeserve {
 // the generators agree as little as possible at all other timesteps. All other weights stay
 // as they are, and training changes these weights, too.
 //
-// Returns INVALID_ARGUMENT, for the flag --lookback, unless the policy has biases by distance, or
-// phase spikes with the clock `timestep`, and 1 <= delay < context.
+// Returns INVALID_ARGUMENT, for the flag --lookback, unless the policy has phase spikes with the
+// clock `timestep`, and 1 <= delay < context.
 absl::Status LookBack(int delay, Policy* policy);
 
 // Sets the same weights so that at timestep `middle` + x the attention of every head is largest at

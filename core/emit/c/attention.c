@@ -90,13 +90,12 @@ static uint32_t nonzero_sums(const spike_state* s, int layer, int head, spike_to
    sum; 0: no query neuron fires, so that all weigh the same. */
 static int32_t weigh_keys(spike_state* s, int layer, int head, spike_token last,
                           const spike_group* group, spike_costs* costs) {
-  const int fires = nonzero_values(s->query[head], group) != 0;
   const int spike_bytes = (group->ticks * SPIKE_HEAD_SIZE + 7) / 8;
   spike_token token = {0, 0};
   int32_t best = INT32_MIN, sum = 0;
   uint32_t overlaps = 0;
   int n = 0, i, t, w;
-  if (!fires && !SPIKE_RELATIVE) {
+  if (nonzero_values(s->query[head], group) == 0) {
     costs->attention_bytes += (uint32_t)2 * SPIKE_HEAD_SIZE * (SPIKE_BY_TICK ? group->ticks : 1);
     costs->attention_products += nonzero_sums(s, layer, head, last, group);
     return 0;
@@ -105,7 +104,7 @@ static int32_t weigh_keys(spike_state* s, int layer, int head, spike_token last,
   do {
     spike_word(*key)[SPIKE_WORDS] = s->keys[layer][slot_of(token)][head];
     uint32_t overlap = 0;
-    for (t = group->first; fires && t < SPIKE_TICKS; ++t) {
+    for (t = group->first; t < SPIKE_TICKS; ++t) {
       if (!in_group(group, t)) continue;
       for (w = 0; w < SPIKE_WORDS; ++w) overlap += ones(s->query[head][t][w] & key[t][w]);
     }
@@ -114,12 +113,10 @@ static int32_t weigh_keys(spike_state* s, int layer, int head, spike_token last,
   } while (next_token(&token, last));
   costs->softmax_terms += (uint32_t)n;
   costs->attention_bytes +=
-      (uint32_t)(n * ((fires ? spike_bytes : 0) + (SPIKE_BY_TICK ? spike_bytes : SPIKE_HEAD_SIZE)));
-  costs->attention_products += overlaps + (SPIKE_RELATIVE ? (uint32_t)n : 0);
+      (uint32_t)(n * (spike_bytes + (SPIKE_BY_TICK ? spike_bytes : SPIKE_HEAD_SIZE)));
+  costs->attention_products += overlaps;
   for (i = 0; i < n; ++i) {
     s->weights[i] *= layers[layer].scale[head];
-    if (SPIKE_RELATIVE)
-      s->weights[i] += layers[layer].relative[head * 3 * SPIKE_CONTEXT + n - 1 - i];
     if (s->weights[i] > best) best = s->weights[i];
   }
   for (i = 0; i < n; ++i) {
@@ -169,7 +166,6 @@ static void count_stored(spike_state* s, int layer, int slot, spike_costs* costs
   all.active = active;
   for (head = 0; head < SPIKE_HEADS; ++head)
     sums += 2 * nonzero_values(s->values[layer][slot][head], &all);
-  if (SPIKE_RELATIVE) sums = 0;
   costs->attention_products += sums;
   costs->attention_bytes += spike_bytes + (SPIKE_BY_TICK ? spike_bytes : SPIKE_HIDDEN) + 4 * sums;
 }

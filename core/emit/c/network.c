@@ -34,7 +34,7 @@ typedef struct {
   spike_coder coder, ffn_coder;
   spike_population query, key, value, ffn_hidden;
   spike_mapped attention_output, ffn_output;
-  const int16_t *scale, *relative; /* [SPIKE_HEADS], [SPIKE_HEADS][3 * SPIKE_CONTEXT] */
+  const int16_t* scale; /* [SPIKE_HEADS] */
 #if SPIKE_ROUTING
   spike_map routing_hidden, routing_gate;
 #endif

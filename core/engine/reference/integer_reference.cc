@@ -255,14 +255,13 @@ class IntegerReferencePass {
   }
 
   // Counts the bytes of the key and the value of a token, the additions by which its values enter
-  // the running sum, and the subtractions by which they will leave it. Biases need no such sum.
+  // the running sum, and the subtractions by which they will leave it.
   void CountStoring(size_t i) {
     if (!IsNew(i)) return;
     uint64_t sums = 0;
     for (const Integers& plane : values_[i]) {
       sums += 2 * (plane.size() - std::count(plane.begin(), plane.end(), 0));
     }
-    if (config_.relative_bias) sums = 0;
     counts_.attention_products += sums;
     counts_.attention_bytes += SpikeBytes(config_.ticks, config_.hidden_size) +
                                ValueBytes(config_, config_.ticks, config_.hidden_size) +
@@ -309,19 +308,14 @@ class IntegerReferencePass {
     if (is_new) {
       counts_.softmax_terms += band.size();
       const int ticks = TicksOf(group);
-      const uint64_t key_bytes =
-          HeadFires(query, group, head) ? SpikeBytes(ticks, config_.head_size()) : 0;
-      counts_.attention_bytes +=
-          band.size() * (key_bytes + ValueBytes(config_, ticks, config_.head_size()));
-      if (config_.relative_bias) counts_.attention_products += band.size();
+      counts_.attention_bytes += band.size() * (SpikeBytes(ticks, config_.head_size()) +
+                                                ValueBytes(config_, ticks, config_.head_size()));
       for (const int64_t overlap : overlaps) counts_.attention_products += overlap;
     }
     const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
     std::vector<int64_t> scores;
-    for (size_t n = 0; n < band.size(); ++n) {
-      scores.push_back(weights.attention_scale.values[head] * overlaps[n]);
-      if (!config_.relative_bias) continue;
-      scores[n] += weights.attention_relative.at(head, static_cast<int>(band.back() - band[n]));
+    for (const int64_t overlap : overlaps) {
+      scores.push_back(weights.attention_scale.values[head] * overlap);
     }
     const int64_t best = *std::max_element(scores.begin(), scores.end());
     Row row;
@@ -360,7 +354,7 @@ class IntegerReferencePass {
       if (IsInBand(i, j)) band.push_back(j);
     }
     // Without weights that are computed, all are 1.
-    const bool is_mean = !config_.relative_bias && !HeadFires(query, group, head);
+    const bool is_mean = !HeadFires(query, group, head);
     Row row = {std::vector<int64_t>(band.size(), 1), static_cast<int64_t>(band.size())};
     if (!is_mean) {
       row = WeighKeys(layer, query, group, band, head, IsNew(i));

@@ -162,38 +162,6 @@ class ReferencePass {
     return tokens_[j].timestep > tokens_[i].timestep - config_.context;
   }
 
-  // Returns y_h(t) of one token at one tick and head if scores have biases by distance: [d_h]. The
-  // sums run from the oldest to the newest token, that of the weights by OrderedSum. `keys` are
-  // overlaps and tokens.
-  std::vector<float> AttendBiased(int layer, const std::vector<std::pair<int, size_t>>& keys,
-                                  size_t i, int tick, int head) {
-    const LayerWeights& weights = policy_.weights.layers[layer];
-    const float scale = weights.scale.values[head];
-    std::vector<float> scores;
-    for (const auto& [overlap, j] : keys) {
-      const float bias = weights.relative.at(head, static_cast<int>(i - j));
-      scores.push_back(scale * static_cast<float>(overlap) + bias);
-      if (IsNew(i)) ++counts_.attention_products;
-    }
-    const float best = *std::max_element(scores.begin(), scores.end());
-    const int size = config_.head_size();
-    std::vector<float> y(size, 0.0f);
-    for (size_t n = 0; n < keys.size(); ++n) {
-      scores[n] = Exp(scores[n] - best);
-      for (int k = 0; k < size; ++k) {
-        if (values_[keys[n].second][tick][head * size + k]) y[k] += scores[n];
-      }
-    }
-    const float inverse = 1.0f / OrderedSum(scores.data(), scores.size());
-    for (float& value : y) value *= inverse;
-    if (trace_ != nullptr && i + 1 == tokens_.size()) {
-      for (const float weight : scores) {
-        trace_->layers[layer].attention.push_back(weight * inverse);
-      }
-    }
-    return y;
-  }
-
   // Returns y_h(t) of one token at one tick and head: [d_h]. Scores are integers times c_h, so the
   // softmax weight of a key depends only on the distance between its overlap and the best overlap.
   // The values of all keys at one distance are counted as integers first, and then multiplied by
@@ -213,7 +181,6 @@ class ReferencePass {
       if (IsNew(i)) ++counts_.softmax_terms;
       keys.emplace_back(overlap, j);
     }
-    if (config_.relative_bias) return AttendBiased(layer, keys, i, tick, head);
     const auto [lowest, highest] = std::minmax_element(keys.begin(), keys.end());
     const int best = scale >= 0.0f ? highest->first : lowest->first;
     std::vector<float> y(size, 0.0f);

@@ -175,8 +175,6 @@ kernels::AttentionWindow AttentionCache::Window(const AttentionBand& band) const
   window.has_values = values_.exist.data();
   window.occupied = occupied_.data();
   window.valid = band.valid().data();
-  window.first = band.first();
-  window.last = band.last();
   return window;
 }
 

@@ -31,14 +31,14 @@ void IntegerAttention::Attend(const IntegerKeys& keys, const TickGroup& group, i
   const auto scale = [&](const int32_t* sums, int first, int size, int32_t weights) {
     counts->attention_scalings += kernels::ScaleSums(sums, size, weights * ticks, y + first);
   };
-  if (keys.query == nullptr && keys.biases == nullptr) {  // all heads at once
+  if (keys.query == nullptr) {  // all heads at once
     const int32_t* const sums = SumAllValues(keys, group, 0, config.hidden_size, counts);
     return scale(sums, 0, config.hidden_size, keys.band.tokens());
   }
   const int size = keys.cache.head_size();
   for (int head = 0; head < config.heads; ++head) {
     ReadQuery(keys, group, head);
-    if (query_.empty() && keys.biases == nullptr) {
+    if (query_.empty()) {
       const int32_t* const sums = SumAllValues(keys, group, head * size, size, counts);
       scale(sums, head * size, size, keys.band.tokens());
     } else {
@@ -107,8 +107,7 @@ int32_t IntegerAttention::WeighKeys(const IntegerKeys& keys, const TickGroup& gr
   const int ticks = static_cast<int>(group.size()) * config.plane_ticks();
   counts->softmax_terms += tokens;
   const int size = keys.cache.head_size();
-  const uint64_t key_bytes = query_.empty() ? 0 : SpikeBytes(ticks, size);
-  counts->attention_bytes += tokens * (key_bytes + ValueBytes(config, ticks, size));
+  counts->attention_bytes += tokens * (SpikeBytes(ticks, size) + ValueBytes(config, ticks, size));
   const int slots = band.used_slots();
   overlaps_.resize(slots);
   weights_.resize(slots);
@@ -116,12 +115,6 @@ int32_t IntegerAttention::WeighKeys(const IntegerKeys& keys, const TickGroup& gr
   counts->attention_products +=
       kernels::Overlaps(query_, own, band.held(), slots, overlaps_.data());
   const int32_t scale = keys.scales[head];
-  if (keys.biases != nullptr) {
-    counts->attention_products += tokens;
-    const int16_t* const biases = keys.biases + 2 * head * band.slots();
-    return kernels::BiasedShiftmax(scale, overlaps_.data(), biases + band.slots() - 1 - band.last(),
-                                   band.held(), slots, weights_.data());
-  }
   return kernels::Shiftmax(scale, overlaps_.data(), band.held(), slots, weights_.data());
 }
 

@@ -19,7 +19,6 @@ namespace spikeserve {
 struct IntegerKeys {
   const ModelConfig& config;
   const std::vector<int16_t>& scales;  // [H]
-  const int16_t* biases;               // RingBiases() of 3 N slots, or null
   const IntegerBand& band;
   const IntegerCache& cache;
   const uint32_t* query;  // [T][H][W], or null if no neuron fires
@@ -35,7 +34,7 @@ void GroupTicks(const IntegerKeys& keys, std::vector<TickGroup>* groups);
 class IntegerAttention {
  public:
   // Sets y [d] to the outputs of all heads for a group of ticks. A head whose query does not fire
-  // returns the mean of the values, unless there are biases. Adds the operations to `counts`.
+  // returns the mean of the values. Adds the operations to `counts`.
   void Attend(const IntegerKeys& keys, const TickGroup& group, int16_t* y, Counts* counts);
 
  private:

@@ -30,8 +30,6 @@ class IntegerBand {
   int tokens() const { return tokens_; }
   // Returns the number of slots of the ring, 3 N.
   int slots() const { return static_cast<int>(timesteps_.size()); }
-  // Returns the slot of the newest token. REQUIRES: tokens() > 0.
-  int last() const { return slot(tokens_ - 1); }
   // Returns the number of slots that have ever held a token, in whole blocks.
   int used_slots() const { return used_slots_; }
   // Returns for each slot all bits if it holds a token, and 0 otherwise, [used_slots()].

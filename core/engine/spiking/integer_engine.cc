@@ -192,7 +192,7 @@ class IntegerTokenPass {
     const uint64_t values =
         context_->caches[layer].Store(slot, scratch_.keys.data(), scratch_.counts.data());
     // A value enters the sum of all values now, and leaves it later.
-    const uint64_t sums = config_.relative_bias ? 0 : 2 * values;
+    const uint64_t sums = 2 * values;
     counts_->attention_products += sums;
     counts_->attention_bytes += SpikeBytes(config_.ticks, config_.hidden_size) +
                                 ValueBytes(config_, config_.ticks, config_.hidden_size) +
@@ -238,10 +238,8 @@ class IntegerTokenPass {
   void Attend(int layer) {
     const PackedIntegerLayer& packed = packed_.layers[layer];
     const FixedPointLayer& weights = policy_.weights.layers[layer].fixed_point;
-    const int16_t* const biases = config_.relative_bias ? packed.attention_bias.data() : nullptr;
     const IntegerKeys keys = {.config = config_,
                               .scales = weights.attention_scale.values,
-                              .biases = biases,
                               .band = context_->band,
                               .cache = context_->caches[layer],
                               .query = query_spikes_ > 0 ? scratch_.query.data() : nullptr};

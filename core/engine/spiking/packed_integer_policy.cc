@@ -2,11 +2,8 @@
 
 #include <utility>
 
-#include "core/engine/spiking/kernels/integer_attention_kernels.h"
 #include "core/engine/spiking/packed/packed_linear.h"
 #include "core/engine/spiking/packed/packed_rows.h"
-#include "core/engine/spiking/packed/ring_biases.h"
-#include "core/engine/token.h"
 
 namespace spikeserve {
 namespace {
@@ -59,11 +56,6 @@ PackedIntegerPolicy::PackedIntegerPolicy(const Policy& policy)
     layer.coder = Pack(fixed.coder);
     layer.key_value_query = Pack({&maps.key, &maps.value, &maps.query}, d);
     layer.nonzero_query = NonzeroByInput(maps.query);
-    if (policy.config.relative_bias) {
-      layer.attention_bias =
-          RingBiases(fixed.attention_relative, kTokensPerTimestep * policy.config.context);
-      layer.attention_bias.resize(layer.attention_bias.size() + kernels::kSlotBlock);
-    }
     if (policy.config.has_routing()) {
       layer.routing_hidden = Pack(fixed.routing_hidden);
       layer.routing_gate = Pack(fixed.routing_gate);

@@ -23,7 +23,6 @@ struct PackedIntegerLayer {
   std::vector<uint32_t> nonzero_query;  // [in]: the query's part of key_value_query.nonzero
   PackedFixedPointMap routing_hidden;   // modes with routing
   PackedFixedPointMap routing_gate;     // modes with routing
-  std::vector<int16_t> attention_bias;  // RingBiases() of 3 N slots, and kSlotBlock more numbers
   PackedFixedPointMap attention_output;
   PackedNorm attention_norm;
   PackedPeriodCoder ffn_coder;

@@ -5,12 +5,10 @@
 #include <cstdint>
 #include <utility>
 
-#include "core/engine/spiking/attention_cache.h"
 #include "core/engine/spiking/kernels/drive.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
 #include "core/engine/spiking/kernels/linear_kernels.h"
 #include "core/engine/spiking/packed/packed_rows.h"
-#include "core/engine/spiking/packed/ring_biases.h"
 #include "core/math/exp.h"
 
 namespace spikeserve {
@@ -114,9 +112,6 @@ PackedWeights::PackedWeights(const Policy& policy)
     layer.ffn_output = Pack({&weights.ffn_output});
     layer.silent_ffn = RunSilently(policy.config, layer);
     layer.attention_weight = AttentionWeights(policy.config, weights.scale);
-    if (policy.config.relative_bias) {
-      layer.attention_bias = RingBiases(weights.relative, AttentionBand(policy.config).slots());
-    }
     layers.push_back(std::move(layer));
   }
 }

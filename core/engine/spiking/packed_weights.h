@@ -38,7 +38,6 @@ struct PackedLayer {
   SilentFeedForward silent_ffn;
   // [H][d_h + 1]: exp(-|c_h| distance), where the distance is that of an overlap from the best one.
   std::vector<float> attention_weight;
-  std::vector<float> attention_bias;  // see kernels::HeadScores
 };
 
 // The packed weights of a policy, and the period table of its coders.

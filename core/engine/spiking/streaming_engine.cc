@@ -182,10 +182,8 @@ class TokenPass {
     const AttentionCache& cache = token_->context->caches[layer];
     scratch_.y.resize(static_cast<size_t>(config_.ticks) * config_.hidden_size);
     counts().attention_products += cache.ValueSpikes(token_->band);
-    const kernels::HeadScores scores = {
-        .scale = weights.scale.values.data(),
-        .weight = packed.attention_weight.data(),
-        .biases = config_.relative_bias ? packed.attention_bias.data() : nullptr};
+    const kernels::HeadScores scores = {.scale = weights.scale.values.data(),
+                                        .weight = packed.attention_weight.data()};
     const kernels::Attended attended = kernels::Attend(
         cache.Window(token_->band), token_->query.data(), scores, scratch_.y.data());
     counts().attention_products += attended.products;

@@ -22,7 +22,6 @@ SHAPES = [
     {"mode": "pos", "layers": 1, "heads": 4},
     {"mode": "route", "routing_hidden_size": 3, "ffn_size": 7, "threshold": 0.5},
     *({"mode": mode, "observation_changes": True} for mode in ("full", "dense")),
-    {"mode": "baseline", "relative_bias": True},
     {"mode": "full", "norm": "none"},
     {"mode": "full", "arithmetic": "integer"},
 ]

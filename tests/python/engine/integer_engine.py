@@ -158,9 +158,6 @@ class IntegerEngine:
 
     def _weights(self, layer, head, overlaps):
         scores = int(self.tensors[f"layers.{layer}.attention.scale"][head]) * overlaps
-        if self.config.get("relative_bias"):
-            relative = self.tensors[f"layers.{layer}.attention.relative"][head].astype(np.int64)
-            scores = scores + relative[: len(scores)][::-1]  # the last token asks
         octaves = round_shift(scores.max() - scores, 8)
         return np.where(octaves > 8, 0, 256 >> np.minimum(octaves, 8))
 
@@ -196,7 +193,7 @@ class IntegerEngine:
         for head in range(self.heads):
             part = slice(head * self.head_size, (head + 1) * self.head_size)
             weights = np.ones(len(keys), np.int64)
-            if query[:, part].any() or self.config.get("relative_bias"):
+            if query[:, part].any():
                 overlaps = (keys[:, :, part] & query[:, part]).sum(axis=(1, 2)).astype(np.int64)
                 weights = self._weights(layer, head, overlaps)
             total = 256 * (weights[:, None] * counts[:, part]).sum(axis=0)

@@ -135,8 +135,7 @@ class CountedIntegerEngine(Counted, IntegerEngine):
         if name.endswith("key"):
             self.moved["keys and values"] += (self.ticks * neurons + 7) // 8
         if name.endswith("value"):
-            nonzero = int(fired.sum() if self.by_tick else fired.any(axis=0).sum())
-            values = 0 if self.config.get("relative_bias") else nonzero
+            values = int(fired.sum() if self.by_tick else fired.any(axis=0).sum())
             self.done["attention"] += 2 * values  # into the running sum and out of it
             self.moved["keys and values"] += self._value_bytes(self.ticks, neurons) + 2 * values * 4
         return fired
@@ -149,8 +148,7 @@ class CountedIntegerEngine(Counted, IntegerEngine):
         for head in range(self.heads):
             part = slice(head * size, (head + 1) * size)
             planes = values[:, :, part] if self.by_tick else values[:, :, part].any(axis=1, keepdims=True)
-            fires, has_biases = bool(query[:, part].any()), bool(self.config.get("relative_bias"))
-            if not fires and not has_biases:
+            if not query[:, part].any():
                 sums = planes.any(axis=0)
                 self.done["attention"] += int(sums[1:].sum())
                 self.done["scaling"] += int(sums.any(axis=0).sum())
@@ -159,10 +157,10 @@ class CountedIntegerEngine(Counted, IntegerEngine):
             overlaps = (keys[:, :, part] & query[:, part]).sum(axis=(1, 2))
             weights = self._weights(layer, head, overlaps)
             met = (weights != 0)[:, None, None] & planes
-            self.done["attention"] += int(overlaps.sum()) + int(met.sum()) + has_biases * len(keys)
+            self.done["attention"] += int(overlaps.sum()) + int(met.sum())
             self.done["scaling"] += int(met.any(axis=(0, 1)).sum())
             self.done["softmax"] += len(keys)
-            key_bytes = fires * ((ticks * size + 7) // 8)
+            key_bytes = (ticks * size + 7) // 8
             self.moved["keys and values"] += len(keys) * (key_bytes + self._value_bytes(ticks, size))
         return super()._attend_group(layer, query, keys, values)
 

@@ -314,10 +314,10 @@ def test_patches_that_do_not_fit_are_refused(tmp_path):
     assert not list(tmp_path.iterdir()), "before anything is recorded"
 
 
-def test_looking_back_needs_phase_spikes_or_biases_by_distance():
-    with pytest.raises(ValueError, match="mode: expected pos or full beside lookback, unless .*, received .?baseline"):
+def test_looking_back_needs_phase_spikes():
+    with pytest.raises(ValueError, match="mode: expected pos or full beside lookback, received .?baseline"):
         ImitationOptions(lookback=3)
-    assert ImitationOptions(lookback=3, train_flags=("--relative_bias=true",)).lookback == 3
+    assert ImitationOptions(lookback=3, mode="pos").lookback == 3
 
 
 @pytest.mark.parametrize(

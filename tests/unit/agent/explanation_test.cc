@@ -44,8 +44,6 @@ std::vector<Variant> Variants() {
   variants.push_back({"changes_in_a_context_of_one", SmallConfig()});
   variants.back().config.observation_changes = true;
   variants.back().config.context = 1;
-  variants.push_back({"biases", SmallConfig()});
-  variants.back().config.relative_bias = true;
   variants.push_back({"three_layers", SmallConfig()});
   variants.back().config.layers = 3;
   for (Variant variant : std::vector<Variant>(variants)) {

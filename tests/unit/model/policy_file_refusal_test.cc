@@ -116,26 +116,6 @@ TEST_F(PolicyFileRefusalTest, ObservationChanges) {
       SmallPolicy(config));
 }
 
-TEST_F(PolicyFileRefusalTest, RelativeBias) {
-  ModelConfig config = SmallConfig();
-  config.relative_bias = true;
-  ExpectRefused({{SetConfig("relative_bias", true),
-                  "tensor \"layers.0.attention.relative\": expected, but missing"},
-                 {SetConfig("relative_bias", "yes"),
-                  "config.relative_bias: expected true or false, received \"yes\""}});
-  const std::string distances = absl::StrCat(3 * config.context);
-  const std::string heads = absl::StrCat(config.heads);
-  const std::string longer = absl::StrCat(3 * config.context + 3);
-  ExpectRefused({{SetConfig("context", config.context + 1),
-                  absl::StrCat("tensor \"layers.0.attention.relative\": expected shape [", heads,
-                               ", ", longer, "], received [", heads, ", ", distances, "] with ",
-                               config.heads * 3 * config.context, " values")},
-                 {SetConfig("relative_bias", false),
-                  "tensor \"layers.0.attention.relative\": not expected in a policy of mode full "
-                  "in float32"}},
-                SmallPolicy(config));
-}
-
 TEST_F(PolicyFileRefusalTest, Norms) {
   ExpectRefused(
       {{SetConfig("norm", "batch"), "config.norm: expected layer or none, received \"batch\""},

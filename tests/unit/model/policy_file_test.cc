@@ -140,20 +140,6 @@ TEST_F(PolicyFileTest, ObservationChangesComeWithTheirScales) {
             policy.weights.observation_change_std.values);
 }
 
-TEST_F(PolicyFileTest, RelativeBiasComesWithItsTensors) {
-  ModelConfig config = SmallConfig();
-  config.relative_bias = true;
-  Policy policy = SmallPolicy(config);
-  policy.weights.layers[1].relative.values[2] = -0.5f;
-  ExpectRoundTrip(policy, Path());
-  const auto contents = ReadSafetensors(Path());
-  ASSERT_TRUE(contents.ok());
-  EXPECT_EQ(json::parse(contents->metadata.at("config"))["relative_bias"], true);
-  const auto& relative = std::get<Tensor>(contents->tensors.at("layers.1.attention.relative"));
-  EXPECT_EQ(relative.shape, (std::vector<int>{config.heads, 3 * config.context}));
-  EXPECT_EQ(relative.values, policy.weights.layers[1].relative.values);
-}
-
 TEST_F(PolicyFileTest, WhatIsWrittenIsTheSameEveryTime) {
   ASSERT_TRUE(WritePolicyFile(SmallPolicy(), Path("a")).ok());
   ASSERT_TRUE(WritePolicyFile(SmallPolicy(), Path("b")).ok());

@@ -127,21 +127,6 @@ refuses "--observation_changes: expected what --init has, true, or no such flag,
   train --data=data.cbor --init=changes/policy.safetensors --out=x --observation_changes=false
 refuses '--observation_changes: expected true or false, received "2x"' train --out=x --observation_changes=2x
 
-# Biases by distance start at 0 in a policy that has none.
-"$spiketrain" train --data=data.cbor --init=plain/policy.safetensors --out=biased "${tiny[@]}" --iterations=1 \
-  --relative_bias=true 2>/dev/null | grep -q '^shape: .*, biases by distance$' || fail "--relative_bias"
-says biased/policy.safetensors '\"relative_bias\":true'
-"$spiketrain" train --data=data.cbor --init=biased/policy.safetensors --out=biased_integer --iterations=1 --batch=4 --episodes=1 \
-  --no_baselines --arithmetic=integer >/dev/null 2>&1
-says biased_integer/policy.safetensors '\"relative_bias\":true'
-for part in context attention; do
-  "$spiketrain" eval --policy=biased_integer/policy.safetensors --episodes=1 --ablate=$part >/dev/null
-done
-refuses "--relative_bias: expected what --init has, true, or no such flag, received false" \
-  train --data=data.cbor --init=biased/policy.safetensors --out=x --relative_bias=false
-refuses "--relative_bias: expected false in mode dense, received true" \
-  train --data=data.cbor --out=x "${tiny[@]}" --mode=dense --relative_bias=true
-
 refuses '--target_return: expected a finite number, received inf' train --data=data.cbor --out=x --target_return=inf
 
 "$spiketrain" train --data=data.cbor --init=whole/policy.safetensors --out=tuned --batch=4 --episodes=2 --no_baselines \
@@ -173,8 +158,6 @@ refuses '--lookback: expected 1 to 4, below --context, received 5' \
   train --data=data.cbor --out=x "${tiny[@]}" --lookback=5
 refuses '--lookback: expected --mode=pos or full with --phase_clock=timestep, received route with timestep' \
   train --data=data.cbor --out=x "${tiny[@]}" --mode=route --lookback=2
-"$spiketrain" train --data=data.cbor --out=back_biased "${tiny[@]}" --mode=route --iterations=1 --lookback=4 \
-  --relative_bias=true >/dev/null 2>&1
 refuses '--lookback: expected no such flag beside --init, received 2' \
   train --data=data.cbor --out=x --init=whole/policy.safetensors --lookback=2
 refuses '--mirror: expected 1 to 2, less than half of --context, received 3' \

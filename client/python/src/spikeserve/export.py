@@ -109,9 +109,8 @@ def _config_values(config: ModelConfig) -> dict[str, Any]:
     # Without these keys, servers that do not know them can read the file.
     for field in ("arithmetic", "leak", "attention", "input_fraction", "residual_fraction"):
         del values[field]  # of arithmetic integer
-    for field in ("observation_changes", "relative_bias"):
-        if not values[field]:
-            del values[field]
+    if not config.observation_changes:
+        del values["observation_changes"]
     if config.has_norms:
         del values["norm"]
     return values

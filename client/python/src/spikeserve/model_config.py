@@ -37,7 +37,6 @@ class ModelConfig:
     # Whether the state token also contains the change of the observation since the last timestep.
     observation_changes: bool = False
     # Whether attention adds a learned number to a score, by head and distance in tokens.
-    relative_bias: bool = False
     # The following belong to arithmetic integer (docs/design/integer.md).
     leak: str = "shift"
     attention: str = "shiftmax_by_tick"
@@ -76,11 +75,8 @@ class ModelConfig:
             value = getattr(self, field)
             fits = type(value) is int and 1 <= value <= limit
             check(fits, field, f"an integer from 1 to {limit}", repr(value))
-        for field in ("observation_changes", "relative_bias"):
-            value = getattr(self, field)
-            check(isinstance(value, bool), field, "True or False", repr(value))
-        fits = not (self.relative_bias and self.is_dense)
-        check(fits, "relative_bias", "False in mode dense", repr(self.relative_bias))
+        changes = self.observation_changes
+        check(isinstance(changes, bool), "observation_changes", "True or False", repr(changes))
         divides = self.hidden_size % self.heads == 0
         check(divides, "hidden_size", f"a multiple of heads = {self.heads}", self.hidden_size)
         check(0 <= self.membrane_decay <= 1, "membrane_decay", "0 to 1", self.membrane_decay)

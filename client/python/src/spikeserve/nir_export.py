@@ -166,13 +166,11 @@ def _layer_steps(layer: str, config: ModelConfig) -> list[dict[str, str]]:
     phase = " and the phase spikes of the timestep" if config.has_phase else ""
     gates = "routing gates" if config.has_routing else "equal gates"
     attention = f"{layer}.attention"
-    biases = f", biases {attention}.relative by distance" if config.relative_bias else ""
     return [
         _host(f"LIF neurons of {layer}.coder under constant currents", f"spikes{phase}"),
         *(_chip(f"{attention}.{part}") for part in ("key", "value", "query")),
         _host(
-            f"softmax attention over the window{biases}, {gates}, {attention}.output"
-            f"{_norm(config, ', ')}",
+            f"softmax attention over the window, {gates}, {attention}.output{_norm(config, ', ')}",
             "d numbers",
         ),
         _host(f"LIF neurons of {layer}.ffn.coder under constant currents", "spikes"),

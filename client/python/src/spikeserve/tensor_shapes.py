@@ -43,8 +43,6 @@ def _layer(config: ModelConfig, layer: str) -> dict[str, Shape]:
     if not config.is_dense:
         shapes |= _coder(config, f"{layer}.coder") | _coder(config, f"{layer}.ffn.coder")
         shapes[f"{attention}.scale"] = (config.heads,)
-    if config.relative_bias:
-        shapes[f"{attention}.relative"] = (config.heads, 3 * config.context)
     if config.has_routing:
         shapes |= _map(config, f"{layer}.routing.hidden", config.routing_hidden_size, d)
         shapes |= _map(config, f"{layer}.routing.gate", config.heads, config.routing_hidden_size)

@@ -7,7 +7,6 @@
 // clang-format off
 #include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
 // clang-format on
-#include "core/engine/spiking/kernels/biased_weights-inl.h"
 #include "core/engine/spiking/kernels/overlap-inl.h"
 #include "core/engine/spiking/kernels/simd/vectors-inl.h"
 #include "hwy/highway.h"
@@ -86,12 +85,6 @@ class HeadAttention {
     }
     Scale(1.0f / total, y);
     return products;
-  }
-
-  // Computes y from the weights of keys whose scores have biases by distance.
-  void AttendWeighted(int index, const BiasedWeights& weights, float* y) {
-    weights.SumValues(index, sums_);
-    Scale(1.0f / weights.total(), y);
   }
 
  private:
@@ -201,7 +194,6 @@ Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const 
                     float* y) {
   Scratch& scratch = ThreadScratch();
   HeadAttention<Keys> attention(window, &scratch);
-  BiasedWeights weights(window, scores, &scratch);
   const int size = window.ticks * window.heads;
   scratch.meeting.resize((size + 63) / 64);
   FindNonzeroImpl(query, size, window.words, scratch.meeting.data());
@@ -217,10 +209,6 @@ Attended AttendWith(const AttentionWindow& window, const uint32_t* query, const 
       if (has_overlaps) attention.keys().SetQuery(i, query + static_cast<size_t>(i) * window.words);
       if (!has_values) {
         Clear(head_y, window.head_size);
-        if (has_overlaps) attended.products += attention.keys().Sum();
-      } else if (scores.biases != nullptr) {
-        weights.Weigh(head, has_overlaps ? attention.keys().BySlot() : nullptr);
-        attention.AttendWeighted(i, weights, head_y);
         if (has_overlaps) attended.products += attention.keys().Sum();
       } else if (!has_overlaps) {
         attention.AttendUniformly(i, head_y);

@@ -33,8 +33,6 @@ struct AttentionWindow {
   const uint64_t* has_values = nullptr;
   const uint32_t* occupied = nullptr;  // [T][H][S / 32]: the slots with at least one value bit
   const uint32_t* valid = nullptr;     // [S / 32]: slots that the query may attend to, at least one
-  int first = 0;                       // the slot of the oldest valid token
-  int last = 0;                        // the slot of the newest valid token
 
   // Returns whether the planes of the keys are [32 W][S / 32], with slots as bits, so that a query
   // reads only the rows of its own bits. Planes of a short ring are [W][S], with dimensions as
@@ -51,9 +49,6 @@ struct AttentionWindow {
 struct HeadScores {
   const float* scale = nullptr;   // [H]: c_h
   const float* weight = nullptr;  // [H][d_h + 1]: exp(-|c_h| distance from the best overlap)
-  // [H][2 S], or null without biases: entry i is the bias of a key (2 S - 1 - i) mod S tokens
-  // before the query, so that the keys of a ring have theirs in consecutive entries.
-  const float* biases = nullptr;
 };
 
 // The values that Attend returns in addition to y.
@@ -62,7 +57,7 @@ struct Attended {
   uint64_t products = 0;  // sum of popcount(q & k) over all ticks, heads and valid slots
 };
 
-// Computes softmax(c_h popcount(q & k) + bias) v over the valid slots for a query [T][H][W]. Writes
+// Computes softmax(c_h popcount(q & k)) v over the valid slots for a query [T][H][W]. Writes
 // only the Attended::ticks ticks at which a valid slot has a value, because y is zero at the
 // others: y is [Attended::ticks][H][d_h], contiguous, ticks ascending, in an array with room for T
 // ticks. The best overlap is the largest one if c_h >= 0, and otherwise the smallest one.

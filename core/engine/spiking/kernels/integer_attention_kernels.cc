@@ -168,11 +168,9 @@ class Shortfall {
   VecI32 factor_;
 };
 
-// Sets the weights of slots whose scores fall short of the best one by shortfall(i). Returns the
-// sum.
-template <class Shortfalls>
-HWY_INLINE int32_t SetWeights(Shortfalls shortfall, const int32_t* held, int slots,
-                              int16_t* weights) {
+int32_t ShiftmaxImpl(int32_t scale, const int32_t* overlaps, const int32_t* held, int slots,
+                     int16_t* weights) {
+  const Shortfall shortfall(scale, overlaps, held, slots);
   const I32 d;
   const hn::Rebind<int16_t, I32> narrow;  // as many lanes as I32, in half a vector
   const auto rounding = hn::Set(d, 1 << (kScaleFraction - 1));
@@ -185,35 +183,6 @@ HWY_INLINE int32_t SetWeights(Shortfalls shortfall, const int32_t* held, int slo
     hn::StoreU(hn::DemoteTo(narrow, weight), narrow, weights + i);
   }
   return hn::GetLane(hn::SumOfLanes(d, sum));
-}
-
-int32_t ShiftmaxImpl(int32_t scale, const int32_t* overlaps, const int32_t* held, int slots,
-                     int16_t* weights) {
-  const Shortfall shortfall(scale, overlaps, held, slots);
-  return SetWeights(shortfall, held, slots, weights);
-}
-
-int32_t BiasedShiftmaxImpl(int32_t scale, const int32_t* overlaps, const int16_t* biases,
-                           const int32_t* held, int slots, int16_t* weights) {
-  const I32 d;
-  const hn::Rebind<int16_t, I32> narrow;
-  const Shortfall shortfall(scale, overlaps, held, slots);
-  const auto biased = [&](int i) HWY_ATTR {
-    return hn::Sub(shortfall(i), hn::PromoteTo(d, hn::LoadU(narrow, biases + i)));
-  };
-  const auto worst = hn::Set(d, std::numeric_limits<int32_t>::max());
-  auto least = worst;
-  for (int i = 0; i < slots; i += kVector) {
-    const auto is_held = hn::MaskFromVec(hn::LoadU(d, held + i));
-    least = hn::Min(least, hn::IfThenElse(is_held, biased(i), worst));
-  }
-  const auto best = hn::Set(d, hn::GetLane(hn::MinOfLanes(d, least)));
-  // A slot without a token may have a better bias.
-  const auto from_best = [&](int i) HWY_ATTR {
-    const auto difference = hn::Sub(biased(i), best);
-    return hn::Max(difference, hn::Zero(d));
-  };
-  return SetWeights(from_best, held, slots, weights);
 }
 
 // Returns whether a weight of the block of slots is not 0.
@@ -333,7 +302,6 @@ HWY_EXPORT(StoreValuesImpl);
 HWY_EXPORT(RemoveValuesImpl);
 HWY_EXPORT(OverlapsImpl);
 HWY_EXPORT(ShiftmaxImpl);
-HWY_EXPORT(BiasedShiftmaxImpl);
 HWY_EXPORT(WeighValuesImpl);
 HWY_EXPORT(ScaleSumsImpl);
 HWY_EXPORT(AddScaledImpl);
@@ -352,11 +320,6 @@ uint64_t Overlaps(const std::vector<QueryWord>& query, const HeadSlots& head, co
 int32_t Shiftmax(int32_t scale, const int32_t* overlaps, const int32_t* held, int slots,
                  int16_t* weights) {
   return HWY_DYNAMIC_DISPATCH(ShiftmaxImpl)(scale, overlaps, held, slots, weights);
-}
-
-int32_t BiasedShiftmax(int32_t scale, const int32_t* overlaps, const int16_t* biases,
-                       const int32_t* held, int slots, int16_t* weights) {
-  return HWY_DYNAMIC_DISPATCH(BiasedShiftmaxImpl)(scale, overlaps, biases, held, slots, weights);
 }
 
 uint64_t WeighValues(const int16_t* weights, const HeadSlots& head, int slots, int32_t* sums) {

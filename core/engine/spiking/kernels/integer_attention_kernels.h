@@ -62,11 +62,6 @@ uint64_t Overlaps(const std::vector<QueryWord>& query, const HeadSlots& head, co
 int32_t Shiftmax(int32_t scale, const int32_t* overlaps, const int32_t* held, int slots,
                  int16_t* weights);
 
-// As Shiftmax, if the score of slot s has the bias biases[s], from -kLargestRelative to
-// kLargestRelative.
-int32_t BiasedShiftmax(int32_t scale, const int32_t* overlaps, const int16_t* biases,
-                       const int32_t* held, int slots, int16_t* weights);
-
 // Sets sums[k] to the weighted sum of value k over all slots, for k < head_size. `sums` is
 // [pad(head_size)]. Returns the number of values that are not 0 in slots whose weight is not 0.
 // REQUIRES: weights are from 0 to 32767.

@@ -34,12 +34,9 @@ struct Scratch {
   std::vector<uint64_t> meeting;      // bit i: number i of [T][H] has query bits and key bits
   std::vector<const uint32_t*> rows;  // the rows of the keys that a query has bits of
   std::vector<uint32_t> overlaps;     // see KeyWords and KeyRows
-  std::vector<uint32_t> by_slot;      // see KeyRows
   std::vector<uint32_t> remaining;    // [S / 32]: valid slots that belong to no group yet
   std::vector<uint32_t> group;        // [S / 32]: valid slots of equal overlap
   std::vector<Members> members;       // [S / 32]
-  std::vector<float> weights;         // see BiasedWeights
-  std::vector<float> totals;          // see BiasedWeights
   std::vector<float> sums;            // [32 W]
 };
 
@@ -89,9 +86,6 @@ class KeyWords {
     }
     return hn::GetLane(hn::SumOfLanes(du, sum));
   }
-
-  // Returns the overlap of every slot, [S]. It means nothing for a slot that is not valid.
-  const uint32_t* BySlot() { return overlaps_; }
 
   // Moves before the group of valid slots with the best overlap.
   void Begin(bool largest_is_best) {
@@ -199,22 +193,6 @@ class KeyRows {
       }
     }
     return hn::GetLane(hn::SumOfLanes(d, sum));
-  }
-
-  const uint32_t* BySlot() {
-    Begin(/*largest_is_best=*/true);
-    const U32 du;
-    scratch_.by_slot.resize(window_.slots);
-    for (int slot = 0; slot < window_.slots; slot += kVector) {
-      auto overlap = hn::Zero(du);
-      for (int k = 0; k < overlap_bits_; ++k) {
-        const uint32_t bits = Overlaps(k)[slot / kWordSlots] >> (slot % kWordSlots);
-        const auto value = hn::IfThenElseZero(MaskFromBits(du, bits), hn::Set(du, 1u << k));
-        overlap = hn::Or(overlap, value);
-      }
-      hn::StoreU(overlap, du, scratch_.by_slot.data() + slot);
-    }
-    return scratch_.by_slot.data();
   }
 
   void Begin(bool largest_is_best) {

@@ -14,19 +14,15 @@ namespace {
 
 // Returns a policy for observations of length 1, with increased weights and many ticks, so that
 // every part influences the readout.
-Policy MakePolicy(Mode mode = Mode::kFull, bool relative_bias = false) {
+Policy MakePolicy(Mode mode = Mode::kFull) {
   ModelConfig config = SmallConfig(mode);
   config.ticks = 20;
-  config.relative_bias = relative_bias;
   Policy policy = RandomPolicy(config, 1, ActionSpace::Discrete(2), 7);
   for (LayerWeights& layer : policy.weights.layers) {
     for (Linear* linear : {&layer.query, &layer.key, &layer.value, &layer.attention_output}) {
       for (float& weight : linear->weight.values) weight *= 8.0f;
     }
     for (float& weight : layer.routing_gate.weight.values) weight *= 8.0f;
-    for (size_t i = 0; i < layer.relative.values.size(); ++i) {
-      layer.relative.values[i] = static_cast<float>(i % 5);
-    }
   }
   return policy;
 }
@@ -50,29 +46,6 @@ TEST(AblationTest, WithoutContextThePastIsForgotten) {
   EXPECT_NE(Readouts(policy, -3.0f, 0.0f), Readouts(policy, 3.0f, 0.0f));
   ASSERT_TRUE(Ablate("context", &policy).ok());
   EXPECT_EQ(Readouts(policy, -3.0f, 0.0f), Readouts(policy, 3.0f, 0.0f));
-}
-
-TEST(AblationTest, AShorterContextKeepsTheBiasesOfItsDistances) {
-  Policy policy = MakePolicy(Mode::kBaseline, /*relative_bias=*/true);
-  const Tensor relative = policy.weights.layers[1].relative;
-  ASSERT_TRUE(Ablate("context", &policy).ok());
-  EXPECT_TRUE(policy.Validate().ok()) << policy.Validate();
-  for (int head = 0; head < policy.config.heads; ++head) {
-    for (int distance = 0; distance < 3; ++distance) {
-      EXPECT_EQ(policy.weights.layers[1].relative.at(head, distance), relative.at(head, distance));
-    }
-  }
-  EXPECT_EQ(Readouts(policy, -3.0f, 0.0f), Readouts(policy, 3.0f, 0.0f));
-}
-
-TEST(AblationTest, WithoutAttentionAllKeysHaveEqualWeights) {
-  Policy policy = MakePolicy(Mode::kBaseline, /*relative_bias=*/true);
-  const std::vector<float> before = Readouts(policy, 1.0f, 0.0f);
-  ASSERT_TRUE(Ablate("attention", &policy).ok());
-  EXPECT_NE(Readouts(policy, 1.0f, 0.0f), before);
-  Policy plain = MakePolicy(Mode::kBaseline);
-  ASSERT_TRUE(Ablate("attention", &plain).ok());
-  EXPECT_EQ(Readouts(policy, 1.0f, 0.0f), Readouts(plain, 1.0f, 0.0f));
 }
 
 TEST(AblationTest, WithoutReturnItIsNotHeard) {

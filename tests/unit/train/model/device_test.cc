@@ -79,7 +79,6 @@ class ModelDeviceTest : public testing::TestWithParam<Mode> {};
 TEST_P(ModelDeviceTest, ForwardAndBackwardStayOnTheDevice) {
   ModelConfig config = SmallConfig(GetParam());
   config.observation_changes = true;
-  config.relative_bias = !config.is_dense();
   const Policy policy = SmallPolicy(config);
   const TorchModel model(policy, Surrogate{}, Arithmetic::kFloat32, {}, /*seed=*/0, torch::kMeta);
   const ModelOutput output = model.Forward(MetaClips(policy));
@@ -97,9 +96,6 @@ TEST_P(ModelDeviceTest, ForwardAndBackwardStayOnTheDevice) {
   }
   EXPECT_TRUE(model.parameters()["embed.state.weight"].grad().defined());
   EXPECT_TRUE(model.parameters()["head.weight"].grad().defined());
-  if (config.relative_bias) {
-    EXPECT_TRUE(model.parameters()["layers.0.attention.relative"].grad().defined());
-  }
   const torch::Tensor change = HeadChange({.rate = 0.1}, policy.action_space, output,
                                           {.return_to_go = mask,
                                            .targets = torch::empty_like(output.logits),

@@ -30,22 +30,6 @@ double Match(const Policy& policy, int timestep, int distance) {
   return static_cast<double>(matches) / policy.config.heads;
 }
 
-TEST(LookBackTest, BiasesPointToOneDistance) {
-  ModelConfig config = SmallConfig(Mode::kBaseline);
-  config.relative_bias = true;
-  config.context = 5;
-  Policy policy = SmallPolicy(config);
-  ASSERT_TRUE(LookBack(4, &policy).ok());
-  for (int head = 0; head < config.heads; ++head) {
-    for (int distance = 0; distance < 15; ++distance) {
-      EXPECT_EQ(policy.weights.layers[0].relative.at(head, distance),
-                distance == 12 ? 10.0f : 0.0f);
-      EXPECT_EQ(policy.weights.layers[1].relative.at(head, distance), 0.0f);
-    }
-  }
-  EXPECT_THAT(std::string(LookBack(5, &policy).message()), HasSubstr("expected 1 to 4"));
-}
-
 TEST(LookBackTest, QueriesMatchTheKeysOfOneTimestepAlone) {
   ModelConfig config = SmallConfig(Mode::kPos);
   config.hidden_size = 64;

@@ -24,7 +24,6 @@ _SET_BY_STAGES = (
 # Only for a policy without --init.
 _OWN_SETTINGS = ("lookback", "mirror", "image_shape", "patch_size")
 # With these, attention knows distances without phase spikes.
-_DISTANCE_BIASES = "--relative_bias=true"
 
 # The settings that are chosen where they are None, and their types.
 CHOSEN: dict[str, type[int] | type[float]] = {
@@ -77,7 +76,7 @@ class ImitationOptions:
     lookback: int | None = _setting(
         None,
         "timesteps back at which attention looks first, if the action depends on that observation; "
-        "needs --mode=pos or full, or --train-flags=--relative_bias=true",
+        "needs --mode=pos or full",
     )
     mirror: int | None = _setting(
         None,
@@ -163,9 +162,7 @@ class ImitationOptions:
             if self.context is not None:
                 below = f"1 to {self.context - 1}, below the context"
                 check(self.lookback < self.context, "lookback", below, self.lookback)
-            sees_distance = self.mode in ("pos", "full") or _DISTANCE_BIASES in self.train_flags
-            expected = f"pos or full beside lookback, unless train_flags have {_DISTANCE_BIASES}"
-            check(sees_distance, "mode", expected, self.mode)
+            check(self.mode in ("pos", "full"), "mode", "pos or full beside lookback", self.mode)
         if self.mirror is not None:
             check(self.lookback is None, "mirror", "none beside lookback", self.mirror)
             check(self.mirror >= 1, "mirror", "at least 1", self.mirror)
