@@ -1,6 +1,7 @@
 #include "loadtest/load_options.h"
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -8,8 +9,7 @@ namespace {
 
 absl::Status CheckRange(absl::string_view flag, int value, int least, int most) {
   if (value >= least && value <= most) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("--", flag, ": expected ", least, " to ", most, ", received ", value));
+  return InvalidArgument(absl::StrCat("--", flag), absl::StrCat(least, " to ", most), value);
 }
 
 }  // namespace
@@ -49,26 +49,22 @@ absl::Status LoadOptions::Validate() const {
   }
   RETURN_IF_ERROR(CheckRange("batch_size", batch_size, 0, kMany));
   if (!(observation_bound >= 0.0 && observation_bound <= 1e6)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--observation_bound: expected 0 to 1e6, received ", observation_bound));
+    return InvalidArgument("--observation_bound", "0 to 1e6", observation_bound);
   }
   if (!(rate >= 0.0 && rate <= 1e7)) {
-    return absl::InvalidArgumentError(absl::StrCat("--rate: expected 0 to 1e7, received ", rate));
+    return InvalidArgument("--rate", "0 to 1e7", rate);
   }
   if (pause_after_error < absl::ZeroDuration() || pause_after_error > absl::Hours(1)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--pause_after_error: expected 0 to 1h, received ",
-                     absl::FormatDuration(pause_after_error)));
+    return InvalidArgument("--pause_after_error", "0 to 1h",
+                           absl::FormatDuration(pause_after_error));
   }
   if (duration <= absl::ZeroDuration() || duration > absl::Hours(24)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--duration: expected more than 0 and at most 24h, received ",
-                     absl::FormatDuration(duration)));
+    return InvalidArgument("--duration", "more than 0 and at most 24h",
+                           absl::FormatDuration(duration));
   }
   if (call_timeout <= absl::ZeroDuration() || call_timeout > absl::Hours(1)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--call_timeout: expected more than 0 and at most 1h, received ",
-                     absl::FormatDuration(call_timeout)));
+    return InvalidArgument("--call_timeout", "more than 0 and at most 1h",
+                           absl::FormatDuration(call_timeout));
   }
   return absl::OkStatus();
 }

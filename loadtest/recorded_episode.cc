@@ -7,6 +7,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
@@ -41,7 +42,7 @@ absl::StatusOr<RecordedEpisode> ReadRecordedEpisode(const std::string& path) {
     episode.push_back(std::move(step));
   }
   if (!episode.empty()) return episode;
-  return absl::InvalidArgumentError(absl::StrCat(path, ": expected a line, received none"));
+  return InvalidArgument(path, "a line", "none");
 }
 
 }  // namespace spikeserve

@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/file.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 #include "core/model/policy_file.h"
@@ -30,14 +31,12 @@ struct CompareFlags {
 
 absl::Status CheckFlags(const CompareFlags& flags) {
   const auto missing = [](absl::string_view flag, absl::string_view expected) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--", flag, ": expected ", expected, ", received none"));
+    return InvalidArgument(absl::StrCat("--", flag), expected, "none");
   };
   if (flags.policy.empty()) return missing("policy", "a policy file");
   if (flags.data.empty()) return missing("data", "the datasets of its training");
   if (flags.validation >= 0.0 && flags.validation < 1.0) return flags.evaluation.Validate();
-  return absl::InvalidArgumentError(
-      absl::StrCat("--validation: expected 0 or more, below 1, received ", flags.validation));
+  return InvalidArgument("--validation", "0 or more, below 1", flags.validation);
 }
 
 absl::Status CheckFits(const Policy& policy, const Dataset& dataset) {
@@ -45,10 +44,10 @@ absl::Status CheckFits(const Policy& policy, const Dataset& dataset) {
       policy.action_space == dataset.action_space) {
     return absl::OkStatus();
   }
-  return absl::InvalidArgumentError(
-      absl::StrCat("--data: expected ", policy.observation_size(),
-                   " observations and the actions of the policy, received ",
-                   dataset.observation_size, " observations, or other actions"));
+  return InvalidArgument(
+      "--data",
+      absl::StrCat(policy.observation_size(), " observations and the actions of the policy"),
+      absl::StrCat(dataset.observation_size, " observations, or other actions"));
 }
 
 absl::Status ComparePolicy(const CompareFlags& flags) {

@@ -46,7 +46,7 @@ absl::StatusOr<Evaluation> Decide(const DecidedEpisodesFlags& flags,
 
 absl::StatusOr<std::shared_ptr<const Policy>> ReadRequiredPolicy(const std::string& path) {
   if (path.empty()) {
-    return absl::InvalidArgumentError("--policy: expected a policy file, received none");
+    return InvalidArgument("--policy", "a policy file", "none");
   }
   ASSIGN_OR_RETURN(Policy policy, ReadPolicyFile(path));
   return std::make_shared<const Policy>(std::move(policy));

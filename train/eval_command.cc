@@ -8,6 +8,7 @@
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/model/policy_file.h"
 #include "train/commands.h"
@@ -35,8 +36,7 @@ absl::StatusOr<std::vector<double>> ParseTargetReturns(const EvalFlags& flags) {
   for (const std::string& text : flags.target_returns) {
     double target = 0.0;
     if (!absl::SimpleAtod(text, &target) || !std::isfinite(target)) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("--target_returns: expected finite numbers, received \"", text, "\""));
+      return InvalidArgument("--target_returns", "finite numbers", absl::StrCat("\"", text, "\""));
     }
     targets.push_back(target);
   }
@@ -46,7 +46,7 @@ absl::StatusOr<std::vector<double>> ParseTargetReturns(const EvalFlags& flags) {
 // Reads --policy for the environment of --env, and switches off the parts of --ablate.
 absl::StatusOr<Policy> ReadPolicy(const EvalFlags& flags) {
   if (flags.policy.empty()) {
-    return absl::InvalidArgumentError("--policy: expected a policy file, received none");
+    return InvalidArgument("--policy", "a policy file", "none");
   }
   absl::StatusOr<Policy> policy = ReadPolicyFile(flags.policy);
   if (!policy.ok()) return policy;
@@ -64,8 +64,7 @@ void Print(const EvalFlags& flags, const nlohmann::ordered_json& json, const std
 // Plays the policy of --against and `policy` on the same starts.
 absl::Status Compare(const EvalFlags& flags, const Policy& policy) {
   if (!flags.target_returns.empty()) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--target_returns: expected none with --against, received ", flags.target_returns.front()));
+    return InvalidArgument("--target_returns", "none with --against", flags.target_returns.front());
   }
   ASSIGN_OR_RETURN(Policy other, ReadPolicyFile(flags.against));
   other.environment = policy.environment;

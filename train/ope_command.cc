@@ -151,12 +151,10 @@ ordered_json ToJson(const RecordedDecisions& decisions, const std::string& sha25
 absl::Status CheckConditions(const OffPolicyConditions& conditions) {
   const double temperature = conditions.temperature.value_or(1.0);
   if (!std::isfinite(temperature) || temperature <= 0.0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--temperature: expected a number above 0, received ", temperature));
+    return InvalidArgument("--temperature", "a number above 0", temperature);
   }
   if (const double target = conditions.target_return.value_or(0.0); !std::isfinite(target)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--target_return: expected a finite number, received ", target));
+    return InvalidArgument("--target_return", "a finite number", target);
   }
   return absl::OkStatus();
 }
@@ -166,7 +164,7 @@ absl::Status EvaluateOffline(const OpeFlags& flags) {
   ASSIGN_OR_RETURN(const auto policy, ReadRequiredPolicy(flags.policy));
   ASSIGN_OR_RETURN(const std::string sha256, FileSha256(flags.policy));
   if (flags.recordings.empty()) {
-    return absl::InvalidArgumentError("--recordings: expected a folder, received none");
+    return InvalidArgument("--recordings", "a folder", "none");
   }
   const auto recordings = ReadRecordings(flags.recordings, policy->environment);
   if (!recordings.ok()) return Annotate(recordings.status(), "--recordings");

@@ -44,20 +44,17 @@ struct QuantizeFlags {
 
 absl::Status CheckFlags(const QuantizeFlags& flags) {
   if (flags.policy.empty()) {
-    return absl::InvalidArgumentError("--policy: expected a policy file, received none");
+    return InvalidArgument("--policy", "a policy file", "none");
   }
   if (flags.out.empty()) {
-    return absl::InvalidArgumentError("--out: expected the file to write, received none");
+    return InvalidArgument("--out", "the file to write", "none");
   }
   const bool is_for_integer = flags.integer.mode.has_value() || !flags.data.empty() || flags.prune;
   if (is_for_integer && flags.to != Arithmetic::kInteger) {
-    return absl::InvalidArgumentError(
-        "--mode, --data, --prune: expected with --to=integer, received "
-        "--to=float32");
+    return InvalidArgument("--mode, --data, --prune", "with --to=integer", "--to=float32");
   }
   if (!(flags.max_loss >= 0.0 && flags.max_loss <= 1.0)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--max_loss: expected 0 to 1, received ", flags.max_loss));
+    return InvalidArgument("--max_loss", "0 to 1", flags.max_loss);
   }
   const absl::Status status = flags.options.Validate();
   return status.ok() ? status : NameFlag(status);
@@ -79,13 +76,13 @@ absl::StatusOr<std::vector<Episode>> CalibrationSet(const Policy& policy,
   if (data.empty()) {
     absl::StatusOr<std::vector<Episode>> played = PlayCalibrationEpisodes(policy);
     if (!absl::IsNotFound(played.status())) return played;
-    return absl::InvalidArgumentError(absl::StrCat("--data: expected recorded episodes of ",
-                                                   policy.environment, ", received none"));
+    return InvalidArgument("--data", absl::StrCat("recorded episodes of ", policy.environment),
+                           "none");
   }
   constexpr int64_t kMemory = int64_t{4} << 30;
   ASSIGN_OR_RETURN(const EpisodeSource source, EpisodeSource::Open(data, kMemory));
   if (!source.resident()) {
-    return absl::InvalidArgumentError("--data: expected at most 4 GiB of episodes, received more");
+    return InvalidArgument("--data", "at most 4 GiB of episodes", "more");
   }
   // The policy is asked for its own target, not for the returns that the recorded actor reached.
   std::vector<Episode> episodes = source.dataset().episodes;
@@ -97,7 +94,7 @@ absl::StatusOr<std::vector<Episode>> CalibrationSet(const Policy& policy,
 
 absl::StatusOr<Policy> RoundToInteger(const Policy& policy, const QuantizeFlags& flags) {
   if (flags.prune && policy.config.is_dense()) {
-    return absl::InvalidArgumentError("--prune: expected a mode with spikes, received dense");
+    return InvalidArgument("--prune", "a mode with spikes", "dense");
   }
   ASSIGN_OR_RETURN(const std::vector<Episode> episodes, CalibrationSet(policy, flags.data));
   const absl::StatusOr<float> largest = LargestInput(policy, episodes);
@@ -114,9 +111,9 @@ absl::StatusOr<Policy> RoundToInteger(const Policy& policy, const QuantizeFlags&
 absl::StatusOr<Policy> Round(const ConvertiblePolicy& parent, const QuantizeFlags& flags) {
   if (flags.to == Arithmetic::kFloat32) {
     if (parent.was_int8) return parent.policy;
-    return absl::InvalidArgumentError(
-        absl::StrCat("--to=float32: expected a policy in int8, received one in ",
-                     std::string(ToString(parent.policy.config.arithmetic))));
+    return InvalidArgument(
+        "--to=float32", "a policy in int8",
+        absl::StrCat("one in ", std::string(ToString(parent.policy.config.arithmetic))));
   }
   absl::StatusOr<Policy> rounded = RoundToInteger(parent.policy, flags);
   if (!rounded.ok()) return Annotate(rounded.status(), flags.policy);

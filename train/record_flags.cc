@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/model/policy_file.h"
 #include "train/evaluation/training_record.h"
@@ -61,7 +62,7 @@ absl::StatusOr<Dataset> RecordFromFlags(const RecordFlags& flags, const std::str
 
 absl::Status RequireOut(const std::string& out, absl::string_view what) {
   if (!out.empty()) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat("--out: expected ", what, ", received none"));
+  return InvalidArgument("--out", what, "none");
 }
 
 absl::Status NameFlag(const absl::Status& status) {

@@ -12,6 +12,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "core/base/file.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 
@@ -48,16 +49,14 @@ SeedSummary Summarise(const std::vector<SeedRun>& runs) {
 
 absl::StatusOr<std::vector<uint64_t>> ParseSeeds(const TrainFlags& flags) {
   if (flags.trainer.options.seed != 0) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--seed: expected no such flag beside --seeds, received ", flags.trainer.options.seed));
+    return InvalidArgument("--seed", "no such flag beside --seeds", flags.trainer.options.seed);
   }
   std::vector<uint64_t> seeds;
   for (const std::string& text : flags.seeds) {
     uint64_t seed = 0;
     if (!absl::SimpleAtoi(text, &seed) ||
         std::find(seeds.begin(), seeds.end(), seed) != seeds.end()) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("--seeds: expected different integers of at least 0, received ", text));
+      return InvalidArgument("--seeds", "different integers of at least 0", text);
     }
     seeds.push_back(seed);
   }
@@ -66,8 +65,9 @@ absl::StatusOr<std::vector<uint64_t>> ParseSeeds(const TrainFlags& flags) {
 
 absl::Status CheckPlayable(const std::string& environment) {
   if (MakeEnvironment(environment).ok()) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("--seeds: expected an environment that spiketrain plays, received ", environment,
+  return InvalidArgument(
+      "--seeds", "an environment that spiketrain plays",
+      absl::StrCat(environment,
                    "; `python -m spikeserve imitate --seeds` plays those of Gymnasium"));
 }
 

@@ -3,6 +3,7 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "train/commands.h"
 #include "train/record_flags.h"
@@ -18,8 +19,7 @@ constexpr char kRecording[] = "Recording, without --data";
 
 absl::Status CheckCount(absl::string_view flag, int value) {
   if (value >= 1) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("--", flag, ": expected at least 1, received ", value));
+  return InvalidArgument(absl::StrCat("--", flag), "at least 1", value);
 }
 
 absl::Status Train(const TrainFlags& flags, const std::string& command_line) {

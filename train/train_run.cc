@@ -152,8 +152,7 @@ absl::StatusOr<bool> ChangesOf(const TrainFlags& flags, const EpisodeSource& sou
                                const PatchShape& patches) {
   const std::optional<bool> flag = flags.shape.observation_changes;
   if (patches.used() && flag.value_or(false)) {
-    return absl::InvalidArgumentError(
-        "--observation_changes: expected false beside --patch_size, received true");
+    return InvalidArgument("--observation_changes", "false beside --patch_size", "true");
   }
   if (flag.has_value()) return *flag;
   if (patches.used() || source.dataset().observation_size > kMostBaselineInputs) return false;
@@ -173,8 +172,7 @@ absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const EpisodeSource& s
   }
   if (const auto scale = flags.return_scale; scale.has_value()) {
     if (!(*scale > 0.0) || !std::isfinite(*scale)) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("--return_scale: expected a number above 0, received ", *scale));
+      return InvalidArgument("--return_scale", "a number above 0", *scale);
     }
     policy.return_scale = static_cast<float>(*scale);
   }
@@ -190,27 +188,24 @@ absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const EpisodeSource& s
 absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const std::string& environment) {
   ASSIGN_OR_RETURN(Policy policy, ReadPolicyFile(flags.init));
   if (policy.config.arithmetic != Arithmetic::kFloat32) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--init: expected a policy in float32, received one in ",
-                     std::string(ToString(policy.config.arithmetic))));
+    return InvalidArgument(
+        "--init", "a policy in float32",
+        absl::StrCat("one in ", std::string(ToString(policy.config.arithmetic))));
   }
   RETURN_IF_ERROR(ContinueShape(flags.shape, &policy.config));
   if (flags.lookback.has_value()) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--lookback: expected no such flag beside --init, received ", *flags.lookback));
+    return InvalidArgument("--lookback", "no such flag beside --init", *flags.lookback);
   }
   if (flags.mirror.has_value()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--mirror: expected no such flag beside --init, received ", *flags.mirror));
+    return InvalidArgument("--mirror", "no such flag beside --init", *flags.mirror);
   }
   if (flags.activity_router) {
     return absl::InvalidArgumentError(
         "--activity_router: expected no such flag beside --init, but --freeze=routing.hidden");
   }
   if (policy.environment != environment) {
-    return absl::InvalidArgumentError(absl::StrCat("--init: expected a policy for ", environment,
-                                                   ", received one for \"", policy.environment,
-                                                   "\""));
+    return InvalidArgument("--init", absl::StrCat("a policy for ", environment),
+                           absl::StrCat("one for \"", policy.environment, "\""));
   }
   return policy;
 }
@@ -227,8 +222,7 @@ TargetSource TargetSourceOf(const TrainFlags& flags, const Policy& initial) {
 absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const EpisodeSource& source,
                                          const PatchShape& patches) {
   if (flags.target_return.has_value() && !std::isfinite(*flags.target_return)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--target_return: expected a finite number, received ", *flags.target_return));
+    return InvalidArgument("--target_return", "a finite number", *flags.target_return);
   }
   absl::StatusOr<Policy> policy = flags.init.empty()
                                       ? NewPolicy(flags, source, patches)
@@ -239,21 +233,22 @@ absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const EpisodeS
   }
   const Arithmetic arithmetic = flags.trainer.options.arithmetic;
   if (arithmetic == Arithmetic::kInteger && policy->config.is_dense()) {
-    return absl::InvalidArgumentError(
-        "--arithmetic=integer: expected a mode with spikes, received dense; `spiketrain quantize "
-        "--to=integer` converts a trained dense policy");
+    return InvalidArgument(
+        "--arithmetic=integer", "a mode with spikes",
+        "dense; `spiketrain quantize --to=integer` converts a trained dense policy");
   }
   if (flags.trainer.options.norm == NormTraining::kFade &&
       (policy->config.is_dense() || !policy->config.has_norms())) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--norm: expected layer ",
-                     policy->config.is_dense() ? "in mode dense" : "for a policy without norms",
-                     ", received fade"));
+    return InvalidArgument(
+        "--norm",
+        absl::StrCat("layer ",
+                     policy->config.is_dense() ? "in mode dense" : "for a policy without norms"),
+        "fade");
   }
   if (arithmetic == Arithmetic::kInteger && !policy->config.has_norms()) {
-    return absl::InvalidArgumentError(
-        "--arithmetic=integer: expected a policy with norms, received one without; `spiketrain "
-        "quantize --to=integer` converts a trained one");
+    return InvalidArgument(
+        "--arithmetic=integer", "a policy with norms",
+        "one without; `spiketrain quantize --to=integer` converts a trained one");
   }
   const absl::Status rounded = RoundTo(arithmetic, *policy).status();
   if (!rounded.ok()) return Annotate(rounded, ArithmeticFlag(flags));
@@ -371,9 +366,8 @@ absl::Status CheckDelay(DelayRange delay, const EpisodeSource& source) {
   int longest = 0;
   for (const EpisodeEntry& entry : source.entries()) longest = std::max(longest, entry.steps);
   if (delay.most < longest) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("--delay: expected fewer steps than the longest episode has, ", longest,
-                   ", received ", delay.most));
+  return InvalidArgument(
+      "--delay", absl::StrCat("fewer steps than the longest episode has, ", longest), delay.most);
 }
 
 std::string SpaceText(const ActionSpace& space) {
@@ -390,14 +384,16 @@ absl::Status CheckEnvironment(const Dataset& dataset) {
   if (!made.ok()) return absl::OkStatus();  // one of another program
   const Environment& environment = **made;
   if (environment.observation_size() != dataset.observation_size) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--data: expected observations of ", environment.observation_size(), " numbers, as ",
-        dataset.environment, " has, received ", dataset.observation_size));
+    return InvalidArgument("--data",
+                           absl::StrCat("observations of ", environment.observation_size(),
+                                        " numbers, as ", dataset.environment, " has"),
+                           dataset.observation_size);
   }
   if (environment.action_space() == dataset.action_space) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      "--data: expected the action space ", SpaceText(environment.action_space()), ", as ",
-      dataset.environment, " has, received ", SpaceText(dataset.action_space)));
+  return InvalidArgument("--data",
+                         absl::StrCat("the action space ", SpaceText(environment.action_space()),
+                                      ", as ", dataset.environment, " has"),
+                         SpaceText(dataset.action_space));
 }
 
 }  // namespace
@@ -412,9 +408,11 @@ absl::Status CheckOut(const TrainFlags& flags) {
   const bool has_checkpoint = std::filesystem::exists(checkpoint);
   if (has_checkpoint && flags.resume) return absl::OkStatus();
   if (!has_checkpoint && !std::filesystem::exists(policy)) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      "--out: expected another directory, ", has_checkpoint ? "--resume to continue the run, " : "",
-      "or --overwrite to replace it, received one with ", has_checkpoint ? checkpoint : policy));
+  return InvalidArgument(
+      "--out",
+      absl::StrCat("another directory, ", has_checkpoint ? "--resume to continue the run, " : "",
+                   "or --overwrite to replace it"),
+      absl::StrCat("one with ", has_checkpoint ? checkpoint : policy));
 }
 
 // Reads the files of --data, or without that flag records data with the default recipe.
@@ -433,8 +431,7 @@ absl::StatusOr<EpisodeSource> MakeSource(const TrainFlags& flags) {
   const std::string expected = source->dataset().environment;
   const std::string environment = flags.env.value_or(expected);
   if (environment != expected) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--env: expected ", expected, " as in --data, received ", environment));
+    return InvalidArgument("--env", absl::StrCat(expected, " as in --data"), environment);
   }
   RETURN_IF_ERROR(CheckEnvironment(source->dataset()));
   return source;

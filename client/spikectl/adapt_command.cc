@@ -16,6 +16,7 @@
 #include "client/spikectl/commands.h"
 #include "client/spikectl/policy_choice.h"
 #include "client/spikectl/session_flags.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "nlohmann/json.hpp"
 
@@ -46,8 +47,7 @@ absl::StatusOr<AdaptationOptions> MakeOptions(const AdaptFlags& flags) {
   options.episodes = flags.episodes;
   options.seed = flags.agent.seed;
   if (options.episodes < 1) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--episodes: expected at least 1, received ", options.episodes));
+    return InvalidArgument("--episodes", "at least 1", options.episodes);
   }
   if (!flags.perturb.empty()) {
     auto perturbation = ParsePerturbation(flags.perturb);
@@ -60,8 +60,7 @@ absl::StatusOr<AdaptationOptions> MakeOptions(const AdaptFlags& flags) {
   if (flags.scope == Scope::kSession) return options;
   options.sessions = flags.fleet;
   if (options.sessions < 1 || options.sessions > 1000) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--fleet: expected 1 to 1000, received ", options.sessions));
+    return InvalidArgument("--fleet", "1 to 1000", options.sessions);
   }
   return options;
 }
@@ -111,8 +110,7 @@ absl::Status RunAdaptation(const AdaptFlags& flags, const ServerFlags& server) {
   options.temperature =
       flags.temperature.value_or(discrete ? kDiscreteTemperature : kContinuousTemperature);
   if (!(options.temperature > 0.0 && std::isfinite(options.temperature))) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--temperature: expected a finite number above 0, received ", options.temperature));
+    return InvalidArgument("--temperature", "a finite number above 0", options.temperature);
   }
   const ActionSelection sampled = {.sample = true,
                                    .temperature = static_cast<float>(options.temperature)};

@@ -15,6 +15,7 @@
 #include "client/spikectl/admin_call.h"
 #include "client/spikectl/commands.h"
 #include "client/spikectl/traffic_report.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "proto/json.h"
 
@@ -93,8 +94,7 @@ absl::StatusOr<v1::TrafficShare> ParseShare(absl::string_view text) {
   int32_t percent = 0;
   if (parts.size() != 2 || !absl::SimpleAtoi(parts[0], &version) ||
       !absl::SimpleAtoi(parts[1], &percent)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--shares: expected VERSION:PERCENT, received \"", text, "\""));
+    return InvalidArgument("--shares", "VERSION:PERCENT", absl::StrCat("\"", text, "\""));
   }
   v1::TrafficShare share;
   share.set_version(version);
@@ -129,9 +129,9 @@ absl::StatusOr<Answer> DescribeTraffic(const AdminFlags& flags,
 // Changes only what a flag names.
 absl::StatusOr<Answer> Traffic(const AdminFlags& flags) {
   if (flags.shares.empty() && !flags.shadow.has_value()) {
-    return absl::InvalidArgumentError(
-        "--shares: expected shares, none, or --shadow instead, received neither; --shares=none "
-        "gives all sessions to the default version, --shadow=0 removes the shadow");
+    return InvalidArgument("--shares", "shares, none, or --shadow instead",
+                           "neither; --shares=none gives all sessions to the default version, "
+                           "--shadow=0 removes the shadow");
   }
   ASSIGN_OR_RETURN(const auto shares, ParseShares(flags.shares));
   const auto fill = [&](auto request) {
@@ -437,7 +437,7 @@ constexpr OldName kOldNames[] = {
 
 absl::Status RunAction(const AdminAction& action, const AdminFlags& flags) {
   if (action.needs_policy && flags.policy.empty()) {
-    return absl::InvalidArgumentError("--policy: expected a name, received none");
+    return InvalidArgument("--policy", "a name", "none");
   }
   return OnEveryServer(*flags.server, [&](const ServerFlags& server) {
     AdminFlags of_server = flags;

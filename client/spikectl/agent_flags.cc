@@ -2,7 +2,6 @@
 
 #include <cmath>
 
-#include "absl/strings/str_cat.h"
 #include "client/spikectl/policy_choice.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
@@ -27,12 +26,10 @@ void AddTargetReturn(FlagGroup& group, AgentFlags* flags) {
 
 absl::StatusOr<std::unique_ptr<Environment>> MakeAgentEnvironment(const AgentFlags& flags) {
   if (flags.policy.version < 0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--version: expected at least 0, received ", flags.policy.version));
+    return InvalidArgument("--version", "at least 0", flags.policy.version);
   }
   if (flags.target_return.has_value() && !std::isfinite(*flags.target_return)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--target_return: expected a finite number, received ", *flags.target_return));
+    return InvalidArgument("--target_return", "a finite number", *flags.target_return);
   }
   auto environment = MakeEnvironment(flags.env);
   if (!environment.ok()) return Annotate(environment.status(), "--env");

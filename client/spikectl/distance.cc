@@ -2,24 +2,21 @@
 
 #include <utility>
 
-#include "absl/strings/str_cat.h"
 #include "core/action/action_space.h"
+#include "core/base/status.h"
 #include "core/math/counter_random.h"
 
 namespace spikeserve {
 
 absl::Status Distance::Validate() const {
   if (delay < 0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--delay: expected at least 0 steps, received ", delay));
+    return InvalidArgument("--delay", "at least 0 steps", delay);
   }
   if (jitter < 0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--jitter: expected at least 0 steps, received ", jitter));
+    return InvalidArgument("--jitter", "at least 0 steps", jitter);
   }
   if (!(loss >= 0.0 && loss < 1.0)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--loss: expected 0 to less than 1, received ", loss));
+    return InvalidArgument("--loss", "0 to less than 1", loss);
   }
   return absl::OkStatus();
 }

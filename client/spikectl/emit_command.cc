@@ -73,13 +73,9 @@ absl::Status WriteModule(const EmitFlags& flags, const EmitOptions& options) {
 }
 
 absl::Status Run(const EmitFlags& flags, bool json) {
-  if (flags.policy.empty())
-    return absl::InvalidArgumentError("--policy: expected a policy file, received none");
-  if (flags.out.empty())
-    return absl::InvalidArgumentError("--out: expected a folder, received none");
-  if (flags.ram < 0)
-    return absl::InvalidArgumentError(
-        absl::StrCat("--ram: expected at least 0, received ", flags.ram));
+  if (flags.policy.empty()) return InvalidArgument("--policy", "a policy file", "none");
+  if (flags.out.empty()) return InvalidArgument("--out", "a folder", "none");
+  if (flags.ram < 0) return InvalidArgument("--ram", "at least 0", flags.ram);
   ASSIGN_OR_RETURN(const std::string bytes, ReadFile(flags.policy));
   EmitOptions options = Identify(flags.policy);
   options.most_state = flags.ram;

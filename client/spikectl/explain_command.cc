@@ -3,11 +3,11 @@
 #include <memory>
 #include <string>
 
-#include "absl/strings/str_cat.h"
 #include "client/spikectl/agent.h"
 #include "client/spikectl/agent_flags.h"
 #include "client/spikectl/commands.h"
 #include "client/spikectl/explain_report.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "proto/json.h"
 
@@ -48,8 +48,7 @@ v1::PolicyInfo PolicyOf(const v1::ExplainResponse& explained, Client& client) {
 
 absl::Status Explain(const ExplainFlags& flags, const ServerFlags& server) {
   if (flags.steps < 1) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--steps: expected at least 1, received ", flags.steps));
+    return InvalidArgument("--steps", "at least 1", flags.steps);
   }
   ASSIGN_OR_RETURN(const auto environment, MakeAgentEnvironment(flags.agent));
   ASSIGN_OR_RETURN(const auto client, Connect(server));

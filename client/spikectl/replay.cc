@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/types/span.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "spikeserve/remote_session.h"
@@ -160,25 +161,23 @@ absl::Status CheckReplayable(const std::vector<Dataset>& recording) {
   for (size_t i = 0; i < recording.size(); ++i) {
     const std::vector<Episode>& episodes = recording[i].episodes;
     if (episodes.size() != 1 || !episodes[0].served.has_value()) {
-      return absl::InvalidArgumentError(
-          "recording: expected episodes that a server recorded, received a dataset of another "
-          "kind");
+      return InvalidArgument("recording", "episodes that a server recorded",
+                             "a dataset of another kind");
     }
     const ServedEpisode& served = *episodes[0].served;
     const ServedEpisode& first = ServedOf(recording[0]);
     if (served.learning) {
-      return absl::InvalidArgumentError(
-          "recording: expected a session with the policy's head, received one that learned");
+      return InvalidArgument("recording", "a session with the policy's head", "one that learned");
     }
     if (served.policy != first.policy || served.version != first.version ||
         served.seed != first.seed ||
         (i > 0 && served.episode <= ServedOf(recording[i - 1]).episode)) {
-      return absl::InvalidArgumentError(
-          "recording: expected one session, received several; name the directory of one");
+      return InvalidArgument("recording", "one session", "several; name the directory of one");
     }
     if (served.temperature.has_value() && served.episode != static_cast<int64_t>(i)) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("recording: expected episode ", i, ", received episode ", served.episode,
+      return InvalidArgument(
+          "recording", absl::StrCat("episode ", i),
+          absl::StrCat("episode ", served.episode,
                        "; a session that draws its actions is replayed from its first episode"));
     }
   }

@@ -40,7 +40,7 @@ nlohmann::ordered_json ToJson(const std::string& recording, const ReplayResult& 
 
 absl::Status ReplayRecording(const ReplayFlags& flags, const ServerFlags& server) {
   if (flags.recording.empty()) {
-    return absl::InvalidArgumentError("--recording: expected a directory or a file, received none");
+    return InvalidArgument("--recording", "a directory or a file", "none");
   }
   const auto episodes = ReadRecordings(flags.recording);
   if (!episodes.ok()) return Annotate(episodes.status(), "--recording");

@@ -52,8 +52,8 @@ absl::StatusOr<v1::StartRolloutRequest> StartRequest(const AdminFlags& flags) {
   for (const std::string& text : flags.steps) {
     int32_t percent = 0;
     if (!absl::SimpleAtoi(absl::StripSuffix(text, "%"), &percent)) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "--steps: expected percentages such as 1,10,50,100, received \"", text, "\""));
+      return InvalidArgument("--steps", "percentages such as 1,10,50,100",
+                             absl::StrCat("\"", text, "\""));
     }
     request.add_steps(percent);
   }

@@ -12,6 +12,7 @@
 #include "client/spikectl/commands.h"
 #include "client/spikectl/distance.h"
 #include "client/spikectl/run_report.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -69,12 +70,10 @@ absl::Status Stopped(const absl::Status& error, size_t ended, int wanted) {
 
 absl::Status Run(const RunFlags& flags, const ServerFlags& server) {
   if (flags.episodes < 1) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--episodes: expected at least 1, received ", flags.episodes));
+    return InvalidArgument("--episodes", "at least 1", flags.episodes);
   }
   if (!std::isfinite(flags.play.rate) || flags.play.rate < 0.0) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--rate: expected decisions a second of at least 0, received ", flags.play.rate));
+    return InvalidArgument("--rate", "decisions a second of at least 0", flags.play.rate);
   }
   RETURN_IF_ERROR(flags.play.distance.Validate());
   ASSIGN_OR_RETURN(const auto environment, MakeAgentEnvironment(flags.agent));

@@ -6,6 +6,7 @@
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "core/base/file.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/learning/learning_request.h"
 #include "nlohmann/json.hpp"
@@ -130,8 +131,7 @@ absl::Status AddLabels(absl::string_view flag, const std::vector<std::string>& t
   for (const std::string& text : texts) {
     const std::vector<std::string> parts = absl::StrSplit(text, absl::MaxSplits('=', 1));
     if (parts.size() != 2) {
-      return absl::InvalidArgumentError(
-          absl::StrCat(flag, ": expected KEY=VALUE, received \"", text, "\""));
+      return InvalidArgument(flag, "KEY=VALUE", absl::StrCat("\"", text, "\""));
     }
     (*labels)[parts[0]] = parts[1];
   }
@@ -140,12 +140,10 @@ absl::Status AddLabels(absl::string_view flag, const std::vector<std::string>& t
 
 absl::Status FillRequest(const SessionFlags& flags, v1::OpenSessionRequest* request) {
   if (!flags.learn && AnySet(flags.learning)) {
-    return absl::InvalidArgumentError(
-        "--learn: expected session or fleet with flags of the learning, received none");
+    return InvalidArgument("--learn", "session or fleet with flags of the learning", "none");
   }
   if (flags.temperature && !flags.sample) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--temperature: expected --sample with it, received ", *flags.temperature));
+    return InvalidArgument("--temperature", "--sample with it", *flags.temperature);
   }
   if (flags.learn) *request->mutable_learning() = ToProto(*flags.learn, flags.learning);
   if (flags.sample) request->set_action_selection(v1::SAMPLE);

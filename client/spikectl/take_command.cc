@@ -14,6 +14,7 @@
 #include "absl/time/clock.h"
 #include "client/spikectl/commands.h"
 #include "client/spikectl/operator_servers.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -134,7 +135,7 @@ absl::Status Steer(const TakeFlags& flags, const v1::TakeControlResponse& taken,
 
 absl::Status Take(const TakeFlags& flags) {
   if (flags.session.empty()) {
-    return absl::InvalidArgumentError("--session: expected the id of a session, received none");
+    return InvalidArgument("--session", "the id of a session", "none");
   }
   OperatorServers servers(*flags.server);
   v1::TakeControlRequest request;

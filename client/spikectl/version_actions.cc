@@ -9,6 +9,7 @@
 #include "client/spikectl/admin_actions.h"
 #include "client/spikectl/traffic_report.h"
 #include "core/base/file.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/digest/sha256.h"
 #include "core/model/safetensors.h"
@@ -23,7 +24,7 @@ constexpr auto kMostFileBytes = static_cast<int64_t>(kMaxSafetensorsFileBytes);
 
 absl::Status CheckFile(const AdminFlags& flags) {
   if (!flags.file.empty()) return absl::OkStatus();
-  return absl::InvalidArgumentError("--file: expected a policy file, received none");
+  return InvalidArgument("--file", "a policy file", "none");
 }
 
 std::string SignatureFile(const AdminFlags& flags) {

@@ -4,10 +4,10 @@
 #include <functional>
 #include <vector>
 
-#include "absl/status/status.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "core/base/status.h"
 #include "core/environment/classic_tasks.h"
 
 namespace spikeserve {
@@ -32,9 +32,8 @@ absl::StatusOr<std::unique_ptr<Environment>> Make(absl::string_view id,
   }
   const std::string names = absl::StrJoin(
       changes, ", ", [](std::string* out, const auto& change) { out->append(change.name); });
-  return absl::InvalidArgumentError(absl::StrCat("perturb: expected one of ", names, " for ",
-                                                 std::string(id), ", received \"",
-                                                 perturbation.name, "\""));
+  return InvalidArgument("perturb", absl::StrCat("one of ", names, " for ", std::string(id)),
+                         absl::StrCat("\"", perturbation.name, "\""));
 }
 
 const std::vector<Change<CartPoleParameters>>& CartPoleChanges() {
@@ -93,8 +92,8 @@ absl::StatusOr<Perturbation> ParsePerturbation(absl::string_view text) {
   Perturbation perturbation = {.name = std::string(text.substr(0, equals))};
   const std::string value(equals == text.npos ? "" : text.substr(equals + 1));
   if (!absl::SimpleAtod(value, &perturbation.value) || !std::isfinite(perturbation.value)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "perturb: expected NAME=VALUE with a finite number, received \"", std::string(text), "\""));
+    return InvalidArgument("perturb", "NAME=VALUE with a finite number",
+                           absl::StrCat("\"", std::string(text), "\""));
   }
   return perturbation;
 }
@@ -103,8 +102,8 @@ absl::StatusOr<std::unique_ptr<Environment>> MakePerturbedEnvironment(
     absl::string_view id, const Perturbation& perturbation) {
   const bool is_size = perturbation.name == "length" || perturbation.name == "mass";
   if (is_size && perturbation.value <= 0.0) {
-    return absl::InvalidArgumentError(absl::StrCat("perturb: expected a ", perturbation.name,
-                                                   " above 0, received ", perturbation.value));
+    return InvalidArgument("perturb", absl::StrCat("a ", perturbation.name, " above 0"),
+                           perturbation.value);
   }
   if (id == kCartPoleId) return Make<MakeCartPole>(id, perturbation, CartPoleChanges());
   if (id == kMountainCarId) return Make<MakeMountainCar>(id, perturbation, MountainCarChanges());

@@ -20,6 +20,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/string_view.h"
 #include "core/action/action_head.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/environment.h"
@@ -56,9 +57,8 @@ absl::StatusOr<Policy> ReadPlayablePolicy(const std::string& path) {
   ASSIGN_OR_RETURN(const auto environment, MakeEnvironmentOf(*policy));
   const int expected = environment->observation_size();
   if (policy->observation_size() == expected) return policy;
-  return absl::InvalidArgumentError(absl::StrCat("--policy: expected observations of ", expected,
-                                                 " elements, received ",
-                                                 policy->observation_size()));
+  return InvalidArgument("--policy", absl::StrCat("observations of ", expected, " elements"),
+                         policy->observation_size());
 }
 
 absl::StatusOr<Policy> GivenPolicy(const Flags& flags) {

@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "server/base/log.h"
 #include "server/base/retry_delay.h"
@@ -40,8 +41,7 @@ constexpr double kAlertRatio = 0.8;
 absl::Status CheckBudgetLimits(const UsageBudgets& budgets) {
   const auto check = [](absl::string_view field, double limit) {
     if (std::isfinite(limit) && limit >= 0.0) return absl::OkStatus();
-    return absl::InvalidArgumentError(
-        absl::StrCat("budgets.", field, ": expected a number of at least 0, received ", limit));
+    return InvalidArgument(absl::StrCat("budgets.", field), "a number of at least 0", limit);
   };
   RETURN_IF_ERROR(check("decisions", budgets.decisions));
   RETURN_IF_ERROR(check("contributions", budgets.contributions));
@@ -58,14 +58,12 @@ absl::StatusOr<UsageField> FieldOfJoules(absl::string_view model) {
   for (const UsageField field : kJoulesFields) {
     if (ToString(field) == model) return field;
   }
-  return absl::InvalidArgumentError(absl::StrCat(
-      "budgets.joules: expected horowitz_45nm, int_45nm or int_sram_45nm, received ", model));
+  return InvalidArgument("budgets.joules", "horowitz_45nm, int_45nm or int_sram_45nm", model);
 }
 
 absl::Status TenantLimits::Validate() const {
   const auto refuse = [](const char* field, auto received) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected a number of at least 0, received ", received));
+    return InvalidArgument(field, "a number of at least 0", received);
   };
   if (max_sessions.value_or(0) < 0) return refuse("max_sessions", *max_sessions);
   if (!std::isfinite(decisions_per_second) || decisions_per_second < 0.0) {

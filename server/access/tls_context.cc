@@ -14,6 +14,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "core/base/file.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -45,8 +46,7 @@ absl::Status NotPem(const char* flag, const std::string& path, const char* expec
   if (access(path.c_str(), R_OK) != 0) {
     return absl::ErrnoToStatus(errno, absl::StrCat(flag, ": cannot read ", path));
   }
-  return absl::InvalidArgumentError(
-      absl::StrCat(flag, ": expected ", expected, " in PEM form, received ", path));
+  return InvalidArgument(flag, absl::StrCat(expected, " in PEM form"), path);
 }
 
 // Returns INVALID_ARGUMENT, which names flag and file, if a file has another content than expected
@@ -74,8 +74,7 @@ absl::StatusOr<std::shared_ptr<ssl_ctx_st>> MakeContext(const TlsFiles& files, P
   }
   if (!is_key || SSL_CTX_check_private_key(context.get()) != 1) {
     ERR_clear_error();
-    return absl::InvalidArgumentError(absl::StrCat("--tls_key: expected the key of ",
-                                                   files.certificate, ", received ", files.key));
+    return InvalidArgument("--tls_key", absl::StrCat("the key of ", files.certificate), files.key);
   }
   if (files.client_ca.empty()) return context;
   auto* names = SSL_load_client_CA_file(files.client_ca.c_str());
@@ -119,14 +118,14 @@ CertificateTimes TimesOf(SSL_CTX* context) {
 
 absl::Status TlsFiles::Validate() const {
   if (certificate.empty() != key.empty()) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        certificate.empty() ? "--tls_certificate" : "--tls_key", ": expected a file together with ",
-        certificate.empty() ? "--tls_key" : "--tls_certificate", ", received none"));
+    return InvalidArgument(certificate.empty() ? "--tls_certificate" : "--tls_key",
+                           absl::StrCat("a file together with ",
+                                        certificate.empty() ? "--tls_key" : "--tls_certificate"),
+                           "none");
   }
   if (!client_ca.empty() && !enabled()) {
-    return absl::InvalidArgumentError(
-        "--tls_client_ca: expected it together with --tls_certificate and --tls_key, received "
-        "neither of these");
+    return InvalidArgument("--tls_client_ca", "it together with --tls_certificate and --tls_key",
+                           "neither of these");
   }
   return absl::OkStatus();
 }
@@ -162,10 +161,10 @@ absl::StatusOr<bool> TlsContext::Reload() {
   const CertificateTimes times = TimesOf(context.get());
   absl::MutexLock lock(&mutex_);
   if (context_ != nullptr && TimesOf(context_.get()).valid_at(now) && !times.valid_at(now)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--tls_certificate: expected a certificate that is valid now, received ",
-        files_.certificate, ", valid from ", absl::FormatTime(times.begin, absl::UTCTimeZone()),
-        " to ", absl::FormatTime(times.end, absl::UTCTimeZone())));
+    return InvalidArgument("--tls_certificate", "a certificate that is valid now",
+                           absl::StrCat(files_.certificate, ", valid from ",
+                                        absl::FormatTime(times.begin, absl::UTCTimeZone()), " to ",
+                                        absl::FormatTime(times.end, absl::UTCTimeZone())));
   }
   context_ = std::move(context);
   contents_ = std::move(contents);

@@ -9,6 +9,7 @@
 #include "core/base/hex.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/digest/sha256.h"
 
@@ -21,8 +22,8 @@ absl::StatusOr<Digest> ParseDigest(absl::string_view field, const std::string& t
   Digest digest = {};
   const std::optional<std::string> bytes = ParseHex(text);
   if (!bytes.has_value() || bytes->size() != digest.size()) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        field, ".sha256: expected 64 hexadecimal digits, received ", text.size(), " characters"));
+    return InvalidArgument(absl::StrCat(field, ".sha256"), "64 hexadecimal digits",
+                           absl::StrCat(text.size(), " characters"));
   }
   std::copy(bytes->begin(), bytes->end(), digest.begin());
   return digest;
@@ -32,8 +33,8 @@ absl::StatusOr<absl::Time> ParseExpiry(absl::string_view field, const std::strin
   absl::Time expires;
   std::string error;
   if (absl::ParseTime(absl::RFC3339_full, text, &expires, &error)) return expires;
-  return absl::InvalidArgumentError(absl::StrCat(
-      field, ".expires: expected a time such as 2027-01-31T00:00:00Z, received ", Quoted(text)));
+  return InvalidArgument(absl::StrCat(field, ".expires"), "a time such as 2027-01-31T00:00:00Z",
+                         Quoted(text));
 }
 
 // The sessions that a token may read: those of its tenant, or those of all tenants.
@@ -105,8 +106,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, TokenEntry* ent
   }
   entry->sees_all = sees == Sees::kAll;
   if (entry->sees_all && entry->role == Role::kAgent) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ".sees: expected tenant for an agent, received \"all\""));
+    return InvalidArgument(absl::StrCat(field, ".sees"), "tenant for an agent", "\"all\"");
   }
   return absl::OkStatus();
 }
@@ -121,18 +121,18 @@ absl::StatusOr<TokenFile> ParseTokenFile(absl::string_view text) {
   object.Optional("tokens", &file.tokens);
   RETURN_IF_ERROR(object.Finish());
   if (file.tenants.contains("")) {
-    return absl::InvalidArgumentError("tenants: expected names, received an empty one");
+    return InvalidArgument("tenants", "names", "an empty one");
   }
   std::set<Digest> seen;
   for (size_t i = 0; i < file.tokens.size(); ++i) {
     const TokenEntry& entry = file.tokens[i];
     if (!file.tenants.contains(entry.tenant)) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "tokens[", i, "].tenant: expected one of `tenants`, received ", Quoted(entry.tenant)));
+      return InvalidArgument(absl::StrCat("tokens[", i, "].tenant"), "one of `tenants`",
+                             Quoted(entry.tenant));
     }
     if (!seen.insert(entry.sha256).second) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("tokens[", i, "].sha256: expected each hash once, received a duplicate"));
+      return InvalidArgument(absl::StrCat("tokens[", i, "].sha256"), "each hash once",
+                             "a duplicate");
     }
   }
   return file;

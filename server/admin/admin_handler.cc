@@ -150,9 +150,9 @@ absl::Status AdminHandler::SetDefaultVersion(CallContext& /*context*/,
 absl::Status AdminHandler::SetLabel(CallContext& /*context*/, const v1::SetLabelRequest& request,
                                     v1::SetLabelResponse* response) const {
   if (!IsPlainName(request.label())) {
-    return absl::InvalidArgumentError(absl::StrCat("label: expected at most ", kLongestName,
-                                                   " letters, digits, '.', '-', '_', received ",
-                                                   Quoted(request.label())));
+    return InvalidArgument(
+        "label", absl::StrCat("at most ", kLongestName, " letters, digits, '.', '-', '_'"),
+        Quoted(request.label()));
   }
   const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
     RETURN_IF_ERROR(served.CheckVersion({request.policy(), request.version()}));
@@ -219,8 +219,7 @@ absl::Status AdminHandler::SetShadow(CallContext& /*context*/, const v1::SetShad
 absl::Status AdminHandler::ListHistory(CallContext& context, const v1::ListHistoryRequest& request,
                                        v1::ListHistoryResponse* response) const {
   if (request.limit() < 0 || request.limit() > kLargestPageSize) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("limit: expected 0 to ", kLargestPageSize, ", received ", request.limit()));
+    return InvalidArgument("limit", absl::StrCat("0 to ", kLargestPageSize), request.limit());
   }
   const int32_t limit = request.limit() == 0 ? kDefaultPageSize : request.limit();
   const auto wanted = [&](const AuditEntry& entry) {
@@ -246,8 +245,8 @@ absl::Status AdminHandler::ListSessions(CallContext& context,
                                         const v1::ListSessionsRequest& request,
                                         v1::ListSessionsResponse* response) const {
   if (request.page_size() < 0 || request.page_size() > kLargestPageSize) {
-    return absl::InvalidArgumentError(absl::StrCat("page_size: expected 0 to ", kLargestPageSize,
-                                                   ", received ", request.page_size()));
+    return InvalidArgument("page_size", absl::StrCat("0 to ", kLargestPageSize),
+                           request.page_size());
   }
   int64_t open = 0;
   int64_t open_stored = 0;

@@ -9,6 +9,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/clock.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/journal/journal_entry.h"
 #include "core/session/session_id.h"
@@ -44,8 +45,7 @@ absl::StatusOr<SessionSelection> SelectionFromProto(const v1::SessionSelection& 
   if (!proto.tenant().empty()) selection.tenant = proto.tenant();
   const bool is_empty = selection == SessionSelection();
   if (is_empty && !proto.all()) {
-    return absl::InvalidArgumentError(
-        "selection: expected a condition, or all for every session, received neither");
+    return InvalidArgument("selection", "a condition, or all for every session", "neither");
   }
   if (!selection.tenant.has_value() && !caller.CanReadAll()) {
     selection.tenant = caller.tenant()->name();
@@ -68,12 +68,11 @@ absl::StatusOr<SessionHold> HoldFromProto(const v1::HoldSessionsRequest& request
     ASSIGN_OR_RETURN(hold.hold.id, NewSessionId());
   }
   if (!IsPlainName(hold.hold.id)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "id: expected letters, digits, '.', '-', '_', received ", Quoted(request.id())));
+    return InvalidArgument("id", "letters, digits, '.', '-', '_'", Quoted(request.id()));
   }
   if (request.reason().size() > kLongestReason) {
-    return absl::InvalidArgumentError(absl::StrCat("reason: expected at most ", kLongestReason,
-                                                   " bytes, received ", request.reason().size()));
+    return InvalidArgument("reason", absl::StrCat("at most ", kLongestReason, " bytes"),
+                           request.reason().size());
   }
   ASSIGN_OR_RETURN(hold.selection, SelectionFromProto(request.selection(), caller));
   return hold;
@@ -231,8 +230,7 @@ absl::Status AdminHandler::ResumeSessions(CallContext& context,
 absl::Status AdminHandler::ListHolds(CallContext& context, const v1::ListHoldsRequest& request,
                                      v1::ListHoldsResponse* response) const {
   if (request.page_size() < 0 || request.page_size() > kLargestPage) {
-    return absl::InvalidArgumentError(absl::StrCat("page_size: expected 0 to ", kLargestPage,
-                                                   ", received ", request.page_size()));
+    return InvalidArgument("page_size", absl::StrCat("0 to ", kLargestPage), request.page_size());
   }
   const Credential& caller = *context.caller;
   std::vector<const SessionHold*> holds;

@@ -4,6 +4,7 @@
 #include "absl/synchronization/mutex.h"
 #include "core/action/action_space.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/session/session_id.h"
 #include "server/admin/admin_handler.h"
@@ -21,11 +22,10 @@ constexpr double kLongestLease = 60.0;
 absl::StatusOr<Action> ActionFromProto(const v1::Action& proto, const ActionSpace& space) {
   if (proto.has_discrete() != space.is_discrete() ||
       proto.has_continuous() == space.is_discrete()) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "action: expected ", space.is_discrete() ? "discrete" : "continuous", ", received ",
-        proto.has_discrete()     ? "discrete"
-        : proto.has_continuous() ? "continuous"
-                                 : "neither"));
+    return InvalidArgument("action", space.is_discrete() ? "discrete" : "continuous",
+                           proto.has_discrete()     ? "discrete"
+                           : proto.has_continuous() ? "continuous"
+                                                    : "neither");
   }
   const auto& values = proto.continuous().values();
   Action action = {.discrete = static_cast<int>(proto.discrete()),
@@ -43,21 +43,18 @@ absl::StatusOr<Seat> SeatFromProto(const v1::TakeControlRequest& request,
       .lease_seconds = request.lease_seconds() == 0.0 ? kDefaultLease : request.lease_seconds(),
       .action = {}};
   if (seat.operator_id.empty() || seat.operator_id.size() > kLongestOperatorId) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("operator_id: expected 1 to ", kLongestOperatorId, " bytes, received ",
-                     seat.operator_id.size(), ", and the token has no name"));
+    return InvalidArgument("operator_id", absl::StrCat("1 to ", kLongestOperatorId, " bytes"),
+                           absl::StrCat(seat.operator_id.size(), ", and the token has no name"));
   }
   if (!(seat.lease_seconds >= kShortestLease && seat.lease_seconds <= kLongestLease)) {
-    return absl::InvalidArgumentError(absl::StrCat("lease_seconds: expected ", kShortestLease,
-                                                   " to ", kLongestLease, ", received ",
-                                                   request.lease_seconds()));
+    return InvalidArgument("lease_seconds", absl::StrCat(kShortestLease, " to ", kLongestLease),
+                           request.lease_seconds());
   }
   if (seat.lease_id.empty()) {
     ASSIGN_OR_RETURN(seat.lease_id, NewSessionId());
   }
   if (!IsDrawnSessionId(seat.lease_id)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("lease_id: expected 32 hexadecimal digits, received ", Quoted(seat.lease_id)));
+    return InvalidArgument("lease_id", "32 hexadecimal digits", Quoted(seat.lease_id));
   }
   return seat;
 }

@@ -9,6 +9,7 @@
 #include "absl/time/time.h"
 #include "core/base/enum_names.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "server/admin/admin_handler.h"
 
@@ -36,8 +37,7 @@ absl::StatusOr<absl::CivilMonth> ParseMonth(const std::string& text, absl::Time 
   absl::CivilMonth month;
   // 2026-1 would be read, too.
   if (text.size() == 7 && absl::ParseCivilTime(text, &month)) return month;
-  return absl::InvalidArgumentError(
-      absl::StrCat("month: expected one such as 2026-11, received ", Quoted(text)));
+  return InvalidArgument("month", "one such as 2026-11", Quoted(text));
 }
 
 void ToProto(const UsageCounts& counts, v1::Usage* usage) {

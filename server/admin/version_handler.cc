@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/digest/sha256.h"
 #include "server/admin/admin_handler.h"
@@ -20,13 +21,11 @@ constexpr size_t kPartBytes = size_t{1} << 20;  // of a file, in one answer
 
 absl::StatusOr<NewVersion> FromProto(const v1::PushPolicyRequest& request) {
   if (request.version() < 0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("version: expected at least 0, received ", request.version()));
+    return InvalidArgument("version", "at least 0", request.version());
   }
   if (request.signature().size() > kMostBundleBytes) {
-    return absl::InvalidArgumentError(absl::StrCat("signature: expected at most ", kMostBundleBytes,
-                                                   " bytes, received ",
-                                                   request.signature().size()));
+    return InvalidArgument("signature", absl::StrCat("at most ", kMostBundleBytes, " bytes"),
+                           request.signature().size());
   }
   NewVersion added = {.policy = request.policy(),
                       .version = request.version(),
@@ -35,8 +34,8 @@ absl::StatusOr<NewVersion> FromProto(const v1::PushPolicyRequest& request) {
                                 .pushed = true},
                       .make_default = request.make_default()};
   if (const std::string sha256 = Sha256Of(added.files.policy); sha256 != request.sha256()) {
-    return absl::InvalidArgumentError(absl::StrCat("sha256: expected that of the data, ", sha256,
-                                                   ", received ", Quoted(request.sha256())));
+    return InvalidArgument("sha256", absl::StrCat("that of the data, ", sha256),
+                           Quoted(request.sha256()));
   }
   return added;
 }
@@ -161,8 +160,7 @@ absl::Status AdminHandler::PullPolicy(CallContext& /*context*/,
                    parts_.registry->folder().ReadForRobot({served->name, served->version}));
   const int64_t size = std::ssize(files.policy);
   if (request.offset() < 0 || request.offset() > size) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("offset: expected 0 to ", size, ", received ", request.offset()));
+    return InvalidArgument("offset", absl::StrCat("0 to ", size), request.offset());
   }
   response->set_version(served->version);
   response->set_size(size);

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/agent/wiring_check.h"
 #include "core/base/printable.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/model/features.h"
 #include "core/open_sessions/session_store.h"
@@ -17,14 +18,13 @@ namespace {
 
 absl::Status CheckRate(double rate_hz, const Features& features) {
   if (!features.rate_hz.has_value()) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "rate_hz: expected none, because the policy file has no rate, received ", rate_hz));
+    return InvalidArgument("rate_hz", "none, because the policy file has no rate", rate_hz);
   }
   const double expected = *features.rate_hz;
   if (std::abs(rate_hz - expected) <= features.rate_tolerance * expected) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat("rate_hz: expected ", expected, " within ",
-                                                 100.0 * features.rate_tolerance, " %, received ",
-                                                 rate_hz));
+  return InvalidArgument("rate_hz",
+                         absl::StrCat(expected, " within ", 100.0 * features.rate_tolerance, " %"),
+                         rate_hz);
 }
 
 // Returns INVALID_ARGUMENT, which names the field, if a name, a unit or the rate of `request`
@@ -45,20 +45,18 @@ absl::Status CheckFeatures(const v1::OpenSessionRequest& request, const Features
 
 absl::Status CheckLabels(const google::protobuf::Map<std::string, std::string>& labels) {
   if (labels.size() > LabelLimits::kLabels) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "labels: expected at most ", LabelLimits::kLabels, ", received ", labels.size()));
+    return InvalidArgument("labels", absl::StrCat("at most ", LabelLimits::kLabels), labels.size());
   }
   for (const auto& [key, value] : labels) {
     const size_t longest = std::max(key.size(), value.size());
     if (longest > LabelLimits::kBytes) {
-      return absl::InvalidArgumentError(absl::StrCat("labels: expected keys and values of at most ",
-                                                     LabelLimits::kBytes,
-                                                     " bytes, received one of ", longest));
+      return InvalidArgument(
+          "labels", absl::StrCat("keys and values of at most ", LabelLimits::kBytes, " bytes"),
+          absl::StrCat("one of ", longest));
     }
     if (!IsPrintable(key) || !IsPrintable(value)) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("labels: expected printable characters in UTF-8, received ", Quoted(key),
-                       ": ", Quoted(value)));
+      return InvalidArgument("labels", "printable characters in UTF-8",
+                             absl::StrCat(Quoted(key), ": ", Quoted(value)));
     }
   }
   return absl::OkStatus();
@@ -68,8 +66,7 @@ absl::Status CheckPeriod(const std::string& text) {
   double seconds = 0.0;
   const bool is_number = absl::SimpleAtod(text, &seconds);
   if (is_number && seconds >= 0.001 && seconds <= 3600.0) return absl::OkStatus();  // false for NaN
-  return absl::InvalidArgumentError(
-      absl::StrCat("period_seconds: expected 0.001 to 3600, received ", Quoted(text)));
+  return InvalidArgument("period_seconds", "0.001 to 3600", Quoted(text));
 }
 
 }  // namespace
@@ -83,9 +80,8 @@ absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& re
   RETURN_IF_ERROR(CheckLabels(request.labels()));
   options.labels.insert(request.labels().begin(), request.labels().end());
   if (!v1::WiringResponse_IsValid(request.wiring())) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "wiring: expected WIRING_DEFAULT, WIRING_COUNT, WIRING_WARN or WIRING_SAFE, received ",
-        static_cast<int>(request.wiring())));
+    return InvalidArgument("wiring", "WIRING_DEFAULT, WIRING_COUNT, WIRING_WARN or WIRING_SAFE",
+                           static_cast<int>(request.wiring()));
   }
   if (request.wiring() != v1::WIRING_DEFAULT) {
     const auto wiring = static_cast<WiringResponse>(request.wiring() - v1::WIRING_COUNT);
@@ -103,8 +99,8 @@ absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const s
                                   const PolicyCatalog& catalog) {
   const std::string& key = request.routing_key();
   if (key.size() > LabelLimits::kBytes) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "routing_key: expected at most ", LabelLimits::kBytes, " bytes, received ", key.size()));
+    return InvalidArgument("routing_key", absl::StrCat("at most ", LabelLimits::kBytes, " bytes"),
+                           key.size());
   }
   return catalog.Choose({.policy = request.policy(),
                          .version = request.version(),

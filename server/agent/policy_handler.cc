@@ -8,6 +8,7 @@
 #include "absl/container/inlined_vector.h"
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/journal/session_export.h"
@@ -163,8 +164,7 @@ void PolicyHandler::ActMany(absl::Span<DecisionRequest* const> acts, DeferredWor
 
 absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
   if (request.requests_size() <= kMaxBatch) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat("requests: expected at most ", kMaxBatch,
-                                                 ", received ", request.requests_size()));
+  return InvalidArgument("requests", absl::StrCat("at most ", kMaxBatch), request.requests_size());
 }
 
 int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request,

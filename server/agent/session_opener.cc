@@ -21,8 +21,7 @@ absl::Status PolicyHandler::OpenSession(CallContext& context, const v1::OpenSess
                                         v1::OpenSessionResponse* response) const {
   const std::string& id = request.session_id();
   if (!id.empty() && !IsDrawnSessionId(id)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "session_id: expected 32 hexadecimal digits in lower case, received ", Quoted(id)));
+    return InvalidArgument("session_id", "32 hexadecimal digits in lower case", Quoted(id));
   }
   if (request.has_learning() && !context.caller->may_learn()) {
     return absl::PermissionDeniedError(
@@ -48,14 +47,12 @@ absl::StatusOr<Durability> PolicyHandler::ChooseDurability(
     const Tenant& tenant, const v1::OpenSessionRequest& request) const {
   const bool stores = durability_.journals != nullptr;
   if (!v1::Durability_IsValid(request.durability())) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("durability: expected DURABILITY_DEFAULT, NONE, ASYNC or SYNC, received ",
-                     static_cast<int>(request.durability())));
+    return InvalidArgument("durability", "DURABILITY_DEFAULT, NONE, ASYNC or SYNC",
+                           static_cast<int>(request.durability()));
   }
   if (!stores && (request.durability() == v1::ASYNC || request.durability() == v1::SYNC)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "durability: expected NONE, because the server runs without --session_store, received ",
-        v1::Durability_Name(request.durability())));
+    return InvalidArgument("durability", "NONE, because the server runs without --session_store",
+                           v1::Durability_Name(request.durability()));
   }
   if (!stores) return Durability::kNone;
   const Durability most = tenant.max_durability();

@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "server/messages/convert.h"
 
 namespace spikeserve {
@@ -78,23 +79,20 @@ void SetEnd(const v1::EndEpisodeRequest& request, Step* step) {
 absl::Status CheckEnd(const v1::ActRequest& request) {
   const v1::EndEpisodeRequest& end = request.end_episode();
   if (!request.observation().empty()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("observation: expected none, because the request has end_episode, received ",
-                     request.observation_size(), " values"));
+    return InvalidArgument("observation", "none, because the request has end_episode",
+                           absl::StrCat(request.observation_size(), " values"));
   }
   if (!end.session_id().empty() && end.session_id() != request.session_id()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("end_episode.session_id: expected none, or that of the request, received ",
-                     Quoted(end.session_id())));
+    return InvalidArgument("end_episode.session_id", "none, or that of the request",
+                           Quoted(end.session_id()));
   }
   if (!request.has_decision() || !end.has_episode()) {
-    return absl::InvalidArgumentError(
-        "end_episode: expected a request with decision and end_episode.episode, received one "
-        "without");
+    return InvalidArgument("end_episode", "a request with decision and end_episode.episode",
+                           "one without");
   }
   if (!end.has_steps() || end.steps() != request.step()) {
-    return absl::InvalidArgumentError(absl::StrCat("end_episode.steps: expected ", request.step(),
-                                                   " as step, received ", end.steps()));
+    return InvalidArgument("end_episode.steps", absl::StrCat(request.step(), " as step"),
+                           end.steps());
   }
   return absl::OkStatus();
 }

@@ -2,11 +2,11 @@
 
 #include <algorithm>
 
-#include "absl/status/status.h"
 #include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
@@ -38,8 +38,7 @@ absl::StatusOr<Address> ParseAddress(absl::string_view field, absl::string_view 
   if (colon == absl::string_view::npos || !IsHost(text.substr(0, colon)) ||
       !absl::SimpleAtoi(text.substr(colon + 1), &address.port) || address.port < 0 ||
       address.port > 65535) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected HOST:PORT, received \"", text, "\""));
+    return InvalidArgument(field, "HOST:PORT", absl::StrCat("\"", text, "\""));
   }
   address.host = std::string(text.substr(0, colon));
   return address;
@@ -50,8 +49,7 @@ absl::StatusOr<Address> ParseAddressOrUnix(absl::string_view field, absl::string
   Address address;
   address.unix_path = std::string(text.substr(kUnixPrefix.size()));
   if (address.is_unix()) return address;
-  return absl::InvalidArgumentError(
-      absl::StrCat(field, ": expected a path after unix:, received none"));
+  return InvalidArgument(field, "a path after unix:", "none");
 }
 
 }  // namespace spikeserve

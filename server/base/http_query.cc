@@ -3,12 +3,12 @@
 #include <algorithm>
 #include <utility>
 
-#include "absl/status/status.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/hex.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 
@@ -34,12 +34,11 @@ absl::StatusOr<HttpQuery> HttpQuery::Parse(
   HttpQuery parsed;
   for (const auto& [name, value] : parameters) {
     if (std::find(known.begin(), known.end(), name) == known.end()) {
-      return absl::InvalidArgumentError(absl::StrCat("query: expected parameters among ",
-                                                     absl::StrJoin(known, ", "), ", received ",
-                                                     Quoted(name)));
+      return InvalidArgument("query", absl::StrCat("parameters among ", absl::StrJoin(known, ", ")),
+                             Quoted(name));
     }
     if (!parsed.parameters_.emplace(name, value).second) {
-      return absl::InvalidArgumentError(absl::StrCat(name, ": expected once, received twice"));
+      return InvalidArgument(name, "once", "twice");
     }
   }
   return parsed;
@@ -56,9 +55,8 @@ absl::StatusOr<int64_t> HttpQuery::GetInteger(const std::string& name, int64_t o
   if (it == parameters_.end()) return otherwise;
   int64_t value = 0;
   if (!absl::SimpleAtoi(it->second, &value) || value < lowest || value > highest) {
-    return absl::InvalidArgumentError(absl::StrCat(name, ": expected a whole number from ", lowest,
-                                                   " to ", highest, ", received ",
-                                                   Quoted(it->second)));
+    return InvalidArgument(name, absl::StrCat("a whole number from ", lowest, " to ", highest),
+                           Quoted(it->second));
   }
   return value;
 }

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/base/version.h"
 #include "core/session/session_id.h"
@@ -60,8 +61,7 @@ std::vector<std::shared_ptr<const ServedPolicy>> ListServed(const PolicyRegistry
 
 absl::Status CheckRepository(const std::string& name) {
   if (name.empty()) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(
-      "repository_name: expected none, because there is one repository, received ", Quoted(name)));
+  return InvalidArgument("repository_name", "none, because there is one repository", Quoted(name));
 }
 
 void FillTensor(const TensorSpec& spec,
@@ -176,9 +176,8 @@ absl::Status InferenceHandler::RepositoryModelLoad(
     inference::RepositoryModelLoadResponse* /*response*/) const {
   RETURN_IF_ERROR(CheckRepository(request.repository_name()));
   if (!request.parameters().empty()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("parameters: expected none, because a model is defined by its file, received ",
-                     Quoted(request.parameters().begin()->first)));
+    return InvalidArgument("parameters", "none, because a model is defined by its file",
+                           Quoted(request.parameters().begin()->first));
   }
   ASSIGN_OR_RETURN(const auto folders, registry_->folder().List());
   absl::Status status = absl::NotFoundError(
@@ -307,9 +306,9 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> InferenceHandler::FindRunnin
   }
   const auto& served = (*entry)->served;
   if (version == 0 || version == served->version) return served;
-  return absl::InvalidArgumentError(
-      absl::StrCat("model_version: expected none, or ", served->version,
-                   ", which the sequence was started on, received ", version));
+  return InvalidArgument(
+      "model_version",
+      absl::StrCat("none, or ", served->version, ", which the sequence was started on"), version);
 }
 
 absl::Status InferenceHandler::Decide(CallContext& context, const ModelInferRequest& request,
@@ -317,9 +316,9 @@ absl::Status InferenceHandler::Decide(CallContext& context, const ModelInferRequ
                                       const ServedPolicy& served, v1::ActResponse* answer) const {
   RETURN_IF_ERROR(CheckOutputs(request, OutputSpecs(served.policy())));
   if (!sequence.start && !input.reward.has_value()) {
-    return absl::InvalidArgumentError(
-        "inputs: expected reward, for the previous action, in every request after the first of a "
-        "sequence, received none");
+    return InvalidArgument(
+        "inputs", "reward, for the previous action, in every request after the first of a sequence",
+        "none");
   }
   v1::ActRequest act;
   act.set_session_id(sequence.session_id);

@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/base/json_object.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "nlohmann/json.hpp"
@@ -78,8 +79,7 @@ absl::Status AppendFloats(const std::string& field, const Json& json, int depth,
                           std::string* bytes) {
   if (!json.is_array()) return UnexpectedJson(field, "an array", json);
   if (depth > kMostDimensions) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected at most ", kMostDimensions, " dimensions, received more"));
+    return InvalidArgument(field, absl::StrCat("at most ", kMostDimensions, " dimensions"), "more");
   }
   for (size_t i = 0; i < json.size(); ++i) {
     float number = 0.0f;
@@ -125,9 +125,10 @@ class InferReader {
     }
     if (!status.ok()) return status;
     if (!bytes_.empty()) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("body: expected as many bytes behind its JSON as the inputs' ", kBinarySize,
-                       " say, received ", bytes_.size(), " more"));
+      return InvalidArgument(
+          "body",
+          absl::StrCat("as many bytes behind its JSON as the inputs' ", kBinarySize, " say"),
+          absl::StrCat(bytes_.size(), " more"));
     }
     return std::move(request_);
   }
@@ -151,9 +152,8 @@ class InferReader {
     RETURN_IF_ERROR(ReadParameters(absl::StrCat(field, ".parameters"), parameters, kBinarySize,
                                    &size, tensor.mutable_parameters()));
     if ((size.json == nullptr) == (data.json == nullptr)) {
-      return absl::InvalidArgumentError(absl::StrCat(field, ": expected either data or parameters.",
-                                                     kBinarySize, ", received ",
-                                                     data.json != nullptr ? "both" : "neither"));
+      return InvalidArgument(field, absl::StrCat("either data or parameters.", kBinarySize),
+                             data.json != nullptr ? "both" : "neither");
     }
     if (size.json != nullptr) {
       return TakeBytes(absl::StrCat(field, ".parameters.", kBinarySize), *size.json, &raw);
@@ -167,10 +167,10 @@ class InferReader {
     uint64_t size = 0;
     RETURN_IF_ERROR(ReadJson(field, json, &size));
     if (size > bytes_.size()) {
-      return absl::InvalidArgumentError(absl::StrCat(field, ": expected at most ", bytes_.size(),
-                                                     ", the bytes that are left behind the JSON, "
-                                                     "received ",
-                                                     size));
+      return InvalidArgument(
+          field,
+          absl::StrCat("at most ", bytes_.size(), ", the bytes that are left behind the JSON"),
+          size);
     }
     raw->assign(bytes_.data(), size);
     bytes_.remove_prefix(size);
@@ -243,9 +243,9 @@ absl::StatusOr<HttpInferRequest> ReadHttpInfer(absl::string_view body,
                                                std::optional<size_t> json_bytes) {
   const size_t length = json_bytes.value_or(body.size());
   if (length > body.size()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("Inference-Header-Content-Length: expected at most ", body.size(),
-                     ", the length of the body, received ", length));
+    return InvalidArgument("Inference-Header-Content-Length",
+                           absl::StrCat("at most ", body.size(), ", the length of the body"),
+                           length);
   }
   ASSIGN_OR_RETURN(const auto json, ParseJsonObject("body", body.substr(0, length)));
   return InferReader(body.substr(length)).Read(json);

@@ -4,6 +4,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/base/printable.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -17,9 +18,8 @@ constexpr size_t kMaxIdBytes = 256;
 
 absl::Status BadParameter(absl::string_view name, absl::string_view expected,
                           const InferParameter& received) {
-  return absl::InvalidArgumentError(absl::StrCat("parameters.", name, ": expected ", expected,
-                                                 ", received ",
-                                                 Quoted(received.ShortDebugString())));
+  return InvalidArgument(absl::StrCat("parameters.", name), expected,
+                         Quoted(received.ShortDebugString()));
 }
 
 const InferParameter* Find(const ModelInferRequest& request, const char* name) {
@@ -53,10 +53,10 @@ absl::StatusOr<SequenceRequest> ReadSequence(const ModelInferRequest& request) {
   } else if (id != nullptr && !id->has_int64_param() && !id->has_string_param()) {
     return BadParameter("sequence_id", "an int64_param or a string_param", *id);
   } else {
-    return absl::InvalidArgumentError(
-        "parameters.sequence_id: expected an integer other than 0 or a string, received none. A "
-        "policy decides from earlier requests, so every request belongs to a sequence: send "
-        "sequence_id with every request and sequence_start with the first one");
+    return InvalidArgument(
+        "parameters.sequence_id", "an integer other than 0 or a string",
+        "none. A policy decides from earlier requests, so every request belongs to a sequence: "
+        "send sequence_id with every request and sequence_start with the first one");
   }
   sequence.session_id = absl::StrCat("sequence:", request.model_name(), ":", sequence.id);
   absl::Status status = ReadFlag(request, "sequence_start", &sequence.start);
@@ -65,8 +65,8 @@ absl::StatusOr<SequenceRequest> ReadSequence(const ModelInferRequest& request) {
   status.Update(ReadFlag(request, "truncated", &sequence.truncated));
   if (!status.ok()) return status;
   if ((sequence.terminated || sequence.truncated) && !sequence.end) {
-    return absl::InvalidArgumentError(
-        "parameters.sequence_end: expected true beside terminated or truncated, received false");
+    return InvalidArgument("parameters.sequence_end", "true beside terminated or truncated",
+                           "false");
   }
   if (const InferParameter* token = Find(request, kSequenceToken)) {
     if (!token->has_string_param()) {
@@ -107,8 +107,7 @@ absl::StatusOr<int64_t> ReadVersion(const std::string& version) {
   if (version.empty()) return 0;
   int64_t number = 0;
   if (absl::SimpleAtoi(version, &number) && number >= 1) return number;
-  return absl::InvalidArgumentError(
-      absl::StrCat("version: expected a positive integer or nothing, received ", Quoted(version)));
+  return InvalidArgument("version", "a positive integer or nothing", Quoted(version));
 }
 
 }  // namespace spikeserve

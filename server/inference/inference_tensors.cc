@@ -9,6 +9,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/types/span.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -65,8 +66,8 @@ absl::Status CheckContents(const ModelInferRequest& request) {
   const int raw = request.raw_input_contents_size();
   if (raw == 0) return absl::OkStatus();
   if (raw != request.inputs_size()) {
-    return absl::InvalidArgumentError(absl::StrCat("raw_input_contents: expected one an input, ",
-                                                   request.inputs_size(), ", received ", raw));
+    return InvalidArgument("raw_input_contents",
+                           absl::StrCat("one an input, ", request.inputs_size()), raw);
   }
   for (const InputTensor& tensor : request.inputs()) {
     if (tensor.has_contents()) {
@@ -181,23 +182,21 @@ absl::StatusOr<InferenceInput> ReadInputs(const ModelInferRequest& request) {
     }
   }
   if (has_observation) return input;
-  return absl::InvalidArgumentError("inputs: expected one of the name observation, received none");
+  return InvalidArgument("inputs", "one of the name observation", "none");
 }
 
 absl::Status CheckOutputs(const ModelInferRequest& request, const std::vector<TensorSpec>& specs) {
   for (const auto& output : request.outputs()) {
     if (output.parameters().contains("shared_memory_region")) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("output ", Quoted(output.name()),
-                       ": expected contents, received a shared memory region"));
+      return InvalidArgument(absl::StrCat("output ", Quoted(output.name())), "contents",
+                             "a shared memory region");
     }
     if (absl::c_any_of(specs, [&](const TensorSpec& spec) { return spec.name == output.name(); })) {
       continue;
     }
     const std::string names = absl::StrJoin(
         specs, ", ", [](std::string* out, const TensorSpec& spec) { *out += spec.name; });
-    return absl::InvalidArgumentError(
-        absl::StrCat("outputs: expected any of [", names, "], received ", Quoted(output.name())));
+    return InvalidArgument("outputs", absl::StrCat("any of [", names, "]"), Quoted(output.name()));
   }
   return absl::OkStatus();
 }

@@ -3,9 +3,9 @@
 #include <optional>
 #include <string>
 
-#include "absl/strings/str_cat.h"
 #include "core/action/action_space.h"
 #include "core/agent/step.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/engine/energy.h"
@@ -78,8 +78,7 @@ void ToProto(const Answer& answer, const ModelConfig& config, v1::DecisionStats*
 
 absl::StatusOr<LearningRequest> LearningFromProto(const v1::LearningConfig& config) {
   if (!v1::LearningConfig::Scope_IsValid(config.scope())) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "learning.scope: expected SESSION or FLEET, received ", static_cast<int>(config.scope())));
+    return InvalidArgument("learning.scope", "SESSION or FLEET", static_cast<int>(config.scope()));
   }
   LearningRequest request;
   request.scope = config.scope() == v1::LearningConfig::FLEET ? Scope::kFleet : Scope::kSession;
@@ -128,9 +127,8 @@ absl::StatusOr<SessionRequest> RequestFromProto(const v1::OpenSessionRequest& re
   if (request.has_target_return()) settings.target_return = request.target_return();
   settings.seed = request.seed();
   if (!v1::ActionSelection_IsValid(request.action_selection())) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("action_selection: expected GREEDY or SAMPLE, received ",
-                     static_cast<int>(request.action_selection())));
+    return InvalidArgument("action_selection", "GREEDY or SAMPLE",
+                           static_cast<int>(request.action_selection()));
   }
   settings.sample = request.action_selection() == v1::SAMPLE;
   if (request.has_temperature()) settings.temperature = request.temperature();

@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "server/base/log.h"
 #include "server/rollouts/evidence_total.h"
@@ -62,8 +63,7 @@ absl::Status CheckStart(const CatalogPolicy& policy, const PolicySettings& setti
         absl::StrCat("version: expected a served version, received ", plan.version));
   }
   if (plan.version == policy.DefaultVersion()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("version: expected one that is not the default, received ", plan.version));
+    return InvalidArgument("version", "one that is not the default", plan.version);
   }
   if (SameSpaces(*next->second, *policy.versions.at(policy.DefaultVersion()))) {
     return absl::OkStatus();
@@ -135,9 +135,9 @@ absl::Status RolloutManager::Start(const std::string& policy, Rollout plan, cons
   if (plan.abort_if.empty()) plan.abort_if = DefaultConditions();
   RETURN_IF_ERROR(plan.Validate());
   if (plan.steps.front() == 100) {
-    return absl::InvalidArgumentError(
-        "steps: expected a first step below 100, because the sessions of both versions are "
-        "compared, received 100; admin default moves all at once");
+    return InvalidArgument(
+        "steps", "a first step below 100, because the sessions of both versions are compared",
+        "100; admin default moves all at once");
   }
   const auto change = [&](const CatalogPolicy& served, PolicySettings* settings) {
     RETURN_IF_ERROR(CheckStart(served, *settings, plan));

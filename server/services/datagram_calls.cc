@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "server/access/admission.h"
 #include "server/messages/convert.h"
 #include "server/services/call_messages.h"
@@ -46,9 +47,9 @@ class DatagramCalls::Request final : public QueuedAct,
     const Credential& caller = key_->caller();
     auto status = ParseRequest(message, &request);
     if (status.ok() && request.session_id() != key_->session_id()) {
-      status = absl::InvalidArgumentError(absl::StrCat("session_id: expected that of the channel, ",
-                                                       key_->session_id(), ", received ",
-                                                       request.session_id()));
+      status =
+          InvalidArgument("session_id", absl::StrCat("that of the channel, ", key_->session_id()),
+                          request.session_id());
     }
     const ServiceContext& context = calls_.context_;
     if (context.tracer != nullptr) {

@@ -5,6 +5,7 @@
 #include <google/protobuf/wire_format_lite.h>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
@@ -67,8 +68,7 @@ class ElementChecker {
     uint32_t length = 0;
     if (!input_.ReadVarint32(&length)) return absl::OkStatus();
     if (length == 0 && IsItem(field)) {
-      return absl::InvalidArgumentError(
-          absl::StrCat(field.name(), ": expected items that are not empty, received an empty one"));
+      return InvalidArgument(field.name(), "items that are not empty", "an empty one");
     }
     const auto limit = input_.PushLimit(static_cast<int>(length));
     auto status = Check(field.message_type());
@@ -77,9 +77,9 @@ class ElementChecker {
   }
 
   static absl::Status TooMany() {
-    return absl::InvalidArgumentError(
-        absl::StrCat("message: expected at most ", kMaxElements,
-                     " messages, strings and unknown fields, received more"));
+    return InvalidArgument(
+        "message", absl::StrCat("at most ", kMaxElements, " messages, strings and unknown fields"),
+        "more");
   }
 
   google::protobuf::io::CodedInputStream input_;

@@ -30,8 +30,7 @@ constexpr absl::Duration kShortestTimeout = absl::Milliseconds(10);
 absl::Status CheckRedisOptions(const StoreOptions& options, const StoreAddress& address) {
   const bool is_redis = address.kind == StoreAddress::Kind::kRedis;
   const auto refuse = [](absl::string_view flag, absl::string_view expected, auto received) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(flag, ": expected ", expected, ", received ", received));
+    return InvalidArgument(flag, expected, received);
   };
   if (!is_redis && !options.password_file.empty()) {
     return refuse(kPasswordFlag, "none without a store in Redis", options.password_file);

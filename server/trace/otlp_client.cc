@@ -12,6 +12,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -128,8 +129,7 @@ absl::Status OtlpClient::ReadFiles() {
   SSL_CTX_set_mode(tls, SSL_MODE_ENABLE_PARTIAL_WRITE | SSL_MODE_ACCEPT_MOVING_WRITE_BUFFER);
   SSL_CTX_set_alpn_protos(tls, kAlpn, sizeof(kAlpn));
   const auto refuse = [](const char* name, const char* expected, const std::string& file) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("OTEL_EXPORTER_OTLP_", name, ": expected ", expected, ", received ", file));
+    return InvalidArgument(absl::StrCat("OTEL_EXPORTER_OTLP_", name), expected, file);
   };
   if (options_.ca.empty()) {
     SSL_CTX_set_default_verify_paths(tls);

@@ -11,6 +11,7 @@
 #include "absl/strings/str_split.h"
 #include "absl/strings/strip.h"
 #include "core/base/json.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "server/base/http_query.h"
 
@@ -26,8 +27,7 @@ struct Variable {
 
   bool is_set() const { return !value.empty(); }
   absl::Status Wrong(absl::string_view expected) const {
-    return absl::InvalidArgumentError(
-        absl::StrCat(name, ": expected ", expected, ", received ", Quoted(value)));
+    return InvalidArgument(name, expected, Quoted(value));
   }
 };
 

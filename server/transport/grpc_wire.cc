@@ -10,6 +10,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
+#include "core/base/status.h"
 #include "core/contract/dcheck.h"
 #include "server/base/gzip.h"
 #include "server/base/retry_delay.h"
@@ -126,8 +127,8 @@ absl::StatusOr<absl::Duration> ParseTimeout(absl::string_view text) {
     const absl::Duration unit = TimeoutUnit(text.back());
     if (unit != absl::ZeroDuration()) return count * unit;
   }
-  return absl::InvalidArgumentError(absl::StrCat(
-      "grpc-timeout: expected 1 to 8 digits and one of H, M, S, m, u, n, received \"", text, "\""));
+  return InvalidArgument("grpc-timeout", "1 to 8 digits and one of H, M, S, m, u, n",
+                         absl::StrCat("\"", text, "\""));
 }
 
 bool IsGrpcContentType(absl::string_view content_type) {

@@ -1,20 +1,19 @@
 #include "server/transport/limits.h"
 
-#include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
 
 absl::Status CheckAtLeastOne(absl::string_view flag, int64_t value) {
   if (value >= 1) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrCat(flag, ": expected at least 1, received ", value));
+  return InvalidArgument(flag, "at least 1", value);
 }
 
 absl::Status CheckPositive(absl::string_view flag, absl::Duration value) {
   if (value >= absl::Milliseconds(1)) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat(flag, ": expected at least 1ms, received ", absl::FormatDuration(value)));
+  return InvalidArgument(flag, "at least 1ms", absl::FormatDuration(value));
 }
 
 }  // namespace

@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
@@ -105,9 +106,9 @@ void RemoveStale(const sockaddr_un& address) {
 absl::StatusOr<Listeners> ListenUnix(absl::string_view field, const Address& address) {
   sockaddr_un path = {.sun_family = AF_UNIX, .sun_path = {}};
   if (address.unix_path.size() >= sizeof(path.sun_path)) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected a path of at most ", sizeof(path.sun_path) - 1,
-                     " bytes after unix:, received ", address.unix_path.size()));
+    return InvalidArgument(
+        field, absl::StrCat("a path of at most ", sizeof(path.sun_path) - 1, " bytes after unix:"),
+        address.unix_path.size());
   }
   std::memcpy(path.sun_path, address.unix_path.data(), address.unix_path.size());
   RemoveStale(path);

@@ -68,9 +68,8 @@ absl::Status UsageStores::Open() {
   ASSIGN_OR_RETURN(process, NewSessionId());  // any random name
   const std::string& directory = usage_options_.directory;
   if (!directory.empty() && store_options_.address != "memory") {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--usage_dir: expected none, because the ledger is in --session_store, received ",
-        directory));
+    return InvalidArgument("--usage_dir", "none, because the ledger is in --session_store",
+                           directory);
   }
   ASSIGN_OR_RETURN(auto redis, RedisOptionsOf(store_options_));
   if (redis.has_value()) {

@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 #include "train/data/clip_sampler.h"
@@ -95,9 +96,9 @@ std::string Row(absl::string_view name, const ImitationError& error,
 
 absl::StatusOr<BaselineData> ReadBaselineData(const EpisodeSource& source, double validation) {
   if (const int size = source.dataset().observation_size; size > kMostBaselineInputs) {
-    return absl::InvalidArgumentError(absl::StrCat("observations: expected at most ",
-                                                   kMostBaselineInputs,
-                                                   " numbers to fit baselines, received ", size));
+    return InvalidArgument(
+        "observations", absl::StrCat("at most ", kMostBaselineInputs, " numbers to fit baselines"),
+        size);
   }
   const Split split = SplitEpisodes(source.entries(), validation);
   BaselineData data;

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 
@@ -88,11 +89,11 @@ class Scan {
     if (fits_) {
       std::move(episodes.begin(), episodes.end(), std::back_inserter(datasets_.back().episodes));
     } else if (!unsplittable_.empty()) {
-      return absl::InvalidArgumentError(
-          absl::StrCat(unsplittable_,
-                       ": expected datasets of Minari, because the episodes take "
-                       "more memory than ",
-                       memory_ >> 20, " MiB, received another file"));
+      return InvalidArgument(
+          unsplittable_,
+          absl::StrCat("datasets of Minari, because the episodes take more memory than ",
+                       memory_ >> 20, " MiB"),
+          "another file");
     }
     return absl::OkStatus();
   }
@@ -163,9 +164,9 @@ absl::StatusOr<std::vector<Episode>> EpisodeSource::Read(absl::Span<const int> i
   for (size_t i = 0; i < indices.size(); ++i) {
     const int expected = entries_[indices[i]].steps;
     if (episodes[i].steps() == expected) continue;
-    return absl::InvalidArgumentError(absl::StrCat("data: expected an episode of ", expected,
-                                                   " steps, as when it was first read, received ",
-                                                   episodes[i].steps()));
+    return InvalidArgument(
+        "data", absl::StrCat("an episode of ", expected, " steps, as when it was first read"),
+        episodes[i].steps());
   }
   return episodes;
 }

@@ -98,9 +98,9 @@ absl::StatusOr<int> SizeOf(absl::string_view field, const std::vector<int>& shap
   int64_t size = 1;
   for (const int dimension : shape) {
     if (dimension < 1 || dimension > kLargestBox / size) {
-      return absl::InvalidArgumentError(
-          absl::StrCat(field, ": expected dimensions of at least 1 and at most ", kLargestBox,
-                       " numbers, received a dimension of ", dimension));
+      return InvalidArgument(
+          field, absl::StrCat("dimensions of at least 1 and at most ", kLargestBox, " numbers"),
+          absl::StrCat("a dimension of ", dimension));
     }
     size *= dimension;
   }
@@ -116,8 +116,8 @@ absl::StatusOr<IndexLayout> ReadIndexLayout(absl::string_view field, const nlohm
   }
   for (const int64_t start : layout.starts) {
     if (start < -kLargestStart || start > kLargestStart) {
-      return absl::InvalidArgumentError(absl::StrCat(field, ".start: expected ", -kLargestStart,
-                                                     " to ", kLargestStart, ", received ", start));
+      return InvalidArgument(absl::StrCat(field, ".start"),
+                             absl::StrCat(-kLargestStart, " to ", kLargestStart), start);
     }
   }
   layout.starts.resize(layout.counts.size());
@@ -155,13 +155,13 @@ absl::StatusOr<ActionSpace> JointSpace(const IndexLayout& indices) {
   int64_t joint = 1;
   for (const int64_t count : indices.counts) {
     if (count < 1 || count > kLargestJointSpace) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "action_space: expected 1 to ", kLargestJointSpace, " indices, received ", count));
+      return InvalidArgument("action_space", absl::StrCat("1 to ", kLargestJointSpace, " indices"),
+                             count);
     }
     joint *= count;
     if (joint > kLargestJointSpace) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "action_space: expected at most ", kLargestJointSpace, " combinations, received more"));
+      return InvalidArgument("action_space",
+                             absl::StrCat("at most ", kLargestJointSpace, " combinations"), "more");
     }
   }
   return ActionSpace::Discrete(static_cast<int>(joint));
@@ -178,8 +178,7 @@ absl::StatusOr<ActionSpace> ToActionSpace(const SpaceDescription& description) {
     ASSIGN_OR_RETURN(auto high, description.Bounds("action_space.high", description.high));
     space = ActionSpace::Box(std::move(low), std::move(high));
   } else {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "action_space: expected Discrete, MultiDiscrete or Box, received ", description.type));
+    return InvalidArgument("action_space", "Discrete, MultiDiscrete or Box", description.type);
   }
   if (auto status = space.Validate(); !status.ok()) return Annotate(status, "action_space");
   return space;
@@ -203,17 +202,16 @@ absl::StatusOr<MinariMetadata> ParseMinariMetadata(absl::string_view text) {
   object.Optional(kMinariExtension, &own);
   RETURN_IF_ERROR(object.Finish());
   if (format != "hdf5") {
-    return absl::InvalidArgumentError(
-        absl::StrCat("data_format: expected hdf5, which `python -m spikeserve convert --to=minari` "
-                     "writes, received ",
-                     Quoted(format)));
+    return InvalidArgument("data_format",
+                           "hdf5, which `python -m spikeserve convert --to=minari` writes",
+                           Quoted(format));
   }
   ASSIGN_OR_RETURN(const auto observations, ParseSpace("observation_space", observation_space));
   if (observations.type != "Box") {
-    return absl::InvalidArgumentError(
-        absl::StrCat("observation_space: expected Box, received ", observations.type,
-                     "; record with Gymnasium's FlattenObservation, or flatten it by "
-                     "`python -m spikeserve convert --to=minari`"));
+    return InvalidArgument("observation_space", "Box",
+                           absl::StrCat(observations.type,
+                                        "; record with Gymnasium's FlattenObservation, or flatten "
+                                        "it by `python -m spikeserve convert --to=minari`"));
   }
   ASSIGN_OR_RETURN(const auto actions, ParseSpace("action_space", action_space));
   ASSIGN_OR_RETURN(auto space, ToActionSpace(actions));

@@ -84,9 +84,8 @@ class Reader {
         const int64_t index = values.values[row * elements + i];
         const int64_t last = space_.starts[i] + space_.counts[i] - 1;
         if (index < space_.starts[i] || index > last) {
-          return absl::InvalidArgumentError(absl::StrCat(name, ": expected ", space_.starts[i],
-                                                         " to ", last, ", received ", index,
-                                                         " at step ", row));
+          return InvalidArgument(name, absl::StrCat(space_.starts[i], " to ", last),
+                                 absl::StrCat(index, " at step ", row));
         }
         joint = joint * space_.counts[i] + index - space_.starts[i];
       }
@@ -99,8 +98,7 @@ class Reader {
   static absl::Status CheckEnds(const std::string& name, const std::vector<bool>& ends,
                                 size_t steps) {
     if (ends.size() != steps) {
-      return absl::InvalidArgumentError(
-          absl::StrCat(name, ": expected ", steps, " values, received ", ends.size()));
+      return InvalidArgument(name, absl::StrCat(steps, " values"), ends.size());
     }
     const auto first = std::find(ends.begin(), ends.end(), true);
     if (first == ends.end() || first + 1 == ends.end()) return absl::OkStatus();
@@ -111,8 +109,7 @@ class Reader {
 
   static absl::Status CheckColumns(const std::string& name, int64_t expected, int64_t received) {
     if (expected == received) return absl::OkStatus();
-    return absl::InvalidArgumentError(
-        absl::StrCat(name, ": expected ", expected, " values an action, received ", received));
+    return InvalidArgument(name, absl::StrCat(expected, " values an action"), received);
   }
 
   // Infos belong to observations, so there may be one more than actions.
@@ -135,8 +132,7 @@ class Reader {
   template <typename T>
   static absl::Status TrimInfos(const std::string& name, size_t steps, std::vector<T>* infos) {
     if (infos->size() != steps && infos->size() != steps + 1) {
-      return absl::InvalidArgumentError(absl::StrCat(name, ": expected ", steps, " or ", steps + 1,
-                                                     " rows, received ", infos->size()));
+      return InvalidArgument(name, absl::StrCat(steps, " or ", steps + 1, " rows"), infos->size());
     }
     infos->resize(steps);
     return absl::OkStatus();
@@ -151,7 +147,7 @@ absl::StatusOr<MinariMetadata> ReadMetadata(const std::string& directory) {
   ASSIGN_OR_RETURN(const auto text, ReadFile(directory + kMinariMetadata));
   absl::StatusOr<MinariMetadata> metadata = ParseMinariMetadata(text);
   if (metadata.ok() && metadata->episodes == 0) {
-    return absl::InvalidArgumentError("total_episodes: expected at least 1, received 0");
+    return InvalidArgument("total_episodes", "at least 1", "0");
   }
   return metadata;
 }

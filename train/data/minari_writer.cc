@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/file.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/environment/environment.h"
 #include "nlohmann/json.hpp"
@@ -47,8 +48,7 @@ absl::StatusOr<std::string> DatasetId(const std::string& directory) {
   if (dash != std::string::npos && dash > 0 && absl::SimpleAtoi(id.substr(dash + 2), &version)) {
     return id;
   }
-  return absl::InvalidArgumentError(absl::StrCat(
-      directory, ": expected a directory named like a Minari dataset, NAME-v0, received ", id));
+  return InvalidArgument(directory, "a directory named like a Minari dataset, NAME-v0", id);
 }
 
 // Returns a Box without bounds: a dataset does not tell the bounds of its environment. Written in

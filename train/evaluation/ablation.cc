@@ -1,6 +1,7 @@
 #include "train/evaluation/ablation.h"
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/math/vector_view.h"
 
 namespace spikeserve {
@@ -31,8 +32,7 @@ absl::Status Ablate(absl::string_view part, Policy* policy) {
     config.context = 1;
   } else if (part == "changes") {
     if (!config.observation_changes) {
-      return absl::InvalidArgumentError(
-          "ablate: expected a policy with observation changes, received one without");
+      return InvalidArgument("ablate", "a policy with observation changes", "one without");
     }
     if (config.is_integer()) {
       ClearColumnsFrom(policy->observation_size(), &weights.fixed_point.embed_state.linear.weight);
@@ -67,9 +67,8 @@ absl::Status Ablate(absl::string_view part, Policy* policy) {
       Clear(&layer.fixed_point.routing_gate.bias);
     }
   } else {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "ablate: expected context, changes, attention, phase, routing or return, received '", part,
-        "'"));
+    return InvalidArgument("ablate", "context, changes, attention, phase, routing or return",
+                           absl::StrCat("'", part, "'"));
   }
   return absl::OkStatus();
 }

@@ -5,6 +5,7 @@
 #include <memory>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/engine/factory/engine_factory.h"
@@ -68,16 +69,15 @@ void Observe(const Policy& policy, absl::Span<const Episode> episodes, const Sta
 
 absl::StatusOr<float> LargestInput(const Policy& policy, absl::Span<const Episode> episodes) {
   if (episodes.empty()) {
-    return absl::InvalidArgumentError("calibration: expected at least one episode, received none");
+    return InvalidArgument("calibration", "at least one episode", "none");
   }
   const auto size = static_cast<size_t>(policy.observation_size());
   InputRange range(policy);
   for (const Episode& episode : episodes) {
     const size_t steps = episode.actions.size();
     if (episode.observations.size() != (steps + 1) * size) {
-      return absl::InvalidArgumentError(absl::StrCat("observation: expected ", size,
-                                                     " numbers, received ",
-                                                     episode.observations.size() / (steps + 1)));
+      return InvalidArgument("observation", absl::StrCat(size, " numbers"),
+                             episode.observations.size() / (steps + 1));
     }
     const std::vector<float> returns = ReturnsToGo(episode);
     range.StartEpisode();

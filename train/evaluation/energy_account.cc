@@ -2,6 +2,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 namespace {
@@ -92,7 +93,7 @@ double DecisionCost::traffic_energy() const {
 absl::StatusOr<EnergyAccount> AccountOf(const Policy& policy, const Evaluation& evaluation) {
   const ModelConfig& config = policy.config;
   if (!config.is_integer()) {
-    return absl::InvalidArgumentError("arithmetic: expected integer, received float32");
+    return InvalidArgument("arithmetic", "integer", "float32");
   }
   const Counts dense = DenseBaselineCounts(config, config.state_inputs(policy.observation_size()),
                                            policy.action_space.size());
@@ -106,9 +107,9 @@ absl::StatusOr<EnergyAccount> AccountOf(const Policy& policy, const Evaluation& 
 absl::Status SetDense(const Policy& dense, const Evaluation& evaluation, EnergyAccount* account) {
   const ModelConfig& config = dense.config;
   if (!config.is_dense() || !config.is_integer()) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "policy: expected mode dense in integer, received mode ",
-        std::string(ToString(config.mode)), " in ", std::string(ToString(config.arithmetic))));
+    return InvalidArgument("policy", "mode dense in integer",
+                           absl::StrCat("mode ", std::string(ToString(config.mode)), " in ",
+                                        std::string(ToString(config.arithmetic))));
   }
   account->dense = CostOf(evaluation.counts, static_cast<double>(evaluation.decisions), config);
   account->dense_was_played = true;

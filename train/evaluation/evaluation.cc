@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/engine/energy.h"
 #include "core/engine/factory/engine_factory.h"
@@ -94,8 +95,7 @@ nlohmann::ordered_json OperationsToJson(const Counts& counts, double decisions,
 
 absl::Status EvaluationOptions::Validate() const {
   if (episodes >= 1) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("episodes: expected at least 1, received ", episodes));
+  return InvalidArgument("episodes", "at least 1", episodes);
 }
 
 double Evaluation::mean_return() const { return AsVector(returns).mean(); }

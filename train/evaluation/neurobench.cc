@@ -7,6 +7,7 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/engine/token.h"
 
@@ -82,23 +83,20 @@ void DecideEpisode(const Engine& engine, const Dataset& dataset, const Episode& 
 absl::Status CheckServedEpisode(const Policy& policy, const Dataset& dataset,
                                 const Episode& episode) {
   if (dataset.observation_size != policy.observation_size()) {
-    return absl::InvalidArgumentError(absl::StrCat("observation: expected ",
-                                                   policy.observation_size(), " numbers, received ",
-                                                   dataset.observation_size));
+    return InvalidArgument("observation", absl::StrCat(policy.observation_size(), " numbers"),
+                           dataset.observation_size);
   }
   if (!(dataset.action_space == policy.action_space)) {
-    return absl::InvalidArgumentError(
-        "action_space: expected that of the policy, received another one");
+    return InvalidArgument("action_space", "that of the policy", "another one");
   }
   if (episode.served.has_value()) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      "episode: expected one that a server recorded, received another");
+  return InvalidArgument("episode", "one that a server recorded", "another");
 }
 
 absl::StatusOr<NeuroBench> MeasureNeuroBench(const Policy& policy, const Evaluation& evaluation) {
   const ModelConfig& config = policy.config;
   if (config.is_dense()) {
-    return absl::InvalidArgumentError("mode: expected a spiking one, received dense");
+    return InvalidArgument("mode", "a spiking one", "dense");
   }
   const Counts& counts = evaluation.counts;
   const Parameters parameters = CountParameters(policy);

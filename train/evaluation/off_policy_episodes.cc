@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/action/action_head.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "train/evaluation/neurobench.h"
@@ -19,8 +20,7 @@ using Eigen::Index;
 constexpr double kLeastProbability = 1e-30;  // of a softmax in float32 that is 0
 
 absl::Status Refuse(absl::string_view expected, absl::string_view received) {
-  return absl::InvalidArgumentError(
-      absl::StrCat("episode: expected ", expected, ", received ", received));
+  return InvalidArgument("episode", expected, received);
 }
 
 absl::Status CheckRecorded(const Policy& policy, const Dataset& dataset,

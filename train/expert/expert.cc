@@ -1,6 +1,7 @@
 #include "train/expert/expert.h"
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/environment/position_only.h"
 #include "train/expert/experts.h"
@@ -9,12 +10,10 @@ namespace spikeserve {
 
 absl::Status ExpertOptions::Validate() const {
   if (beam_width < 1) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("beam_width: expected at least 1, received ", beam_width));
+    return InvalidArgument("beam_width", "at least 1", beam_width);
   }
   if (coarsening != 1 && coarsening != 2 && coarsening != 4 && coarsening != 8) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("coarsening: expected 1, 2, 4 or 8, received ", coarsening));
+    return InvalidArgument("coarsening", "1, 2, 4 or 8", coarsening);
   }
   return absl::OkStatus();
 }

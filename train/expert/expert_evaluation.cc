@@ -6,7 +6,7 @@
 #include <memory>
 #include <thread>
 
-#include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/environment/environment.h"
@@ -31,8 +31,7 @@ absl::StatusOr<std::vector<double>> EvaluateExpert(const Expert& expert,
                                                    const std::string& environment, int episodes,
                                                    uint64_t first_seed) {
   if (episodes < 1) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("episodes: expected at least 1, received ", episodes));
+    return InvalidArgument("episodes", "at least 1", episodes);
   }
   RETURN_IF_ERROR(MakeEnvironment(environment).status());
   std::vector<double> returns(episodes);

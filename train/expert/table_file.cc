@@ -24,8 +24,7 @@ absl::StatusOr<std::vector<float>> ReadTable(const std::string& path, const std:
   }
   auto* const tensor = std::get_if<Tensor>(&file->tensors[kTensor]);
   if (file->metadata[kName] != name || tensor == nullptr || tensor->shape != shape) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(path, ": expected the value table ", name, ", received another table"));
+    return InvalidArgument(path, absl::StrCat("the value table ", name), "another table");
   }
   return std::move(tensor->values);
 }

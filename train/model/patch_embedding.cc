@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/math/counter_random.h"
 
 namespace spikeserve {
@@ -26,18 +27,17 @@ torch::Tensor RandomMatrix(int64_t rows, int64_t columns, uint64_t seed, uint64_
 absl::Status PatchShape::Validate(int observation_size) const {
   if (height < 1 || width < 1 || channels < 1 || height > observation_size / width / channels ||
       pixels() != observation_size) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--image_shape: expected HEIGHT,WIDTH,CHANNELS of the ", observation_size,
-                     " numbers of an observation, received ", height, ",", width, ",", channels));
+    return InvalidArgument("--image_shape",
+                           absl::StrCat("HEIGHT,WIDTH,CHANNELS of the ", observation_size,
+                                        " numbers of an observation"),
+                           absl::StrCat(height, ",", width, ",", channels));
   }
   if (size < 1 || height % size != 0 || width % size != 0) {
-    return absl::InvalidArgumentError(absl::StrCat("--patch_size: expected a divisor of height ",
-                                                   height, " and width ", width, ", received ",
-                                                   size));
+    return InvalidArgument(
+        "--patch_size", absl::StrCat("a divisor of height ", height, " and width ", width), size);
   }
   if (features < 1) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--patch_features: expected at least 1, received ", features));
+    return InvalidArgument("--patch_features", "at least 1", features);
   }
   return absl::OkStatus();
 }

@@ -10,6 +10,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/environment/classic_tasks.h"
@@ -80,8 +81,7 @@ void DrawWideStart(const RecordOptions& options, uint64_t episode, std::vector<d
 
 absl::Status CheckFraction(absl::string_view name, double fraction, double most = 1.0) {
   if (fraction >= 0.0 && fraction <= most) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat(name, ": expected 0 to ", most, ", received ", fraction));
+  return InvalidArgument(name, absl::StrCat("0 to ", most), fraction);
 }
 
 // Records all sources of a dataset, one after the other.
@@ -201,7 +201,7 @@ class Recorder {
 
 absl::Status RecordOptions::Validate() const {
   if (steps < 1) {
-    return absl::InvalidArgumentError(absl::StrCat("steps: expected at least 1, received ", steps));
+    return InvalidArgument("steps", "at least 1", steps);
   }
   absl::Status status = CheckFraction("expert_fraction", expert_fraction);
   // The tolerance allows for rounding: the sum of fractions such as 0.9 and 0.1 may exceed 1
@@ -212,13 +212,11 @@ absl::Status RecordOptions::Validate() const {
   status.Update(CheckFraction("wide_start_fraction", wide_start_fraction));
   if (!status.ok()) return status;
   if (longest_burst < 1) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("longest_burst: expected at least 1, received ", longest_burst));
+    return InvalidArgument("longest_burst", "at least 1", longest_burst);
   }
   if (wide_start_fraction > 0.0 && PositionOnly::InsideId(expert.environment) != kPendulumId) {
-    return absl::InvalidArgumentError(absl::StrCat("wide_start_fraction: expected 0 for ",
-                                                   expert.environment, ", received ",
-                                                   wide_start_fraction));
+    return InvalidArgument("wide_start_fraction", absl::StrCat("0 for ", expert.environment),
+                           wide_start_fraction);
   }
   return absl::OkStatus();
 }

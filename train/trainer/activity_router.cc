@@ -1,6 +1,7 @@
 #include "train/trainer/activity_router.h"
 
 #include "absl/strings/str_cat.h"
+#include "core/base/status.h"
 #include "core/math/vector_view.h"
 
 namespace spikeserve {
@@ -8,14 +9,14 @@ namespace spikeserve {
 absl::Status RouteByActivity(Policy* policy) {
   const ModelConfig& config = policy->config;
   if (!config.has_routing()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--activity_router: expected --mode=route or full, received ",
-                     std::string(ToString(config.mode))));
+    return InvalidArgument("--activity_router", "--mode=route or full",
+                           std::string(ToString(config.mode)));
   }
   if (config.routing_hidden_size != config.heads) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--activity_router: expected --routing_hidden_size=", config.heads,
-                     ", the number of heads, received ", config.routing_hidden_size));
+    return InvalidArgument(
+        "--activity_router",
+        absl::StrCat("--routing_hidden_size=", config.heads, ", the number of heads"),
+        config.routing_hidden_size);
   }
   const int size = config.head_size();
   for (LayerWeights& layer : policy->weights.layers) {

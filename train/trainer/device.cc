@@ -7,6 +7,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/strip.h"
+#include "core/base/status.h"
 
 namespace spikeserve {
 
@@ -18,17 +19,14 @@ absl::StatusOr<torch::Device> DeviceNamed(absl::string_view name) {
                        (rest.empty() || (absl::ConsumePrefix(&rest, ":") && !rest.empty() &&
                                          absl::SimpleAtoi(rest, &index) && index >= 0));
   if (!is_cuda) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--device: expected cpu, cuda or cuda:N, received ", name));
+    return InvalidArgument("--device", "cpu, cuda or cuda:N", name);
   }
   const auto devices = static_cast<int>(torch::cuda::device_count());
   if (devices == 0) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "--device: expected cpu, as libtorch finds no CUDA device here, received ", name));
+    return InvalidArgument("--device", "cpu, as libtorch finds no CUDA device here", name);
   }
   if (index >= devices) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--device: expected cuda:0 to cuda:", devices - 1, ", received ", name));
+    return InvalidArgument("--device", absl::StrCat("cuda:0 to cuda:", devices - 1), name);
   }
   return torch::Device(torch::kCUDA, static_cast<torch::DeviceIndex>(index));
 }
@@ -36,9 +34,9 @@ absl::StatusOr<torch::Device> DeviceNamed(absl::string_view name) {
 absl::Status CheckDevice(torch::Device device, Arithmetic arithmetic) {
   if (device.is_cpu()) return absl::OkStatus();
   if (arithmetic != Arithmetic::kFloat32) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--device: expected cpu with --arithmetic=", std::string(ToString(arithmetic)),
-                     ", received ", device.str()));
+    return InvalidArgument(
+        "--device", absl::StrCat("cpu with --arithmetic=", std::string(ToString(arithmetic))),
+        device.str());
   }
   return absl::OkStatus();
 }

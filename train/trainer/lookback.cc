@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/math/exp.h"
 #include "core/neuron/phase.h"
@@ -108,9 +109,9 @@ std::vector<double> SymmetricFrequencies(const ModelConfig& config, int middle) 
 
 absl::Status CheckClock(absl::string_view flag, const ModelConfig& config) {
   if (config.has_phase() && config.phase_clock == PhaseClock::kTimestep) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat(flag, ": expected --mode=pos or full with --phase_clock=timestep, received ",
-                   ToString(config.mode), " with ", ToString(config.phase_clock)));
+  return InvalidArgument(
+      flag, "--mode=pos or full with --phase_clock=timestep",
+      absl::StrCat(ToString(config.mode), " with ", ToString(config.phase_clock)));
 }
 
 // Makes neuron `row` fire at the phase spikes of generator `k`, or between them.
@@ -145,8 +146,8 @@ absl::Status LookBack(int delay, Policy* policy) {
   const ModelConfig& config = policy->config;
   RETURN_IF_ERROR(CheckClock("--lookback", config));
   if (delay < 1 || delay >= config.context) {
-    return absl::InvalidArgumentError(absl::StrCat("--lookback: expected 1 to ", config.context - 1,
-                                                   ", below --context, received ", delay));
+    return InvalidArgument("--lookback",
+                           absl::StrCat("1 to ", config.context - 1, ", below --context"), delay);
   }
   const std::vector<double> omega = Frequencies(delay, config.heads);
   for (int k = 0; k < config.heads; ++k) {
@@ -160,9 +161,9 @@ absl::Status Mirror(int middle, Policy* policy) {
   const ModelConfig& config = policy->config;
   RETURN_IF_ERROR(CheckClock("--mirror", config));
   if (middle < 1 || middle > (config.context - 1) / 2) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--mirror: expected 1 to ", (config.context - 1) / 2,
-                     ", less than half of --context, received ", middle));
+    return InvalidArgument(
+        "--mirror",
+        absl::StrCat("1 to ", (config.context - 1) / 2, ", less than half of --context"), middle);
   }
   const std::vector<double> omega = SymmetricFrequencies(config, middle);
   for (int k = 0; k < config.heads; ++k) {

@@ -17,6 +17,7 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
@@ -37,8 +38,7 @@ constexpr int kValidationBatches = 4;
 absl::Status Require(bool holds, absl::string_view option, absl::string_view expected,
                      double received) {
   if (holds) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat(option, ": expected ", expected, ", received ", received));
+  return InvalidArgument(option, expected, received);
 }
 
 template <typename T>
@@ -105,13 +105,11 @@ absl::Status TrainOptions::Validate() const {
   check(plasticity.trace_decay >= 0.0 && plasticity.trace_decay <= 1.0, "trace_decay", "0 to 1",
         plasticity.trace_decay);
   if (status.ok() && plasticity.rule == Rule::kCorrections) {
-    return absl::InvalidArgumentError(
-        "local_rule: expected a rule that learns from rewards, received corrections");
+    return InvalidArgument("local_rule", "a rule that learns from rewards", "corrections");
   }
   if (status.ok() && norm == NormTraining::kFade && arithmetic != Arithmetic::kFloat32) {
-    return absl::InvalidArgumentError(absl::StrCat("norm: expected layer with arithmetic ",
-                                                   std::string(ToString(arithmetic)),
-                                                   ", received fade"));
+    return InvalidArgument(
+        "norm", absl::StrCat("layer with arithmetic ", std::string(ToString(arithmetic))), "fade");
   }
   return status;
 }
