@@ -58,7 +58,18 @@ void RenewKey(DatagramChannels* datagrams, const std::shared_ptr<SessionEntry>& 
 absl::Status PolicyHandler::ListPolicies(CallContext& /*context*/,
                                          const v1::ListPoliciesRequest& /*request*/,
                                          v1::ListPoliciesResponse* response) const {
-  *response = policy_list_.Of(registry_->catalog());
+  const std::shared_ptr<const PolicyCatalog> catalog = registry_->catalog();
+  absl::MutexLock lock(&list_mutex_);
+  if (listed_.lock() != catalog) {
+    list_.Clear();
+    for (const auto& [name, policy] : catalog->policies()) {
+      for (const auto& [version, served] : policy.versions) {
+        *list_.add_policies() = ToProto(policy, *served);
+      }
+    }
+    listed_ = catalog;
+  }
+  *response = list_;
   return absl::OkStatus();
 }
 

@@ -8,8 +8,10 @@
 #include <string>
 #include <utility>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
+#include "absl/synchronization/mutex.h"
 #include "absl/types/span.h"
 #include "core/agent/episode_recorder.h"
 #include "core/journal/journal_writer.h"
@@ -19,7 +21,6 @@
 #include "server/agent/datagram_channels.h"
 #include "server/agent/decision_request.h"
 #include "server/agent/deferred_work.h"
-#include "server/agent/policy_list.h"
 #include "server/agent/session_gate.h"
 #include "server/agent/session_recovery.h"
 #include "server/followers/recordings.h"
@@ -154,7 +155,11 @@ class PolicyHandler {
   Recordings* const recordings_;
   const SessionDurability durability_;
   DatagramChannels* const datagrams_;  // null: the server offers none
-  mutable PolicyList policy_list_;
+  // The answer to ListPolicies is made once for each catalog: reading the training records of a
+  // thousand versions takes milliseconds.
+  mutable absl::Mutex list_mutex_;
+  mutable std::weak_ptr<const PolicyCatalog> listed_ ABSL_GUARDED_BY(list_mutex_);
+  mutable v1::ListPoliciesResponse list_ ABSL_GUARDED_BY(list_mutex_);  // of `listed_`
 };
 
 }  // namespace spikeserve

@@ -17,9 +17,9 @@
 #include "absl/strings/str_split.h"
 #include "core/base/file.h"
 #include "tests/fuzz/fuzz_target.h"
+#include "tests/support/read_minari.h"
 #include "train/data/minari_layout.h"
 #include "train/data/minari_metadata.h"
-#include "train/data/minari_reader.h"
 #include "train/data/minari_writer.h"
 
 // Functions of the address sanitizer; the first two are null without it. The sanitizer calls the

@@ -166,24 +166,11 @@ absl::StatusOr<Dataset> ReadEpisodes(const std::string& directory, const MinariM
   return dataset;
 }
 
-absl::StatusOr<Dataset> ReadAll(const std::string& directory) {
-  ASSIGN_OR_RETURN(const MinariMetadata metadata, ReadMetadata(directory));
-  return ReadEpisodes(directory, metadata, [&](const std::vector<Episode>& read) {
-    const auto next = static_cast<int>(read.size());
-    return next < metadata.episodes ? next : -1;
-  });
-}
-
 }  // namespace
 
 bool IsMinariDataset(const std::string& path) {
   std::error_code error;
   return std::filesystem::exists(path + kMinariMetadata, error);
-}
-
-absl::StatusOr<Dataset> ReadMinariDataset(const std::string& directory) {
-  absl::StatusOr<Dataset> dataset = ReadInChild([&] { return ReadAll(directory); });
-  return dataset.ok() ? std::move(dataset) : Annotate(dataset.status(), directory);
 }
 
 absl::StatusOr<MinariEpisodes> MinariEpisodes::Open(const std::string& directory) {

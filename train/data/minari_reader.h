@@ -21,12 +21,9 @@ namespace spikeserve {
 // Returns whether `path` is a directory with the metadata file of a Minari dataset.
 bool IsMinariDataset(const std::string& path);
 
-// Reads a Minari dataset, written by this project or by any other program. The environment of a
-// foreign dataset is the id in its env_spec, or the dataset's id if it has none; its actor is
-// "unknown".
-absl::StatusOr<Dataset> ReadMinariDataset(const std::string& directory);
-
-// Reads the episodes of one dataset in parts, so that not all of them have to be in memory.
+// Reads the episodes of one dataset in parts, so that not all of them have to be in memory. Any
+// program may have written it. The environment of a foreign dataset is the id in its env_spec, or
+// the dataset's id if it has none; its actor is "unknown".
 class MinariEpisodes {
  public:
   // Reads the metadata.

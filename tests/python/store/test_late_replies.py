@@ -1,8 +1,6 @@
 """Replies of Redis, and writes in it, that come after the server has stopped waiting for them."""
 
 import contextlib
-import pathlib
-import shutil
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -144,24 +142,6 @@ def test_what_redis_runs_late_changes_nothing(redis, undisturbed_session, held_b
             if decision == held_before + released_after - 1:
                 route.remember()
                 assert redis.command("PING") == b"PONG"  # Redis has run what came before
-        first.kill()
-        answers.append(decide_to_the_end(second, TAKEN + 3))
-        assert answers == undisturbed_session
-
-
-def test_records_that_redis_has_lost_are_written_again(redis, undisturbed_session):
-    """Redis comes back with its files of some decisions ago, as after a crash of its machine."""
-    files = pathlib.Path(redis.folder.name) / "appendonlydir"
-    with two_servers(redis.port, redis.port) as (first, second):
-        open_session(first)
-        answers = [decide_to_the_end(first, decision) for decision in range(TAKEN + 1)]
-        shutil.copytree(files, files.with_name("before"))
-        answers.append(decide_to_the_end(first, TAKEN + 1))
-        redis.kill()
-        shutil.rmtree(files)
-        files.with_name("before").rename(files)
-        redis.start()
-        answers.append(decide_to_the_end(first, TAKEN + 2))
         first.kill()
         answers.append(decide_to_the_end(second, TAKEN + 3))
         assert answers == undisturbed_session

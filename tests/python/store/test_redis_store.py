@@ -201,19 +201,6 @@ def stream_of(server):
     return answers
 
 
-def test_redis_comes_back_empty(redis, replicas):
-    """Sessions that a replica holds are written again, before the answer to their next decision."""
-    first, second = replicas
-    first.OpenSession(**opening(7))
-    for step in range(5):
-        act(first, 7, step)
-    redis.command("FLUSHALL")
-    act(first, 7, 5)
-    first.kill()
-    assert second.GetSession(session_id=opening(7)["session_id"]).decisions == 6
-    act(second, 7, 6)
-
-
 def test_a_closed_session_is_closed_for_all(replicas):
     first, second = replicas
     first.OpenSession(**opening(0))

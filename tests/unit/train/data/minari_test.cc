@@ -14,9 +14,9 @@
 #include <stdexcept>
 
 #include "absl/strings/str_replace.h"
+#include "tests/support/read_minari.h"
 #include "train/data/child_reader.h"
 #include "train/data/hdf5_file.h"
-#include "train/data/minari_reader.h"
 #include "train/data/minari_writer.h"
 #include "train/recording/record.h"
 
