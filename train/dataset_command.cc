@@ -1,3 +1,4 @@
+#include <cstdint>
 #include <cstdio>
 #include <filesystem>
 #include <memory>
@@ -5,6 +6,8 @@
 #include <string>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
+#include "core/action/step_source.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/dataset/recordings.h"
@@ -16,18 +19,60 @@
 namespace spikeserve {
 namespace {
 
+constexpr double kLargestLossWeight = 1e6;
 constexpr char kRecording[] = "Recording, without --recordings";
 
 struct DatasetFlags {
   std::string out;
   std::string recordings;          // recordings of a server to convert; empty: record new episodes
   std::optional<std::string> env;  // absent: all environments of the recordings, or CartPole-v1
+  // Loss weights of the steps that operators and the policy chose; absent: all steps have 1.
+  std::optional<double> correction_weight;
+  double policy_weight = 1.0;
   RecordFlags record;
   bool json = false;
 };
 
-absl::StatusOr<Dataset> FromRecordings(const std::string& path, const std::string& environment) {
-  auto recordings = ReadRecordings(path, environment);
+// Sets the loss weights of recorded steps by who chose their actions. What a safety layer, a
+// fall-back or a hold chose is not to be imitated. Returns the number of the operators' steps.
+int64_t WeighBySource(double correction_weight, double policy_weight, Dataset* dataset) {
+  int64_t corrected = 0;
+  for (Episode& episode : dataset->episodes) {
+    episode.weights.assign(episode.actions.size(), 0.0f);
+    for (int step = 0; step < episode.steps(); ++step) {
+      const SourceKind kind = episode.source(step).kind;
+      const bool by_policy = kind == SourceKind::kPolicy || kind == SourceKind::kLocal;
+      if (by_policy) episode.weights[step] = static_cast<float>(policy_weight);
+      if (kind != SourceKind::kOperator) continue;
+      episode.weights[step] = static_cast<float>(correction_weight);
+      ++corrected;
+    }
+  }
+  return corrected;
+}
+
+absl::Status CheckWeight(const char* flag, double weight) {
+  if (weight >= 0.0 && weight <= kLargestLossWeight) return absl::OkStatus();
+  return InvalidArgument(flag, absl::StrCat("0 to ", kLargestLossWeight), weight);
+}
+
+absl::Status WeighCorrections(const DatasetFlags& flags, Dataset* dataset) {
+  if (!flags.correction_weight.has_value()) return absl::OkStatus();
+  RETURN_IF_ERROR(CheckWeight("--correction_weight", *flags.correction_weight));
+  RETURN_IF_ERROR(CheckWeight("--policy_weight", flags.policy_weight));
+  const int64_t corrected = WeighBySource(*flags.correction_weight, flags.policy_weight, dataset);
+  if (corrected == 0) {
+    return InvalidArgument("--correction_weight", "recordings in which an operator acted", "none");
+  }
+  dataset->recipe["corrected_steps"] = corrected;
+  dataset->recipe["correction_weight"] = *flags.correction_weight;
+  dataset->recipe["policy_weight"] = flags.policy_weight;
+  return absl::OkStatus();
+}
+
+absl::StatusOr<Dataset> FromRecordings(const DatasetFlags& flags) {
+  const std::string& path = flags.recordings;
+  auto recordings = ReadRecordings(path, flags.env.value_or(""));
   if (!recordings.ok()) return Annotate(recordings.status(), "--recordings");
   const size_t episodes = recordings->size();
   absl::StatusOr<Dataset> dataset = Concatenate(*std::move(recordings));
@@ -35,11 +80,15 @@ absl::StatusOr<Dataset> FromRecordings(const std::string& path, const std::strin
   dataset->recipe.erase("parts");  // one for each episode; the names stay
   dataset->recipe["recordings"] = path;
   dataset->recipe["episodes"] = episodes;
+  RETURN_IF_ERROR(WeighCorrections(flags, &*dataset));
   return dataset;
 }
 
 absl::StatusOr<Dataset> MakeDataset(const DatasetFlags& flags) {
-  if (!flags.recordings.empty()) return FromRecordings(flags.recordings, flags.env.value_or(""));
+  if (!flags.recordings.empty()) return FromRecordings(flags);
+  if (flags.correction_weight.has_value()) {
+    return InvalidArgument("--correction_weight", "--recordings beside it", "none");
+  }
   RecordFlags record = flags.record;
   record.options.expert.environment = flags.env.value_or(record.options.expert.environment);
   return RecordFromFlags(record, flags.out);
@@ -70,6 +119,10 @@ void AddDatasetCommand(Program& program) {
       .Add("env", "ID", &flags->env, kEnvironmentHelp)
       .Add("recordings", "DIR", &flags->recordings,
            "Record directory of a server, or one session of it")
+      .Add("correction_weight", "W", &flags->correction_weight,
+           "Loss weight of the steps that operators chose; default: all steps count alike")
+      .Add("policy_weight", "W", &flags->policy_weight,
+           "Beside it: that of the policy's steps; all other steps have 0")
       .AddSwitch("json", &flags->json, "Print the summary on several lines");
   FlagGroup recording = command.Flags(kRecording);
   recording.Add("seed", "N", &flags->record.options.seed, "Seed of every random draw");

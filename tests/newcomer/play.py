@@ -32,6 +32,7 @@ PAGES = (
     "grpc-web.md",
     "guides/policies.md",
     "recording.md",
+    "corrections.md",
     "explain.md",
     "status-page.md",
     "watching.md",

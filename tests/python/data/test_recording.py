@@ -138,6 +138,16 @@ def test_minari_reads_what_was_played(played, tmp_path, monkeypatch):
         np.testing.assert_array_equal(read.infos["return_to_go"][:-1], returns_to_go)
 
 
+@pytest.mark.parametrize("recorded", [True, False])
+def test_corrections_are_weighed_where_there_are_some(played, tmp_path, recorded):
+    folder = played[0]
+    flags = [f"--recordings={folder}"] if recorded else ["--steps=10"]
+    refused = run("spiketrain", "dataset", *flags, f"--out={tmp_path}/served.cbor", "--correction_weight=1", status=1)
+    expected = "recordings in which an operator acted" if recorded else "--recordings beside it"
+    assert refused.stderr == f"spiketrain: --correction_weight: expected {expected}, received none\n"
+    assert not (tmp_path / "served.cbor").exists()
+
+
 def test_spiketrain_trains_on_it(played, tmp_path):
     folder, _ = played
     run("spiketrain", "dataset", f"--recordings={folder}", f"--out={tmp_path}/served.cbor")

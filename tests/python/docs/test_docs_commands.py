@@ -103,3 +103,19 @@ def test_pages_do_not_disturb_each_other(shell, tmp_path):
         check_recording(shell, tmp_path)
         assert (tmp_path / "my-policies/cartpole/2/policy.safetensors").read_bytes() == served
         check_security(shell)
+
+
+@pytest.mark.skipif("SPIKETRAIN_PROGRAM" not in os.environ, reason="without libtorch")
+def test_from_a_bad_robot_to_a_better_version(shell, tmp_path):
+    (tmp_path / "robot.py").write_text(files_of("corrections.md")["robot.py"])
+    dataset = "spiketrain dataset"
+    # The server writes an episode after it has answered.
+    wait = f"until ls {tmp_path}/recordings/*/000009.cbor >{tmp_path}/listed 2>&1; do :; done\n{dataset}"
+    _, played, trained, pushed = shell.run("guides/corrections.md", [(dataset, wait)])
+    bad, operated = (float(line.split()[-1]) for line in played.splitlines())
+    assert bad < 15 and operated > 400
+    recipe = json.loads(trained.splitlines()[0])
+    assert recipe["corrected_steps"] == 10 * (operated - 5)
+    assert "version 2: mean return" in pushed
+    better = float(pushed.splitlines()[-1].split()[-1])
+    assert better > 10 * bad

@@ -184,6 +184,15 @@ def test_each_step_says_who_chose_its_action(server, client, tmp_path):
         with h5py.File(tmp_path / "served-v0/data/main_data.hdf5") as file:
             written = file["episode_0/infos/source"][:].tolist()
         assert [SOURCES[kind] for kind in written[:-1]] == [text.partition(":")[0] for text in sources]
+        convert = ("spiketrain", "dataset", f"--recordings={path.parent}", f"--out={tmp_path}/weighted.cbor")
+        weights = {"operator": 10.0, "policy": 0.5}
+        summary = run(*convert, "--correction_weight=10", "--policy_weight=0.5").stdout
+        assert json.loads(summary)["corrected_steps"] == 3
+        written = cbor2.loads((tmp_path / "weighted.cbor").read_bytes())["episodes"][0]["weights"]
+        assert list(written) == [weights.get(text.partition(":")[0], 0.0) for text in sources]
+        for value in ("-1", "nan", "2e6"):
+            refused = run(*convert, f"--correction_weight={value}", status=1).stderr
+            assert refused.startswith("spiketrain: --correction_weight: expected ")
 
 
 @pytest.mark.parametrize(
