@@ -154,7 +154,49 @@ class WeakAcrobot:
         return np.array([speed1, speed2, -(d2 * turn2 + phi1) / d1, turn2])
 
 
-TASKS = {kind.__name__: kind for kind in (ReversedCartPole, ReversedPendulum, HeavyPendulum, WeakAcrobot)}
+class Spoiled:
+    """A task as the policy knows it, with an operator who spoils it."""
+
+    random = np.random.default_rng(1)
+
+    def make(self):
+        return gymnasium.make(self.task)
+
+    def execute(self, action):
+        return action
+
+
+class OppositeCartPole(Spoiled):
+    policy, task = "cartpole", "CartPole-v0"
+
+    def operator(self, observation, twin):
+        return 1 - twin.act(observation)
+
+
+class OppositePendulum(Spoiled):
+    policy, task = "pendulum", "Pendulum-v1"
+
+    def operator(self, observation, twin):
+        return -twin.act(observation)
+
+
+class RandomCartPole(Spoiled):
+    policy, task = "cartpole", "CartPole-v0"
+
+    def operator(self, _, twin):
+        return int(self.random.integers(2))
+
+
+class RandomPendulum(Spoiled):
+    policy, task = "pendulum", "Pendulum-v1"
+
+    def operator(self, _, twin):
+        return self.random.uniform(-2, 2, 1).astype(np.float32)
+
+
+CHANGED = (ReversedCartPole, ReversedPendulum, HeavyPendulum, WeakAcrobot)
+SPOILED = (OppositeCartPole, OppositePendulum, RandomCartPole, RandomPendulum)
+TASKS = {kind.__name__: kind for kind in CHANGED + SPOILED}
 
 
 class Twin:
@@ -168,7 +210,7 @@ class Twin:
 
 
 def play(task, engine, session, start, corrects=0):
-    """Plays an episode; an operator takes its first `corrects` steps. Returns the return and the corrected steps."""
+    """Plays an episode; an operator takes its first `corrects` steps. Returns the return, the corrected steps, and the summary."""
     env, twin = task.make(), Twin(engine)
     observation, _ = env.reset(seed=start)
     rewards, executed, over = [], None, False
@@ -182,8 +224,8 @@ def play(task, engine, session, start, corrects=0):
         rewards.append(float(reward))
         twin.reward = rewards[-1]
         over = terminated or truncated
-    session.end_episode(rewards[-1], terminated, executed_action=executed)
-    return sum(rewards), min(corrects, len(rewards))
+    summary = session.end_episode(rewards[-1], terminated, executed_action=executed)
+    return sum(rewards), min(corrects, len(rewards)), summary
 
 
 def mean_return(task, engine, starts, delta=None, corrects=0):
@@ -197,7 +239,7 @@ def learn(task, engine, seed, starts):
     corrected, episode, after = 0, 0, {}
     for steps in STEPS:
         while corrected < steps:
-            _, taken = play(task, engine, session, 1000 * seed + episode, corrects=steps - corrected)
+            _, taken, _ = play(task, engine, session, 1000 * seed + episode, corrects=steps - corrected)
             corrected, episode = corrected + taken, episode + 1
         after[steps] = mean_return(task, engine, starts, session.state().head_delta)
     return after
@@ -205,7 +247,7 @@ def learn(task, engine, seed, starts):
 
 def main():
     parser = argparse.ArgumentParser(prog="lab/bench/corrections.py")
-    parser.add_argument("tasks", nargs="*", default=list(TASKS), metavar="TASK", help=", ".join(TASKS))
+    parser.add_argument("tasks", nargs="*", default=[kind.__name__ for kind in CHANGED], metavar="TASK", help=", ".join(TASKS))
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--starts", type=int, default=20, help="unseen ones of each evaluation")
     arguments = parser.parse_args()
