@@ -120,13 +120,13 @@ class Comparison {
 absl::Status ReplayEpisode(const Dataset& dataset, RemoteSession& session, ReplayResult* result) {
   const Episode& episode = dataset.episodes[0];
   const auto size = static_cast<size_t>(dataset.observation_size);
+  const std::vector<double>& rewards = episode.received_rewards();
   for (int step = 0; step < episode.steps(); ++step) {
     const auto observation =
         absl::MakeConstSpan(episode.observations).subspan(static_cast<size_t>(step) * size, size);
-    ASSIGN_OR_RETURN(const auto response, step == 0
-                                              ? session.Act(observation, 0.0)
-                                              : session.Act(observation, episode.rewards[step - 1],
-                                                            Executed(dataset, step - 1)));
+    ASSIGN_OR_RETURN(const auto response, step == 0 ? session.Act(observation, 0.0)
+                                                    : session.Act(observation, rewards[step - 1],
+                                                                  Executed(dataset, step - 1)));
     result->difference = Comparison(dataset, step).Find(response);
     if (result->difference.has_value()) return absl::OkStatus();
     ++result->decisions;
@@ -142,7 +142,7 @@ absl::Status ReplayEpisodes(const std::vector<Dataset>& recording, RemoteSession
     if (i > 0) {
       const Episode& before = recording[i - 1].episodes[0];
       RETURN_IF_ERROR(
-          (session.EndEpisode({.reward = before.rewards.back(),
+          (session.EndEpisode({.reward = before.received_rewards().back(),
                                .terminated = before.terminated,
                                .truncated = before.truncated,
                                .target_return = ServedOf(recording[i]).target_return,

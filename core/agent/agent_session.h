@@ -81,6 +81,21 @@ class AgentSession {
   // Returns the next step, behind those without an observation.
   int64_t next_step() const { return session_.step + static_cast<int64_t>(blind_rewards_.size()); }
 
+  // Gives an episode that waits for its verdict the amended rewards, and learns from it. Returns
+  // what became of it, at once for the same amendment again. Errors do not change the session, but
+  // for episodes whose time is over, which are learned from first:
+  // - ALREADY_EXISTS: the episode has another amendment of this id;
+  // - FAILED_PRECONDITION: the time of the episode is over;
+  // - NOT_FOUND: the episode does not wait;
+  // - INVALID_ARGUMENT: as many rewards as the episode has no steps;
+  // - UNAVAILABLE: as for Apply.
+  // REQUIRES: the rewards and their sum are finite.
+  absl::StatusOr<Verdict> Amend(const Amendment& amendment);
+  // A verdict has changed the return of an episode that has been learned from, or is not.
+  void OnAmended(int64_t episode, double change) {
+    life_.OnAmended(change, episode + 1 == session_.episode && session_.step == 0);
+  }
+
   // Returns the error with which Apply would refuse `step` as a new decision, or OK.
   absl::Status CheckNewDecision(Step& step) const;
 
@@ -166,6 +181,15 @@ class AgentSession {
   void CountSource(const StepSource& source);
   // Undoes SkipSteps, if no decision has followed.
   void RestoreSkipped();
+  using EndReport = bool (SessionListener::*)(const Session&,
+                                              const std::shared_ptr<FleetContribution>&);
+  // Reports an episode that has ended, or its verdict, to the listeners, and hands over what it
+  // contributes. `episode_return`, if it is final, enters the figures.
+  void Report(EndReport report, std::optional<double> episode_return, double target_return);
+  // Learns from episodes that wait and whose time is over.
+  void LearnOverdue();
+  // Learns from an episode that waits. REQUIRES: no contribution is on its way.
+  void Judge(const WaitingEpisode& ended, std::vector<double> rewards, Verdict verdict);
   void CountMissingRewards(int64_t rewards);  // that were left out after step 0, and are 0
   // Counts an answer that holds NaN or infinity, and returns its error.
   absl::Status NonFiniteError() const;

@@ -105,6 +105,7 @@ void AgentSession::DecisionPass::DecideVersion(absl::Span<Step* const> steps) {
   for (const Step* step : steps) {
     AgentSession& session = *step->session;
     session.head_.TakeMerged(&session.session_);
+    if (session.session_.step == 0) session.LearnOverdue();
     sessions.push_back(&session);
     ConfirmNeutral(*step);
     if (step->result.executed.has_value()) {

@@ -149,26 +149,23 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndPass::End(const Step& step) {
   if (is_known) taken.executed_action = session.history.action(session.history.size() - 1);
   const double episode_return = session.episode_return + end.reward;
   const double target_return = session.target_return;
-  const EpisodeSummary summary = {
-      .episode_return = episode_return,
-      .steps = session.step,
-      .spikes = session.episode_spikes,
-      .energy_joules = session.episode_energy_joules,
-      .learning = agent.head_.OnEpisodeEnd(end, episode_return, *agent.clock_, &session)};
+  EpisodeSummary summary = {.episode_return = episode_return,
+                            .steps = session.step,
+                            .spikes = session.episode_spikes,
+                            .energy_joules = session.episode_energy_joules,
+                            .learning = std::nullopt,
+                            .awaits_verdict = agent.head_.AwaitVerdict(end, &session)};
+  if (!summary.awaits_verdict) {
+    summary.learning = agent.head_.OnEpisodeEnd(end, episode_return, *agent.clock_, &session);
+  }
   StartNextEpisode(end, &session);
   agent.blind_rewards_.clear();
   session.last_end = std::make_shared<const EndedEpisode>(
       EndedEpisode{.end = std::move(taken), .summary = summary});
   agent.DropContext();
-  agent.head_.NewContribution(session);
-  bool is_taken = false;
-  for (const auto& listener : agent.listeners_) {
-    if (listener->OnEpisodeEnd(session, agent.contribution())) is_taken = true;
-  }
-  if (agent.contribution() != nullptr) agent.life_.OnContribution();
-  if (agent.contribution() != nullptr && !is_taken) agent.contribution()->Append();
-  agent.life_.OnEpisode(summary.episode_return, target_return);
-  agent.served_->observer->OnEpisodeEnd(summary.episode_return);
+  std::optional<double> is_final;
+  if (!summary.awaits_verdict) is_final = episode_return;
+  agent.Report(&SessionListener::OnEpisodeEnd, is_final, target_return);
   return summary;
 }
 

@@ -78,7 +78,9 @@ void EpisodeRecorder::Start(const Session& session) {
                     .returns_to_go = {},
                     .probabilities = {},
                     .spikes = {},
-                    .policy_sha256 = options.policy_sha256};
+                    .policy_sha256 = options.policy_sha256,
+                    .session = session.id,
+                    .tenant = options.tenant};
   if (options.action_selection.sample) {
     episode.served->temperature = options.action_selection.temperature;
   }

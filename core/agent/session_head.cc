@@ -2,8 +2,10 @@
 
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "core/contract/dcheck.h"
 #include "core/learning/frobenius_norm.h"
 #include "core/learning/learner.h"
@@ -114,16 +116,52 @@ std::optional<LearningSummary> SessionHead::OnEpisodeEnd(const EpisodeEnd& end,
                                                          double episode_return, const Clock& clock,
                                                          Session* session) {
   if (!session->learner.has_value()) return std::nullopt;
+  return Learn(session->episode, end.reward, end.terminated, episode_return, clock, session);
+}
+
+bool SessionHead::AwaitVerdict(const EpisodeEnd& end, Session* session) {
+  if (!session->learner.has_value()) return false;
+  const LearningOptions& options = *session->options.learning;
+  SuspendIfPaused(session);
+  const double now = absl::ToDoubleSeconds(absl::Now() - absl::UnixEpoch());
+  const bool waits =
+      session->learner->AwaitVerdict(end.reward, {.episode = session->episode,
+                                                  .terminated = end.terminated,
+                                                  .target_return = session->target_return,
+                                                  .until = now + options.verdict_seconds});
+  if (!waits) return false;
+  session->learner->StartEpisode(options);
+  return true;
+}
+
+LearningSummary SessionHead::OnVerdict(const WaitingEpisode& ended, double episode_return,
+                                       const Clock& clock, Session* session) {
+  Learner& learner = *session->learner;
+  std::erase_if(learner.waiting,
+                [&](const auto& waiting) { return waiting->episode == ended.episode; });
+  Learner running = learner;  // the episode that is played meanwhile
+  learner.Recall(*session->options.learning, ended.factors);
+  const LearningSummary summary = Learn(ended.episode, ended.factors.rewards.back(),
+                                        ended.terminated, episode_return, clock, session);
+  running.head_delta = std::move(learner.head_delta);
+  running.returns = learner.returns;
+  running.guard = std::move(learner.guard);
+  learner = std::move(running);
+  return summary;
+}
+
+LearningSummary SessionHead::Learn(int64_t episode, double reward, bool terminated,
+                                   double episode_return, const Clock& clock, Session* session) {
   const LearningOptions& options = *session->options.learning;
   Learner& learner = *session->learner;
   SuspendIfPaused(session);
-  OnUpdate(learner.OnEpisodeEnd(options, served_->policy(), end.reward, end.terminated), *session);
+  OnUpdate(learner.OnEpisodeEnd(options, served_->policy(), reward, terminated), *session);
   LearningSummary summary = {.scope = options.scope,
                              .updates = learner.updates,
                              .rejected = learner.rejected,
                              .returns = learner.returns};
   if (IsInFleet()) {
-    MergeIntoFleet(episode_return, clock, session, &summary);
+    MergeIntoFleet(episode, episode_return, clock, session, &summary);
   } else {
     WatchPrivateHead(episode_return, session, &summary);
   }
@@ -132,11 +170,11 @@ std::optional<LearningSummary> SessionHead::OnEpisodeEnd(const EpisodeEnd& end,
   return summary;
 }
 
-void SessionHead::MergeIntoFleet(double episode_return, const Clock& clock, Session* session,
-                                 LearningSummary* summary) {
+void SessionHead::MergeIntoFleet(int64_t episode, double episode_return, const Clock& clock,
+                                 Session* session, LearningSummary* summary) {
   FleetHead& fleet = member_->head();
   const Learner& learner = *session->learner;
-  Contribution contribution = {.episode = session->episode,
+  Contribution contribution = {.episode = episode,
                                .contributor = member_->contributor(),
                                .held_out = member_->held_out(),
                                .operators = learner.operators,
@@ -186,8 +224,14 @@ void SessionHead::TakeMerged(Session* session) {
   if (contribution_ == nullptr) return;
   const auto merged = contribution_->merged();
   if (!merged.has_value()) return;
+  const int64_t episode = contribution_->value().episode;
   contribution_ = nullptr;
   session->pending = nullptr;
+  for (Verdict& verdict : session->verdicts) {
+    if (verdict.episode != episode) continue;
+    verdict.learning = *merged;
+    return;
+  }
   if (session->last_end == nullptr) return;
   auto ended = std::make_shared<EndedEpisode>(*session->last_end);
   ended->summary.learning = *merged;

@@ -50,6 +50,13 @@ class SessionHead {
   std::optional<LearningSummary> OnEpisodeEnd(const EpisodeEnd& end, double episode_return,
                                               const Clock& clock, Session* session);
 
+  // Lets the episode that `end` ends wait for its verdict. Returns false, and does nothing, if
+  // OnEpisodeEnd is to learn from it now.
+  bool AwaitVerdict(const EpisodeEnd& end, Session* session);
+  // As OnEpisodeEnd, for an episode that has waited: its rewards are final.
+  LearningSummary OnVerdict(const WaitingEpisode& ended, double episode_return, const Clock& clock,
+                            Session* session);
+
   // Returns what the last episode that has ended contributes to the head of the fleet, from
   // NewContribution() until TakeMerged() finds its outcome; otherwise null.
   const std::shared_ptr<FleetContribution>& contribution() const { return contribution_; }
@@ -68,7 +75,10 @@ class SessionHead {
   // Suspends the learning of the running episode if that of the policy is paused.
   void SuspendIfPaused(Session* session) const;
   void OnUpdate(std::optional<UpdateOutcome> outcome, const Session& session);
-  void MergeIntoFleet(double episode_return, const Clock& clock, Session* session,
+  // Learns from an episode with the rewards that the learner has and the last one.
+  LearningSummary Learn(int64_t episode, double reward, bool terminated, double episode_return,
+                        const Clock& clock, Session* session);
+  void MergeIntoFleet(int64_t episode, double episode_return, const Clock& clock, Session* session,
                       LearningSummary* summary);
   void WatchPrivateHead(double episode_return, Session* session, LearningSummary* summary);
 

@@ -116,6 +116,12 @@ class SessionLife {
     episodes_.Add({.episode_return = episode_return});
   }
 
+  // The return of an episode has changed since.
+  void OnAmended(double change, bool is_last) {
+    return_sum_ += change;
+    if (is_last) last_return_ += change;
+  }
+
   void OnMissingRewards(int64_t rewards) { missing_rewards_ += rewards; }
   void OnSource(const StepSource& source) {
     last_source_ = source;

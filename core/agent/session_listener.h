@@ -56,6 +56,13 @@ class SessionListener {
     return false;
   }
 
+  // An episode that waited for its verdict has been learned from: the last of `session.verdicts`.
+  // Otherwise as OnEpisodeEnd.
+  virtual bool OnVerdict(const Session& /*session*/,
+                         const std::shared_ptr<FleetContribution>& /*contribution*/) {
+    return false;
+  }
+
   // The policy failed to decide; the session has not changed. Errors of the caller are not
   // reported.
   virtual void OnFailure() {}

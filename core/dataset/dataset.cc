@@ -18,6 +18,7 @@
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
+#include "core/dataset/amendments.h"
 #include "core/dataset/dataset_cbor.h"
 
 namespace spikeserve {
@@ -47,6 +48,10 @@ absl::Status CheckServed(const Dataset& dataset, const ServedEpisode& served, si
   if (!served.sources.empty() && served.sources.size() != steps) {
     return InvalidArgument("served.sources", absl::StrCat(steps, " sources"),
                            served.sources.size());
+  }
+  if (!served.received_rewards.empty() && served.received_rewards.size() != steps) {
+    return InvalidArgument("served.received_rewards", absl::StrCat(steps, " or none"),
+                           served.received_rewards.size());
   }
   for (const Action& action : served.answered_actions) {
     RETURN_IF_ERROR(dataset.action_space.Contains(action));
@@ -234,7 +239,9 @@ absl::Status WriteDataset(const Dataset& dataset, const std::string& path) {
 absl::StatusOr<Dataset> ReadDataset(const std::string& path) {
   ASSIGN_OR_RETURN(const std::string bytes, ReadFile(path));
   absl::StatusOr<Dataset> dataset = ParseDataset(bytes);
-  return dataset.ok() ? std::move(dataset) : Annotate(dataset.status(), path);
+  if (!dataset.ok()) return Annotate(dataset.status(), path);
+  RETURN_IF_ERROR(ReadAmendments(path, &*dataset).status());
+  return dataset;
 }
 
 }  // namespace spikeserve

@@ -41,6 +41,12 @@ struct ServedEpisode {
   std::vector<float> logits = {};
   std::vector<float> noise = {};   // standard normal
   std::string policy_sha256 = {};  // of the policy's file, in hexadecimal; empty: unknown
+  std::string session = {};        // id; empty: unknown
+  std::string tenant = {};         // owner of the session; empty if the server has no tenants
+  // Of an episode that was judged after its end (amendments.h):
+  std::vector<double> received_rewards = {};  // [steps]; empty if `rewards` are as received
+  std::optional<bool> success = std::nullopt;
+  std::string verdict = {};  // the label that the last author gave; empty: none
 };
 
 // One episode of `steps` actions.
@@ -67,6 +73,10 @@ struct Episode {
   // Returns the action that the server answered at `step`. REQUIRES: a served episode.
   const Action& answered(int step) const {
     return served->answered_actions.empty() ? actions[step] : served->answered_actions[step];
+  }
+  // Returns the rewards [steps] that the decisions were conditioned on. REQUIRES: a served episode.
+  const std::vector<double>& received_rewards() const {
+    return served->received_rewards.empty() ? rewards : served->received_rewards;
   }
   // Returns who chose the action that was executed at `step`. REQUIRES: a served episode.
   StepSource source(int step) const {
@@ -107,8 +117,8 @@ absl::StatusOr<Dataset> Concatenate(std::vector<Dataset> datasets);
 // Writes `dataset` as a CBOR file, one object with the fields above. Error messages start with the
 // path.
 absl::Status WriteDataset(const Dataset& dataset, const std::string& path);
-// Reads a file that WriteDataset wrote. NOT_FOUND if it cannot be read, INVALID_ARGUMENT if it is
-// not a valid dataset; messages start with the path.
+// Reads a file that WriteDataset wrote, with its amendments (amendments.h). NOT_FOUND if it cannot
+// be read, INVALID_ARGUMENT if it is not a valid dataset; messages start with the path.
 absl::StatusOr<Dataset> ReadDataset(const std::string& path);
 
 }  // namespace spikeserve

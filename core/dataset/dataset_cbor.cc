@@ -49,6 +49,11 @@ absl::Status ReadJson(absl::string_view field, const Json& json, ServedEpisode* 
   object.Optional("logits", &served->logits);
   object.Optional("noise", &served->noise);
   object.Optional("policy_sha256", &served->policy_sha256);
+  object.Optional("session", &served->session);
+  object.Optional("tenant", &served->tenant);
+  object.Optional("received_rewards", &served->received_rewards);
+  object.Optional("success", &served->success);
+  object.Optional("verdict", &served->verdict);
   return object.Finish();
 }
 
@@ -81,6 +86,11 @@ Json ServedToJson(const ServedEpisode& served, bool discrete) {
   VisitFields(served, [&](const char* key, const auto& member) { json[key] = member; });
   if (served.temperature.has_value()) json["temperature"] = *served.temperature;
   if (!served.policy_sha256.empty()) json["policy_sha256"] = served.policy_sha256;
+  if (!served.session.empty()) json["session"] = served.session;
+  if (!served.tenant.empty()) json["tenant"] = served.tenant;
+  if (!served.received_rewards.empty()) json["received_rewards"] = served.received_rewards;
+  if (served.success.has_value()) json["success"] = *served.success;
+  if (!served.verdict.empty()) json["verdict"] = served.verdict;
   if (!served.noise.empty()) {
     json["logits"] = served.logits;
     json["noise"] = served.noise;

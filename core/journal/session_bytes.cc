@@ -17,6 +17,49 @@ absl::Status Inconsistent(absl::string_view field, absl::string_view expected, i
   return InvalidArgument(absl::StrCat("session.", field), expected, received);
 }
 
+absl::Status CheckFactors(absl::string_view field, int64_t size, size_t rewards,
+                          const EpisodeFactors& factors) {
+  if (factors.rewards.size() != rewards) {
+    return Inconsistent(absl::StrCat(field, ".rewards"), absl::StrCat(rewards, " numbers"),
+                        static_cast<int64_t>(factors.rewards.size()));
+  }
+  for (const auto& [post, executed, readout] : factors.steps) {
+    const bool is_skipped = post.empty() && executed.empty() && readout.empty();
+    const bool fits = static_cast<int64_t>(post.size() * readout.size()) == size &&
+                      (executed.empty() || executed.size() == post.size());
+    if (is_skipped || fits) continue;
+    return Inconsistent(absl::StrCat(field, ".steps"), "factors of the head's shape",
+                        static_cast<int64_t>(post.size() * readout.size()));
+  }
+  return absl::OkStatus();
+}
+
+// Checks what waits for verdicts.
+absl::Status CheckKept(const LearningOptions& options, const Learner& learner) {
+  const int64_t size = learner.head_delta.size();
+  if ((learner.kept.has_value() || !learner.waiting.empty()) && options.verdict_seconds <= 0.0) {
+    return Inconsistent("learner.waiting", "no factors without verdict_seconds",
+                        static_cast<int64_t>(learner.kept_steps()));
+  }
+  if (learner.kept.has_value()) {
+    const size_t steps = learner.kept->steps.size();
+    RETURN_IF_ERROR(CheckFactors("learner.kept", size, steps - (steps > 0), *learner.kept));
+  }
+  if (learner.waiting.size() > Learner::kMostWaiting) {
+    return Inconsistent("learner.waiting", absl::StrCat("at most ", Learner::kMostWaiting),
+                        static_cast<int64_t>(learner.waiting.size()));
+  }
+  for (const auto& ended : learner.waiting) {
+    if (ended == nullptr || ended->factors.steps.empty()) {
+      return absl::InvalidArgumentError(
+          "session.learner.waiting: expected episodes with steps, received one without");
+    }
+    RETURN_IF_ERROR(
+        CheckFactors("learner.waiting", size, ended->factors.steps.size(), ended->factors));
+  }
+  return absl::OkStatus();
+}
+
 // Checks that all arrays of the head's shape have one size, and the ranges of the other members.
 absl::Status CheckLearner(const LearningOptions& options, const Learner& learner) {
   const int64_t size = learner.head_delta.size();
@@ -62,7 +105,7 @@ absl::Status CheckLearner(const LearningOptions& options, const Learner& learner
     return InvalidArgument("session.learner.returns.variance", "at least 0",
                            learner.returns.variance);
   }
-  return absl::OkStatus();
+  return CheckKept(options, learner);
 }
 
 // Checks that a session with a pending contribution is one of a fleet.

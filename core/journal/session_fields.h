@@ -42,6 +42,10 @@ SPIKESERVE_FIELDS(ActionSelection, sample, temperature)
 
 SPIKESERVE_FIELDS(LearningOptions, scope, rule, modulator, learning_rate, trace_decay, discount,
                   clip, max_drift, guard_margin)
+inline size_t MoreFields(const LearningOptions& options) {
+  return options.verdict_seconds > 0.0 ? 1 : 0;
+}
+SPIKESERVE_MORE_FIELDS(LearningOptions, verdict_seconds)
 
 SPIKESERVE_FIELDS(ReturnStatistics, mean, variance, decisions)
 
@@ -62,12 +66,19 @@ SPIKESERVE_FIELDS(CorrectionRun, operator_id, began, ended, updates, before, mea
 
 SPIKESERVE_FIELDS(CorrectionRuns, runs, forgotten)
 
+SPIKESERVE_FIELDS(StepFactors, post, executed, readout)
+
+SPIKESERVE_FIELDS(EpisodeFactors, steps, rewards)
+
+SPIKESERVE_FIELDS(WaitingEpisode, episode, factors, terminated, target_return, until)
+
 inline size_t MoreFields(const Learner& learner) {
+  if (learner.kept.has_value() || !learner.waiting.empty()) return 5;
   if (!learner.operators.empty()) return 3;
   if (!learner.runs.runs.empty() || learner.runs.forgotten != 0.0) return 2;
   return learner.corrections == Corrections() ? 0 : 1;
 }
-SPIKESERVE_MORE_FIELDS(Learner, corrections, runs, operators)
+SPIKESERVE_MORE_FIELDS(Learner, corrections, runs, operators, kept, waiting)
 
 SPIKESERVE_FIELDS(EpisodeEnd, reward, terminated, target_return, truncated, observation,
                   executed_action)
@@ -76,6 +87,8 @@ SPIKESERVE_FIELDS(LearningSummary, scope, updates, rejected, head_drift, returns
                   watched_return)
 
 SPIKESERVE_FIELDS(EpisodeSummary, episode_return, steps, spikes, energy_joules, learning)
+inline size_t MoreFields(const EpisodeSummary& summary) { return summary.awaits_verdict ? 1 : 0; }
+SPIKESERVE_MORE_FIELDS(EpisodeSummary, awaits_verdict)
 
 SPIKESERVE_FIELDS(EndedEpisode, end, summary)
 
@@ -125,11 +138,14 @@ void VisitFields(T& session, Visitor&& visit) {
 SPIKESERVE_FIELDS(Seat, operator_id, lease_id, lease_seconds, left_seconds, action, steps,
                   agreed_steps)
 
+SPIKESERVE_FIELDS(Verdict, episode, id, digest, episode_return, learning)
+
 inline size_t MoreFields(const Session& session) {
+  if (!session.verdicts.empty()) return 4;
   if (session.seat.has_value()) return 3;
   if (session.step > 0 && session.executed_source != StepSource()) return 2;
   return session.wiring != WiringState() ? 1 : 0;
 }
-SPIKESERVE_MORE_FIELDS(Session, wiring, executed_source, seat)
+SPIKESERVE_MORE_FIELDS(Session, wiring, executed_source, seat, verdicts)
 
 }  // namespace spikeserve

@@ -1,5 +1,6 @@
 #include "core/journal/session_journal.h"
 
+#include <algorithm>
 #include <limits>
 #include <utility>
 
@@ -61,7 +62,9 @@ void SessionJournal::OnOpen(const Session& session) {
 }
 
 void SessionJournal::OnDecision(const Session& session, const DecisionInputs& inputs) {
-  if (inputs.needs_snapshot || records_ >= kDecisionsPerSnapshot) {
+  // A snapshot with factors of many steps is written after as many entries as it has steps.
+  const size_t kept = session.learner.has_value() ? session.learner->kept_steps() : 0;
+  if (inputs.needs_snapshot || records_ >= std::max(kDecisionsPerSnapshot, kept)) {
     return OnChange(session);
   }
   JournalEntryView entry = {.decision = session.decisions - 1,

@@ -101,6 +101,10 @@ class SessionJournal final : public SessionListener,
   // Writes a snapshot. Appends `contribution` to the log of its head when the store has it.
   bool OnEpisodeEnd(const Session& session,
                     const std::shared_ptr<FleetContribution>& contribution) override;
+  bool OnVerdict(const Session& session,
+                 const std::shared_ptr<FleetContribution>& contribution) override {
+    return OnEpisodeEnd(session, contribution);
+  }
   // Writes a last snapshot, from which another server continues. Nothing is written after it.
   void OnRelease(const Session& session);
   // Ends the session in the store.

@@ -49,9 +49,9 @@ std::optional<UpdateOutcome> Learner::OnDecision(const LearningOptions& options,
                                                  absl::Span<const float> rates, double return_to_go,
                                                  double reward) {
   if (suspended) return std::nullopt;
-  if (episode.decisions > 0) AddReward(reward);
-  episode.AddDecision(Discount(options));
   if (options.rule == Rule::kCorrections) {
+    if (episode.decisions > 0) AddReward(reward);
+    episode.AddDecision(Discount(options));
     post.setZero(static_cast<Eigen::Index>(choice.logits.size()));
     readout = AsVector(rates);
     return std::nullopt;
@@ -59,9 +59,11 @@ std::optional<UpdateOutcome> Learner::OnDecision(const LearningOptions& options,
 
   thread_local std::vector<float> y;  // reused, so that a decision allocates no memory
   PostsynapticActivity(options.rule, policy.action_space, choice, &y);
-  const auto decay = static_cast<float>(options.trace_decay);
-  auto matrix = AsMatrix(trace, static_cast<Eigen::Index>(y.size()));
-  matrix.noalias() = decay * matrix + AsVector(y) * AsVector(rates).transpose();  // eq. 4.1
+  if (kept.has_value() &&
+      Keep(options, reward, {.post = y, .readout = {rates.begin(), rates.end()}})) {
+    return std::nullopt;
+  }
+  AddDecision(options, reward, y, rates);
   if (DependsOnAction(options.rule)) {
     post = AsVector(y);
     readout = AsVector(rates);
@@ -71,9 +73,19 @@ std::optional<UpdateOutcome> Learner::OnDecision(const LearningOptions& options,
     if (DependsOnAction(options.rule)) before_update = head_delta;
     return ApplyTarget(options, policy, return_to_go);
   }
+  return std::nullopt;
+}
+
+void Learner::AddDecision(const LearningOptions& options, double reward,
+                          absl::Span<const float> post_y, absl::Span<const float> rates) {
+  if (episode.decisions > 0) AddReward(reward);
+  episode.AddDecision(Discount(options));
+  const auto decay = static_cast<float>(options.trace_decay);
+  auto matrix = AsMatrix(trace, static_cast<Eigen::Index>(post_y.size()));
+  matrix.noalias() = decay * matrix + AsVector(post_y) * AsVector(rates).transpose();  // eq. 4.1
+  if (options.modulator == Modulator::kTarget) return;
   trace_sum += trace.cast<double>();
   discounted_trace = options.discount * discounted_trace + trace.cast<double>();
-  return std::nullopt;
 }
 
 std::optional<UpdateOutcome> Learner::OnExecuted(const LearningOptions& options,
@@ -82,22 +94,39 @@ std::optional<UpdateOutcome> Learner::OnExecuted(const LearningOptions& options,
                                                  absl::Span<const float> logits,
                                                  const Action& answered, const Action& executed,
                                                  double return_to_go) {
-  if (suspended || post.size() == 0 || options.rule == Rule::kCorrections) return std::nullopt;
-  const Eigen::VectorXf y = std::exchange(post, {});
-  std::vector<float> corrected(y.begin(), y.end());
-  ReplaceAction(options.rule, policy.action_space, logits, selection.temperature, answered,
-                executed, absl::MakeSpan(corrected));
-  Eigen::VectorXf change(head_delta.size());
-  AsMatrix(change, y.size()).noalias() = (AsVector(corrected) - y) * readout.transpose();
-  trace += change;
-  if (options.modulator == Modulator::kTarget) {
-    head_delta = before_update;
-    --updates;
-    return ApplyTarget(options, policy, return_to_go);
+  if (suspended || !DependsOnAction(options.rule) || options.rule == Rule::kCorrections) {
+    return std::nullopt;
   }
+  const auto replace = [&](std::vector<float> y) {
+    ReplaceAction(options.rule, policy.action_space, logits, selection.temperature, answered,
+                  executed, absl::MakeSpan(y));
+    return y;
+  };
+  if (kept.has_value()) {
+    if (kept->steps.empty()) return std::nullopt;
+    StepFactors& last = kept->steps.back();
+    if (last.executed.empty() && !last.post.empty()) last.executed = replace(last.post);
+    return std::nullopt;
+  }
+  if (post.size() == 0) return std::nullopt;
+  const Eigen::VectorXf y = std::exchange(post, {});
+  ChangeAction({y.data(), static_cast<size_t>(y.size())}, replace({y.begin(), y.end()}),
+               {readout.data(), static_cast<size_t>(readout.size())});
+  if (options.modulator == Modulator::kRealized) return std::nullopt;
+  head_delta = before_update;
+  --updates;
+  return ApplyTarget(options, policy, return_to_go);
+}
+
+void Learner::ChangeAction(absl::Span<const float> from, absl::Span<const float> to,
+                           absl::Span<const float> rates) {
+  Eigen::VectorXf change(head_delta.size());
+  AsMatrix(change, static_cast<Eigen::Index>(from.size())).noalias() =
+      (AsVector(to) - AsVector(from)) * AsVector(rates).transpose();
+  trace += change;
+  if (trace_sum.size() == 0) return;  // kTarget
   trace_sum += change.cast<double>();
   discounted_trace += change.cast<double>();
-  return std::nullopt;
 }
 
 std::optional<UpdateOutcome> Learner::OnOperator(const LearningOptions& options,
@@ -169,7 +198,12 @@ UpdateOutcome Learner::ApplyTarget(const LearningOptions& options, const Policy&
 }
 
 void Learner::OnSkipped(const LearningOptions& options, double reward) {
-  if (suspended || episode.decisions == 0) return;
+  if (suspended || (kept.has_value() && Keep(options, reward, {}))) return;
+  AddGap(options, reward);
+}
+
+void Learner::AddGap(const LearningOptions& options, double reward) {
+  if (episode.decisions == 0) return;
   AddReward(reward);
   episode.AddGap(Discount(options));
   trace *= static_cast<float>(options.trace_decay);
@@ -180,7 +214,9 @@ void Learner::OnSkipped(const LearningOptions& options, double reward) {
 std::optional<UpdateOutcome> Learner::OnEpisodeEnd(const LearningOptions& options,
                                                    const Policy& policy, double reward,
                                                    bool terminated) {
-  if (suspended || episode.decisions == 0) return std::nullopt;
+  if (suspended) return std::nullopt;
+  if (kept.has_value()) Replay(options, *std::exchange(kept, std::nullopt));
+  if (episode.decisions == 0) return std::nullopt;
   AddReward(reward);
   const double discount = Discount(options);
   if (!terminated && discount < 1.0) {
@@ -196,6 +232,48 @@ std::optional<UpdateOutcome> Learner::OnEpisodeEnd(const LearningOptions& option
   return Apply(options, policy, options.learning_rate / scale, direction);
 }
 
+bool Learner::Keep(const LearningOptions& options, double reward, StepFactors step) {
+  if (kept_steps() < kMostKept) {
+    kept->Add(reward, std::move(step));
+    return true;
+  }
+  Replay(options, *std::exchange(kept, std::nullopt));
+  return false;
+}
+
+void Learner::Replay(const LearningOptions& options, const EpisodeFactors& factors) {
+  for (size_t i = 0; i < factors.steps.size(); ++i) {
+    const StepFactors& step = factors.steps[i];
+    const double reward = i == 0 ? 0.0 : factors.rewards[i - 1];
+    if (step.post.empty()) {
+      AddGap(options, reward);
+      continue;
+    }
+    AddDecision(options, reward, step.post, step.readout);
+    if (!step.executed.empty()) ChangeAction(step.post, step.executed, step.readout);
+  }
+}
+
+bool Learner::AwaitVerdict(double reward, WaitingEpisode ended) {
+  if (suspended || !kept.has_value() || waiting.size() >= kMostWaiting) return false;
+  ended.factors = *std::exchange(kept, std::nullopt);
+  ended.factors.rewards.push_back(reward);
+  waiting.push_back(std::make_shared<const WaitingEpisode>(std::move(ended)));
+  return true;
+}
+
+void Learner::Recall(const LearningOptions& options, const EpisodeFactors& factors) {
+  StartEpisode(options);
+  kept.reset();
+  Replay(options, factors);
+}
+
+size_t Learner::kept_steps() const {
+  size_t steps = kept.has_value() ? kept->steps.size() : 0;
+  for (const auto& ended : waiting) steps += ended->factors.steps.size();
+  return steps;
+}
+
 void Learner::StartEpisode(const LearningOptions& options) {
   trace.setZero(head_delta.size());
   episode = {};
@@ -209,6 +287,8 @@ void Learner::StartEpisode(const LearningOptions& options) {
   post.resize(0);
   corrections.in_episode = 0;
   operators.clear();
+  kept.reset();
+  if (options.verdict_seconds > 0.0) kept.emplace();
   if (options.scope == Scope::kFleet) head_delta.setZero();
 }
 

@@ -28,10 +28,16 @@
 // Rule::kCorrections has no trace and no modulator: operators teach it (correction.h), and rewards
 // only enter mu and sigma.
 //
-// Plain values; their size does not depend on the length of the episode. Not thread-safe.
+// With `verdict_seconds`, an episode's factors are kept (episode_factors.h) until its rewards are
+// known. The episode is then learned from by the same steps, in the same order, so the head is
+// equal bit for bit to one that knew them in time.
+//
+// Plain values; without `verdict_seconds`, their size does not depend on the length of the episode.
+// Not thread-safe.
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -42,6 +48,7 @@
 #include "core/action/action_head.h"
 #include "core/learning/correction.h"
 #include "core/learning/correction_runs.h"
+#include "core/learning/episode_factors.h"
 #include "core/learning/head_update.h"
 #include "core/learning/learning_options.h"
 #include "core/learning/return_guard.h"
@@ -83,6 +90,15 @@ struct Learner {
   CorrectionRuns runs;            // kCorrections of Scope::kSession only
   // Scope::kFleet only: who has acted in the running episode, as Contribution::operators.
   std::vector<std::string> operators;
+
+  // LearningOptions::verdict_seconds only.
+  std::optional<EpisodeFactors> kept;  // absent: the running episode is learned from at its end
+  std::vector<std::shared_ptr<const WaitingEpisode>> waiting;  // oldest first
+
+  // The most steps of which factors are kept, and the most episodes that wait. An episode that goes
+  // beyond is learned from at its end.
+  static constexpr size_t kMostKept = 4096;
+  static constexpr size_t kMostWaiting = 64;
 
   // Returns a learner for the head W_base + head_delta. `options` must be valid. All later calls
   // take the same `options` and `policy`.
@@ -132,6 +148,16 @@ struct Learner {
   std::optional<UpdateOutcome> OnEpisodeEnd(const LearningOptions& options, const Policy& policy,
                                             double reward, bool terminated);
 
+  // Lets the running episode, which the `reward` of its last decision ends, wait for its verdict as
+  // `ended`, which lacks its factors. Returns false, and does nothing, if OnEpisodeEnd() is to
+  // learn from it now.
+  bool AwaitVerdict(double reward, WaitingEpisode ended);
+  // Takes the place of the running episode by that of `factors`, which OnEpisodeEnd() ends with the
+  // last of their rewards.
+  void Recall(const LearningOptions& options, const EpisodeFactors& factors);
+  // Returns the steps of which factors are kept.
+  size_t kept_steps() const;
+
   // Scope::kSession: passes the return of an episode to the guard. Returns true if the guard
   // restored an earlier head.
   bool Watch(const LearningOptions& options, double episode_return) {
@@ -150,6 +176,18 @@ struct Learner {
  private:
   void AddReward(double reward);
   void NoteOperator(absl::string_view operator_id);
+  // Adds a decision with the factors `post` and `readout`, which the reward of the one before comes
+  // with.
+  void AddDecision(const LearningOptions& options, double reward, absl::Span<const float> post_y,
+                   absl::Span<const float> rates);
+  // Exchanges y of the last decision in the traces and their sums.
+  void ChangeAction(absl::Span<const float> from, absl::Span<const float> to,
+                    absl::Span<const float> rates);
+  void AddGap(const LearningOptions& options, double reward);
+  // Keeps a step instead of learning from it. Returns false if no more steps are kept: the traces
+  // then have those of the episode that were.
+  bool Keep(const LearningOptions& options, double reward, StepFactors step);
+  void Replay(const LearningOptions& options, const EpisodeFactors& factors);
   // kTarget: applies eqs. 4.2 and 4.3 to the trace.
   UpdateOutcome ApplyTarget(const LearningOptions& options, const Policy& policy,
                             double return_to_go);

@@ -32,6 +32,10 @@ absl::Status LearningOptions::Validate(const ActionSpace& space,
   if (!(std::isfinite(guard_margin) && guard_margin >= 0.0)) {
     return InvalidArgument("learning.guard_margin", "a finite number of at least 0", guard_margin);
   }
+  if (!(verdict_seconds >= 0.0 && verdict_seconds <= kLongestWait)) {
+    return InvalidArgument("learning.verdict_seconds",
+                           absl::StrCat("a number from 0 to ", kLongestWait), verdict_seconds);
+  }
   if (rule == Rule::kPolicyGradient && !space.is_discrete() && !selection.sample) {
     return absl::InvalidArgumentError(
         "learning.rule: expected hebbian or hebbian_action, or action_selection SAMPLE, since a "

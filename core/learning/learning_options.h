@@ -49,6 +49,11 @@ struct LearningOptions {
   double clip = 0.5;           // largest Frobenius norm of one update of the head, > 0
   double max_drift = 2.0;      // largest |W - W_base| / |W_base| of a private head, > 0
   double guard_margin = 0.02;  // of the guard of a private head, >= 0; see return_guard.h
+  // How long an ended episode waits for its verdict before it is learned from as it is, in
+  // [0, kLongestWait]; 0: it is learned from at its end.
+  double verdict_seconds = 0.0;
+
+  static constexpr double kLongestWait = 3600.0;
 
   // target updates the head after every decision. realized updates it once an episode, and its
   // deltas are relative to the returns of that episode, so its steps are larger. A correction's

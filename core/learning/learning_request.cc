@@ -23,6 +23,12 @@ absl::Status CheckApplies(const LearningRequest& request, const LearningOptions&
     }
     if (request.discount.has_value()) return unset("discount", unless, *request.discount);
     if (request.trace_decay.has_value()) return unset("trace_decay", unless, *request.trace_decay);
+    if (request.verdict_seconds.has_value()) {
+      return unset("verdict_seconds", unless, *request.verdict_seconds);
+    }
+  }
+  if (request.verdict_seconds.has_value() && options.modulator != Modulator::kRealized) {
+    return unset("verdict_seconds", "modulator is realized", *request.verdict_seconds);
   }
   if (request.discount.has_value() && options.modulator != Modulator::kRealized) {
     return unset("discount", "modulator is realized", *request.discount);
@@ -61,6 +67,7 @@ absl::StatusOr<LearningOptions> ResolveLearning(const LearningRequest& request,
   options.clip = request.clip.value_or(options.clip);
   options.max_drift = request.max_drift.value_or(options.max_drift);
   options.guard_margin = request.guard_margin.value_or(options.guard_margin);
+  options.verdict_seconds = request.verdict_seconds.value_or(options.verdict_seconds);
   RETURN_IF_ERROR(options.Validate(space, selection));
   return options;
 }

@@ -22,6 +22,7 @@ struct LearningRequest {
   std::optional<double> clip = std::nullopt;
   std::optional<double> max_drift = std::nullopt;
   std::optional<double> guard_margin = std::nullopt;
+  std::optional<double> verdict_seconds = std::nullopt;
 };
 
 // Returns the options that `request` asks for. Returns INVALID_ARGUMENT for an unknown name, for a

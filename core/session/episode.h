@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "core/action/action_space.h"
@@ -40,12 +41,31 @@ struct EpisodeSummary {
   uint64_t spikes = 0;
   double energy_joules = 0.0;               // estimate; see DefaultEnergy()
   std::optional<LearningSummary> learning;  // absent for a frozen session
+  bool awaits_verdict = false;              // `learning` follows with the verdict
 };
 
 // The end of an episode and its summary, stored so that a retry gets the same summary.
 struct EndedEpisode {
   EpisodeEnd end;
   EpisodeSummary summary;
+};
+
+// What a caller says about an episode that has ended.
+struct Amendment {
+  int64_t episode = 0;
+  std::string id;                    // not empty
+  std::string digest;                // of all that it says
+  std::vector<double> rewards = {};  // in place of those received; empty: as received
+  double reward = 0.0;               // added to the last one
+};
+
+// What became of an episode that waited for its verdict, stored so that a retry gets the same.
+struct Verdict {
+  int64_t episode = 0;
+  std::string id = {};          // of the amendment; empty: none came in time
+  std::string digest = {};      // of the amendment
+  double episode_return = 0.0;  // as amended
+  std::optional<LearningSummary> learning = {};
 };
 
 }  // namespace spikeserve

@@ -112,7 +112,10 @@ struct Session {
   // of the head (head_log.h); null: nothing.
   std::shared_ptr<const Contribution> pending;
   WiringState wiring;
-  std::optional<Seat> seat;  // absent: no operator acts in the policy's place
+  std::optional<Seat> seat;       // absent: no operator acts in the policy's place
+  std::vector<Verdict> verdicts;  // the last kMostVerdicts, oldest first
+
+  static constexpr size_t kMostVerdicts = 64;
 };
 
 }  // namespace spikeserve

@@ -158,14 +158,19 @@ class VersionEvidence::Session final : public SessionListener {
 
   bool OnEpisodeEnd(const spikeserve::Session& session,
                     const std::shared_ptr<FleetContribution>& /*contribution*/) override {
-    if (!comparison_->over.load(std::memory_order_relaxed)) {
-      CountReturn(session.last_end->summary.episode_return);
-    }
+    const EpisodeSummary& summary = session.last_end->summary;
+    if (!summary.awaits_verdict) CountReturn(summary.episode_return);
+    return false;
+  }
+  bool OnVerdict(const spikeserve::Session& session,
+                 const std::shared_ptr<FleetContribution>& /*contribution*/) override {
+    CountReturn(session.verdicts.back().episode_return);
     return false;
   }
 
  private:
   void CountReturn(double episode_return) {
+    if (comparison_->over.load(std::memory_order_relaxed)) return;
     absl::MutexLock lock(&comparison_->mutex);
     TenantCounts& counts = tenant_.counts;
     if (!comparison_->plausible.Contain(episode_return)) {

@@ -186,10 +186,10 @@ std::vector<RolloutCondition> DefaultConditions() {
           {.measure = RolloutMeasure::kP99, .margin = 0.25}};
 }
 
-Verdict JudgeRollout(const std::vector<RolloutCondition>& conditions,
-                     const VersionEvidence::Counts& new_version,
-                     const VersionEvidence::Counts& stable_version, double trained_range) {
-  using Kind = Verdict::Kind;
+RolloutVerdict JudgeRollout(const std::vector<RolloutCondition>& conditions,
+                            const VersionEvidence::Counts& new_version,
+                            const VersionEvidence::Counts& stable_version, double trained_range) {
+  using Kind = RolloutVerdict::Kind;
   const std::string all = FindWorse(
       conditions, Gather(new_version, stable_version, nullptr, trained_range), kFalseAborts);
   std::vector<std::string> tenants = TenantsBySessions(new_version, stable_version);

@@ -23,7 +23,7 @@ inline constexpr double kFalseAborts = 0.05;
 // percentage point, p99 with 25 %, but 5 ms at least.
 std::vector<RolloutCondition> DefaultConditions();
 
-struct Verdict {
+struct RolloutVerdict {
   enum class Kind {
     kNotWorse,
     kWorse,
@@ -43,9 +43,9 @@ struct Verdict {
 // of `trained_range` from the middle of their tenant count as at this end; infinite: of the largest
 // distance, by which the probability is not certain.
 inline constexpr size_t kMostLeftOut = 20;
-Verdict JudgeRollout(const std::vector<RolloutCondition>& conditions,
-                     const VersionEvidence::Counts& new_version,
-                     const VersionEvidence::Counts& stable_version, double trained_range);
+RolloutVerdict JudgeRollout(const std::vector<RolloutCondition>& conditions,
+                            const VersionEvidence::Counts& new_version,
+                            const VersionEvidence::Counts& stable_version, double trained_range);
 
 // How many more sessions (for p99: decisions) of each version a comparison by all conditions needs.
 struct Shortfall {

@@ -252,13 +252,13 @@ std::string RolloutManager::FindAbort(const std::string& policy, const CatalogPo
   }
   Running& running = running_[policy];
   const Policy& stable = served.versions.at(rollout.stable_version)->policy();
-  const Verdict verdict =
+  const RolloutVerdict verdict =
       JudgeRollout(rollout.abort_if, progress.new_version, progress.stable_version,
                    PlausibleReturns::Of(stable).TrainedRange());
-  const bool is_disputed = verdict.kind == Verdict::Kind::kDisputed;
+  const bool is_disputed = verdict.kind == RolloutVerdict::Kind::kDisputed;
   running.disputed_seconds =
       is_disputed && !verdict.contradicted ? running.disputed_seconds + passed_seconds : 0.0;
-  if (verdict.kind == Verdict::Kind::kWorse) return verdict.reason;
+  if (verdict.kind == RolloutVerdict::Kind::kWorse) return verdict.reason;
   if (running.disputed_seconds >= rollout.hold_seconds) {
     return absl::StrCat(verdict.reason, "; no others have enough sessions to contradict it");
   }

@@ -112,6 +112,13 @@ class Writer {
     if (const auto& served = episode.served) {
       status_.Update(file_.WriteAttribute(group, "policy", served->policy));
       status_.Update(file_.WriteAttribute(group, "policy_version", served->version));
+      if (served->success.has_value()) {
+        status_.Update(
+            file_.WriteAttribute(group, "success", static_cast<int64_t>(*served->success)));
+      }
+      if (!served->verdict.empty()) {
+        status_.Update(file_.WriteAttribute(group, "verdict", served->verdict));
+      }
     }
     if (episode.target_return.has_value()) {
       status_.Update(file_.WriteAttribute(group, "asked_return", *episode.target_return));
@@ -181,8 +188,8 @@ class Writer {
   // = G_{T-1} - r_{T-1}.
   void WriteReturnsToGo(const std::string& name, const Episode& episode) {
     std::vector<float> returns = episode.served->returns_to_go;
-    returns.push_back(
-        static_cast<float>(static_cast<double>(returns.back()) - episode.rewards.back()));
+    returns.push_back(static_cast<float>(static_cast<double>(returns.back()) -
+                                         episode.received_rewards().back()));
     status_.Update(file_.Write<float>(name, {episode.steps() + 1, {}}, returns));
   }
 

@@ -122,6 +122,57 @@ TEST_P(LearningSessionTest, ExecutedActionsAreLearnedBitForBitAfterARestart) {
   EXPECT_EQ(with.updates > without.updates, corrects);
 }
 
+// Ends two agents' episodes alike, one with its reward and one with a verdict, and moves the latter
+// to another server before.
+TEST_P(LearningSessionTest, LateVerdictsTeachTheSameHeadBitForBit) {
+  const LearningOptions& learning = GetParam().learning;
+  if (learning.modulator == Modulator::kTarget || learning.rule == Rule::kCorrections) GTEST_SKIP();
+  const ActionSpace& space = served_->policy().action_space;
+  AgentSession in_time = NewAgent();
+  if (learning.scope == Scope::kFleet) served_ = Serve(SmallConfig(), space);
+  const auto late_served = served_;
+  SessionOptions options = in_time.session().options;
+  options.learning->verdict_seconds = 3600.0;
+  AgentSession late(late_served, NewSession("id", std::move(options)), &clock_);
+  const std::vector<float> values = {0.5f, 0.25f};
+  const auto move = [&] {
+    auto restored = ParseSession(SerializeSession(late.session()));
+    ASSERT_TRUE(restored.ok()) << restored.status();
+    late = AgentSession(late_served, *std::move(restored), &clock_);
+  };
+  for (int64_t episode = 0; episode < 4; ++episode) {
+    for (int64_t t = 0; t < 9; ++t) {
+      std::optional<ReportedAction> executed;
+      if (t % 2 == 1 && space.is_discrete()) executed = t % 3;
+      if (t % 2 == 1 && !space.is_discrete()) executed = absl::MakeConstSpan(values);
+      const auto expected = in_time.Act(t, ObservationAt(t), 0.0, executed);
+      const auto actual = late.Act(t, ObservationAt(t), 0.0, executed);
+      ASSERT_TRUE(expected.ok() && actual.ok()) << actual.status();
+      ASSERT_EQ(**actual, **expected) << episode << " " << t;
+      if (t == 4) move();
+    }
+    const double reward = 2.0 + static_cast<double>(episode);
+    const bool terminated = episode % 2 == 0;
+    const auto expected = in_time.EndEpisode({.reward = reward, .terminated = terminated});
+    const auto ended = late.EndEpisode({.reward = 0.0, .terminated = terminated});
+    ASSERT_TRUE(expected.ok() && ended.ok()) << ended.status();
+    EXPECT_TRUE(ended->awaits_verdict);
+    EXPECT_FALSE(ended->learning.has_value());
+    move();
+    const Amendment amendment = {.episode = episode, .id = "a", .digest = "d", .reward = reward};
+    const auto verdict = late.Amend(amendment);
+    ASSERT_TRUE(verdict.ok()) << verdict.status();
+    EXPECT_EQ(verdict->episode_return, expected->episode_return);
+    EXPECT_EQ(verdict->learning->updates, expected->learning->updates);
+    EXPECT_EQ(late.HeadDelta(), in_time.HeadDelta());
+    EXPECT_EQ(late.session().learner->returns, in_time.session().learner->returns);
+    move();
+    EXPECT_EQ(late.Amend(amendment)->episode_return, expected->episode_return);  // learns once
+    EXPECT_EQ(late.HeadDelta(), in_time.HeadDelta());
+  }
+  EXPECT_GT(late.HeadDrift(), 0.0);
+}
+
 TEST_P(LearningSessionTest, OthersOfThePolicyAreUntouched) {
   AgentSession alone = NewAgent(/*learns=*/false);
   AgentSession frozen = NewAgent(/*learns=*/false);

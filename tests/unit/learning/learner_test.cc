@@ -55,6 +55,59 @@ class LearnerTest : public ::testing::Test {
   double reward_ = 0.0;  // of the last decision
 };
 
+// What is kept of an episode makes the update that its final rewards would have made in time.
+TEST_F(LearnerTest, RewardsThatComeLateTeachTheSame) {
+  const LearningOptions in_time = {.discount = 0.9};
+  LearningOptions awaits = in_time;
+  awaits.verdict_seconds = 60.0;
+  Learner expected = NewLearner(in_time);
+  Learner late = NewLearner(awaits);
+  std::vector<double> rewards;
+  for (int t = 0; t < 12; ++t) {
+    const double reward = t == 0 ? 0.0 : 0.1 * (t % 5);
+    if (t > 0) rewards.push_back(reward);
+    if (t == 7) {
+      expected.OnSkipped(in_time, reward);
+      late.OnSkipped(awaits, -3.0);
+      continue;
+    }
+    const ActionChoice choice = ChooseAction(policy_.weights.head, policy_.action_space,
+                                             ReadoutAt(t), {.sample = true}, 1000 + t);
+    expected.OnDecision(in_time, policy_, choice, ReadoutAt(t), 0.0, reward);
+    late.OnDecision(awaits, policy_, choice, ReadoutAt(t), 0.0, -3.0);
+    if (t % 4 != 1) continue;
+    const Action other = {.discrete = 1 - choice.action.discrete, .continuous = {}};
+    expected.OnExecuted(in_time, policy_, {}, choice.logits, choice.action, other, 0.0);
+    late.OnExecuted(awaits, policy_, {}, choice.logits, choice.action, other, 0.0);
+  }
+  EXPECT_EQ(late.trace.norm(), 0.0f);
+  EXPECT_EQ(expected.OnEpisodeEnd(in_time, policy_, 4.0, false), UpdateOutcome::kApplied);
+  ASSERT_TRUE(late.AwaitVerdict(/*reward=*/-3.0, {}));
+  EpisodeFactors factors = late.waiting[0]->factors;
+  EXPECT_EQ(factors.rewards, std::vector<double>(12, -3.0));
+  factors.rewards = rewards;
+  late.Recall(awaits, factors);
+  EXPECT_EQ(late.OnEpisodeEnd(awaits, policy_, 4.0, false), UpdateOutcome::kApplied);
+  EXPECT_EQ(late.head_delta, expected.head_delta);
+  EXPECT_EQ(late.returns, expected.returns);
+  EXPECT_GT(late.head_delta.norm(), 0.0f);
+}
+
+TEST_F(LearnerTest, AnEpisodeOfTooManyStepsIsLearnedFromAtItsEnd) {
+  const LearningOptions awaits = {.verdict_seconds = 60.0};
+  const auto steps = static_cast<int>(Learner::kMostKept) + 3;
+  learner_ = NewLearner(awaits);
+  Play(awaits, steps, 10.0);
+  EXPECT_FALSE(learner_.AwaitVerdict(reward_, {}));
+  learner_.OnEpisodeEnd(awaits, policy_, reward_, true);
+  const Eigen::VectorXf late = learner_.head_delta;
+  learner_ = NewLearner({});
+  reward_ = 0.0;
+  Play({}, steps, 10.0);
+  learner_.OnEpisodeEnd({}, policy_, reward_, true);
+  EXPECT_EQ(late, learner_.head_delta);
+}
+
 TEST_F(LearnerTest, MemoryDoesNotGrowWithTheEpisode) {
   const LearningOptions options = {.modulator = Modulator::kRealized};
   learner_ = NewLearner(options);

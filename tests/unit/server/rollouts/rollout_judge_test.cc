@@ -20,7 +20,7 @@ namespace {
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::SizeIs;
-using Kind = Verdict::Kind;
+using Kind = RolloutVerdict::Kind;
 
 const std::vector<RolloutCondition> kReturnOnly = {{RolloutMeasure::kReturn, 0.0}};
 constexpr char kTenant[] = "";
@@ -65,7 +65,7 @@ class Arm {
   VersionEvidence evidence_;
 };
 
-Verdict JudgeReturns(const Arm& fresh, const Arm& stable) {
+RolloutVerdict JudgeReturns(const Arm& fresh, const Arm& stable) {
   return JudgeRollout(kReturnOnly, fresh.Read(), stable.Read(), kAnyRange);
 }
 
@@ -320,7 +320,7 @@ TEST(RolloutJudge, OneTenantAloneDecidesNothing) {
   play("liar", -1000.0);
   EXPECT_EQ(JudgeReturns(fresh, stable).kind, Kind::kWorse);  // nobody else plays
   stable.Play({200.0}, "honest");
-  Verdict verdict = JudgeReturns(fresh, stable);
+  RolloutVerdict verdict = JudgeReturns(fresh, stable);
   EXPECT_EQ(verdict.kind, Kind::kDisputed);
   EXPECT_FALSE(verdict.contradicted);
   play("honest", 200.0);
@@ -344,7 +344,7 @@ TEST(RolloutJudge, OneTenantHidesNothing) {
     fresh.Play({Normal(random, 900.0, 20.0)}, "liar");
     stable.Play({Normal(random, 200.0, 20.0)}, "liar");
   }
-  const Verdict verdict = JudgeReturns(fresh, stable);
+  const RolloutVerdict verdict = JudgeReturns(fresh, stable);
   EXPECT_EQ(verdict.kind, Kind::kDisputed);
   EXPECT_EQ(verdict.tenant, "liar");
 }
