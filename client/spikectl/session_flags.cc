@@ -18,7 +18,8 @@ constexpr char kLearning[] = "Advanced: learning";
 
 bool AnySet(const LearningFlags& flags) {
   return flags.rule || flags.modulator || flags.learning_rate || flags.trace_decay ||
-         flags.discount || flags.clip || flags.max_drift || flags.guard_margin;
+         flags.discount || flags.clip || flags.max_drift || flags.guard_margin ||
+         flags.verdict_seconds;
 }
 
 v1::Durability ToProto(Durability durability) {
@@ -73,7 +74,9 @@ void AddLearningFlags(Command command, LearningFlags* flags) {
       .Add("max_drift", "RATIO", &flags->max_drift,
            "Largest drift of a private head; default: the server's")
       .Add("guard_margin", "FRACTION", &flags->guard_margin,
-           "Margin of the guard of a private head; default: the server's");
+           "Margin of the guard of a private head; default: the server's")
+      .Add("verdict_seconds", "SECONDS", &flags->verdict_seconds,
+           "How long an ended episode waits for its verdict; default: 0");
 }
 
 void AddSessionFlags(Command command, SessionFlags* flags) {
@@ -105,6 +108,7 @@ v1::LearningConfig ToProto(Scope scope, const LearningFlags& flags) {
   if (flags.clip) config.set_clip(*flags.clip);
   if (flags.max_drift) config.set_max_drift(*flags.max_drift);
   if (flags.guard_margin) config.set_guard_margin(*flags.guard_margin);
+  if (flags.verdict_seconds) config.set_verdict_seconds(*flags.verdict_seconds);
   return config;
 }
 
@@ -119,7 +123,8 @@ absl::Status CheckLearning(Scope scope, const LearningFlags& flags, const Action
       .discount = flags.discount,
       .clip = flags.clip,
       .max_drift = flags.max_drift,
-      .guard_margin = flags.guard_margin};
+      .guard_margin = flags.guard_margin,
+      .verdict_seconds = flags.verdict_seconds};
   const absl::Status status = ResolveLearning(request, space, selection).status();
   if (status.ok()) return status;
   return absl::InvalidArgumentError(

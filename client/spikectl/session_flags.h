@@ -26,6 +26,7 @@ struct LearningFlags {
   std::optional<double> clip;
   std::optional<double> max_drift;
   std::optional<double> guard_margin;
+  std::optional<double> verdict_seconds;
 };
 
 struct SessionFlags {

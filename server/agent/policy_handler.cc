@@ -36,17 +36,6 @@ int64_t BeatsOf(const DecisionRequest& act) {
   return act.step.result.appended + act.step.result.dropped / kSkippedPerDecision;
 }
 
-// Checks that a caller who may not learn does not play a session that does, which another token has
-// opened.
-absl::Status CheckMayPlay(const Credential& caller, SessionEntry& entry) {
-  if (caller.may_learn()) return absl::OkStatus();
-  absl::MutexLock lock(&entry.mutex);
-  if (!entry.agent.session().options.learning.has_value()) return absl::OkStatus();
-  return absl::PermissionDeniedError(
-      "session_id: expected a session that does not learn, because the token has \"learning\": "
-      "false, received one that does");
-}
-
 // Lets the answer to `act` bring a key for datagrams, if the session needs one.
 void RenewKey(DatagramChannels* datagrams, const std::shared_ptr<SessionEntry>& entry,
               DecisionRequest* act) {
@@ -54,6 +43,15 @@ void RenewKey(DatagramChannels* datagrams, const std::shared_ptr<SessionEntry>& 
 }
 
 }  // namespace
+
+absl::Status PolicyHandler::CheckMayPlay(const Credential& caller, SessionEntry& entry) {
+  if (caller.may_learn()) return absl::OkStatus();
+  absl::MutexLock lock(&entry.mutex);
+  if (!entry.agent.session().options.learning.has_value()) return absl::OkStatus();
+  return absl::PermissionDeniedError(
+      "session_id: expected a session that does not learn, because the token has \"learning\": "
+      "false, received one that does");
+}
 
 absl::Status PolicyHandler::ListPolicies(CallContext& /*context*/,
                                          const v1::ListPoliciesRequest& /*request*/,

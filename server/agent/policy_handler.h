@@ -103,6 +103,9 @@ class PolicyHandler {
                     StepBudget* budget = nullptr) const;
   absl::Status EndEpisode(CallContext& context, const v1::EndEpisodeRequest& request,
                           v1::EndEpisodeResponse* response) const;
+  // May wait for the disk.
+  absl::Status AmendEpisode(CallContext& context, const v1::AmendEpisodeRequest& request,
+                            v1::AmendEpisodeResponse* response) const;
   absl::Status GetSession(CallContext& context, const v1::GetSessionRequest& request,
                           v1::GetSessionResponse* response) const;
   // Takes about a thousand times as long as a decision; see ExplainSession.
@@ -133,6 +136,15 @@ class PolicyHandler {
   absl::StatusOr<std::unique_ptr<EpisodeRecorder>> NewRecorder(
       const std::shared_ptr<const ServedPolicy>& served, const std::string& tenant,
       std::string* name) const;
+
+  // Checks that a caller who may not learn does not play a session that does, which another token
+  // has opened.
+  static absl::Status CheckMayPlay(const Credential& caller, SessionEntry& entry);
+
+  // Gives an open session the verdict, and its recording a line.
+  absl::Status AmendSession(CallContext& context, const Amendment& amendment,
+                            const EpisodeAmendment& line, SessionEntry& entry,
+                            v1::AmendEpisodeResponse* response) const;
 
   // Returns a session that the caller may read, without resetting its idle time: of this server, or
   // CallContext::read.

@@ -9,8 +9,12 @@
 #include <utility>
 
 #include "absl/random/random.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "absl/synchronization/notification.h"
+#include "core/base/json.h"
+#include "core/base/status_macros.h"
 #include "core/dataset/recordings.h"
 #include "server/base/log.h"
 
@@ -112,6 +116,72 @@ RecordingTicket Recordings::Submit(const std::string& tenant, const std::string&
   metrics_->AddRecordingQueue(-1, -bytes);
   Drop(tenant, RecordingOutcome::kQueueFull);
   return nullptr;
+}
+
+absl::StatusOr<Recordings::AmendedReturn> Recordings::Amend(const std::string& name,
+                                                            const std::string& tenant,
+                                                            int64_t episode,
+                                                            const EpisodeAmendment& amendment) {
+  const auto not_found = absl::NotFoundError(
+      absl::StrCat("session_id: expected an open session, or a recording of this server, with "
+                   "episode ",
+                   episode, ", received ", Quoted(name)));
+  // The caller chooses the name.
+  const bool is_name = !name.empty() && name[0] != '.' && !absl::StrContains(name, '/') &&
+                       !absl::StrContains(name, '\0') && episode >= 0;
+  if (!is_name) return not_found;
+  const std::string path = RecordingPath(folder_.directory(), name, episode);
+  absl::StatusOr<AmendedReturn> amended = not_found;
+  absl::Notification done;
+  // Behind the episodes of the tenant that wait, of which it may be one.
+  RETURN_IF_ERROR(worker_.Submit(tenant, [&] {
+    if (std::error_code error; std::filesystem::exists(path, error)) {
+      amended = AmendFile(path, tenant, amendment);
+    }
+    done.Notify();
+  }));
+  done.WaitForNotification();
+  return absl::IsNotFound(amended.status()) ? not_found : amended;
+}
+
+absl::StatusOr<Recordings::AmendedReturn> Recordings::AmendFile(const std::string& path,
+                                                                const std::string& tenant,
+                                                                const EpisodeAmendment& amendment) {
+  auto dataset = ReadDataset(path);
+  if (!dataset.ok()) return absl::UnavailableError(dataset.status().message());
+  const auto return_of = [&dataset] {
+    double sum = 0.0;
+    for (const double reward : dataset->episodes[0].rewards) sum += reward;
+    return sum;
+  };
+  const auto& served = dataset->episodes[0].served;
+  if (!served.has_value() || served->tenant != tenant) {
+    return absl::NotFoundError("session_id: expected a recording of the caller");
+  }
+  ASSIGN_OR_RETURN(auto given, ReadAmendments(path, &*dataset));
+  AmendedReturn amended = {.before = return_of()};
+  amended.after = amended.before;
+  for (const EpisodeAmendment& before : given) {
+    if (before.id != amendment.id) continue;
+    if (before.digest == amendment.digest) return amended;
+    return absl::AlreadyExistsError(absl::StrCat(
+        "amendment_id: expected the same verdict as before, or another name, received another "
+        "verdict of ",
+        amendment.id));
+  }
+  RETURN_IF_ERROR(ApplyAmendment(amendment, &*dataset));
+  const auto bytes = static_cast<int64_t>(AmendmentLine(amendment).size());
+  const auto on_disk = folder_.Take(tenant, bytes);
+  if (on_disk == nullptr) {
+    return absl::ResourceExhaustedError(
+        "--max_recorded_bytes: the tenant has its share of --record_dir");
+  }
+  given.push_back(amendment);
+  RETURN_IF_ERROR(WriteAmendments(path, given));
+  folder_.Keep(*on_disk);
+  amended.after = return_of();
+  amended.is_new = true;
+  return amended;
 }
 
 RecordingOutcome Recordings::Write(const std::string& name, const Dataset& episode) {

@@ -15,6 +15,7 @@
 #include "absl/status/statusor.h"
 #include "core/agent/episode_recorder.h"
 #include "core/agent/served_policy.h"
+#include "core/dataset/amendments.h"
 #include "server/base/background_worker.h"
 #include "server/base/shared_folder.h"
 #include "server/base/shared_places.h"
@@ -41,6 +42,19 @@ class Recordings {
   std::unique_ptr<EpisodeRecorder> Record(std::shared_ptr<const ServedPolicy> served,
                                           const std::string& name, const std::string& tenant);
 
+  // The return of a recorded episode, before and after an amendment.
+  struct AmendedReturn {
+    double before = 0.0;
+    double after = 0.0;
+    bool is_new = false;  // false: the recording had the amendment
+  };
+  // Adds a line to a recorded episode of `tenant`, once those of it that wait are written. Blocks.
+  // NOT_FOUND: the tenant has no such recording on this server; ALREADY_EXISTS: it has another
+  // amendment of this id; INVALID_ARGUMENT: as ApplyAmendment; RESOURCE_EXHAUSTED: no room;
+  // UNAVAILABLE: the disk, or the queue.
+  absl::StatusOr<AmendedReturn> Amend(const std::string& name, const std::string& tenant,
+                                      int64_t episode, const EpisodeAmendment& amendment);
+
  private:
   Recordings(const std::string& directory, int64_t max_bytes, Metrics* metrics);
 
@@ -48,6 +62,9 @@ class Recordings {
   RecordingTicket Submit(const std::string& tenant, const std::string& name, Dataset episode);
   // Counts and logs an episode that is dropped.
   void Drop(const std::string& tenant, RecordingOutcome reason);
+  // As Amend, of a file that is written.
+  absl::StatusOr<AmendedReturn> AmendFile(const std::string& path, const std::string& tenant,
+                                          const EpisodeAmendment& amendment);
   RecordingOutcome Write(const std::string& name, const Dataset& episode);
   // Writes a line when writing fails for the first time, and when it works again.
   void LogWritten(const absl::Status& status);

@@ -90,6 +90,7 @@ absl::StatusOr<LearningRequest> LearningFromProto(const v1::LearningConfig& conf
   if (config.has_clip()) request.clip = config.clip();
   if (config.has_max_drift()) request.max_drift = config.max_drift();
   if (config.has_guard_margin()) request.guard_margin = config.guard_margin();
+  if (config.has_verdict_seconds()) request.verdict_seconds = config.verdict_seconds();
   return request;
 }
 
@@ -248,6 +249,7 @@ v1::EndEpisodeResponse ToProto(const EpisodeSummary& summary) {
   proto.set_spikes(summary.spikes);
   proto.set_energy_joules(summary.energy_joules);
   if (summary.learning.has_value()) *proto.mutable_learning() = ToProto(*summary.learning);
+  proto.set_awaits_verdict(summary.awaits_verdict);
   return proto;
 }
 

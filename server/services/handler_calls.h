@@ -88,6 +88,11 @@ class BackgroundCall final : public UnaryCall<Request, Response> {
     if (this->call_context().commits.empty()) this->messages().Free();
   }
 
+  void TakeMerged(const FleetContribution& contribution) override {
+    UnaryCall<Request, Response>::TakeMerged(contribution);
+    Frame(absl::OkStatus());
+  }
+
   int64_t framed_bytes() const override { return static_cast<int64_t>(framed_.capacity()); }
 
   void SendResponse() override { this->call()->SendFramed(std::move(framed_)); }

@@ -108,6 +108,7 @@ void Services::AddPolicyService() {
   Add(policy, &PolicyHandler::ListPolicies);
   Add(policy, &PolicyHandler::OpenSession);
   Add(policy, &PolicyHandler::EndEpisode);
+  Add(policy, &PolicyHandler::AmendEpisode);
   Add(policy, &PolicyHandler::GetSession);
   Add(policy, &PolicyHandler::CloseSession);
   Add(policy, &PolicyHandler::Explain);

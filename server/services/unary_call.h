@@ -126,7 +126,8 @@ class UnaryCall : public ServiceCall, public GatedRequest {
   // operator wants to steer stays where its robot is.
   std::vector<std::string> MissingSessions(const absl::Status& status) override {
     if constexpr (NamesSession<Request> && !NamesLease<Request>) {
-      const bool is_in_store = !kHoldsDecisions<Response> && absl::IsAlreadyExists(status);
+      const bool is_in_store =
+          std::is_same_v<Request, v1::OpenSessionRequest> && absl::IsAlreadyExists(status);
       if (absl::IsNotFound(status) || is_in_store) return {request().session_id()};
     }
     return {};
@@ -142,7 +143,8 @@ class UnaryCall : public ServiceCall, public GatedRequest {
            std::is_same_v<Request, v1::ExportSessionRequest>;
   }
   void TakeMerged(const FleetContribution& contribution) override {
-    if constexpr (std::is_same_v<Response, v1::EndEpisodeResponse>) {
+    if constexpr (std::is_same_v<Response, v1::EndEpisodeResponse> ||
+                  std::is_same_v<Response, v1::AmendEpisodeResponse>) {
       const auto merged = contribution.merged();
       if (merged.has_value()) *response()->mutable_learning() = ToProto(*merged);
     }

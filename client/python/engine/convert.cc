@@ -75,6 +75,7 @@ LearningRequest ToLearningRequest(nb::handle learning) {
   request.clip = Number(learning, "clip");
   request.max_drift = Number(learning, "max_drift");
   request.guard_margin = Number(learning, "guard_margin");
+  request.verdict_seconds = Number(learning, "verdict_seconds");
   return request;
 }
 

@@ -35,6 +35,7 @@ BY_THE_LIBRARY = {
         "executed_source",  # of an Executed
     },
     "EndEpisodeRequest": {"session_id", "episode", "steps", "executed_source"},
+    "AmendEpisodeRequest": {"session_id"},  # `session`, which may be a recording
     "GetSessionRequest": {"session_id"},
     "PolicyInfo": {"neutral_action"},  # of robots on real links, as below
     "OpenSessionResponse": {"session_id", "history_limit", "neutral_action", "datagrams"},
@@ -75,6 +76,7 @@ def attributes_of(value_class):
         ("ActResponse", spikeserve.Decision, set()),
         ("DecisionStats", spikeserve.Stats, set()),
         ("EndEpisodeResponse", spikeserve.EpisodeSummary, set()),
+        ("AmendEpisodeResponse", spikeserve.AmendedEpisode, set()),
         ("GetSessionResponse", spikeserve.SessionState, set()),
         ("ExplainResponse", spikeserve.Explanation, set()),
         ("SpikeRaster", spikeserve.SpikeRaster, set()),
@@ -99,6 +101,8 @@ def test_the_calls_of_a_session_have_every_argument(session):
     assert parameters_of(session.act) - {"timeout"} == fields_of("ActRequest")
     assert parameters_of(session.end_episode) == fields_of("EndEpisodeRequest")
     assert parameters_of(session.state) == fields_of("GetSessionRequest")
+    for client in (spikeserve.Client, spikeserve.AsyncClient):
+        assert parameters_of(client.amend_episode) == fields_of("AmendEpisodeRequest") | {"session"}
     streams = {spikeserve.Session: spikeserve.ActStream, spikeserve.AsyncSession: spikeserve.AsyncActStream}
     assert parameters_of(streams[session].send) - {"session"} == fields_of("ActRequest")
 
@@ -124,6 +128,7 @@ def test_every_method_of_the_service_can_be_called():
         "ActStream": "act_stream",
         "Act": "act",
         "EndEpisode": "end_episode",
+        "AmendEpisode": "amend_episode",
         "GetSession": "state",
         "Explain": "explain",
         "CloseSession": "close",

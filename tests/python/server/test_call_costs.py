@@ -30,6 +30,7 @@ METHODS = {
         ),
         "ActStream": ("decision", None),
         "EndEpisode": ("light", {"session_id": "SESSION"}),
+        "AmendEpisode": ("operator", {"session_id": "SESSION", "amendment_id": "a", "success": True}),
         "GetSession": ("light", {"session_id": "SESSION"}),
         "Explain": ("explain", {"session_id": "SESSION"}),
         "ExportSession": ("operator", {"session_id": "SESSION"}),

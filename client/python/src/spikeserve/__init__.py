@@ -46,6 +46,7 @@ from spikeserve.spaces import ActionSpace, Box, Discrete
 from spikeserve.stream import ActStream
 from spikeserve.values import (
     Action,
+    AmendedEpisode,
     Corrections,
     Decision,
     EpisodeSummary,
@@ -75,6 +76,7 @@ __all__ = [
     "Action",
     "ActionSpace",
     "AdminClient",
+    "AmendedEpisode",
     "AsyncActStream",
     "AsyncAdminClient",
     "AsyncClient",

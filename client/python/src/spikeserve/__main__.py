@@ -1,4 +1,4 @@
-"""The commands `python -m spikeserve imitate` and `convert`, of the package spikeserve-train."""
+"""The commands of `python -m spikeserve`, which the package spikeserve-train has."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import sys
 
 from spikeserve import TRAIN
 
+MODULES = ("spikeserve.imitation", "spikeserve.conversion", "spikeserve.reward_model")
+
 
 def main() -> int:
     """Runs the command of sys.argv and returns the exit status."""
@@ -16,10 +18,10 @@ def main() -> int:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     try:
-        for module in ("spikeserve.imitation", "spikeserve.conversion"):
+        for module in MODULES:
             importlib.import_module(f"{module}.command").add_command(commands)
     except ModuleNotFoundError as error:
-        if error.name not in ("spikeserve.imitation", "spikeserve.conversion"):
+        if error.name not in MODULES:
             raise
         print(f"spikeserve: expected the package {TRAIN}, received none", file=sys.stderr)
         return 2

@@ -12,11 +12,11 @@ from spikeserve.async_connection import AsyncConnection
 from spikeserve.async_session import AsyncSession
 from spikeserve.async_stream import AsyncActStream
 from spikeserve.batches import ExecutedActions, act_each, by_server
-from spikeserve.calls import list_policies, named, open_session
+from spikeserve.calls import amend_episode, list_policies, named, open_session
 from spikeserve.errors import SpikeserveError
 from spikeserve.replicas import Route
 from spikeserve.session_handle import SessionHandle
-from spikeserve.values import Decision, Policy, SessionOptions
+from spikeserve.values import AmendedEpisode, Decision, Policy, SessionOptions
 
 
 class AsyncClient(AsyncConnection):
@@ -25,6 +25,39 @@ class AsyncClient(AsyncConnection):
     async def list_policies(self) -> list[Policy]:
         """Returns every policy version that is served, sorted by name, then by version."""
         return await self.perform(list_policies())
+
+    async def amend_episode(
+        self,
+        session: str,
+        episode: int,
+        amendment_id: str,
+        *,
+        rewards: Sequence[float] = (),
+        reward: float | None = None,
+        success: bool | None = None,
+        label: str = "",
+        author: str = "",
+    ) -> AmendedEpisode:
+        """Gives an episode that has ended the verdict that came late.
+
+        `session` is the id of an open session, or the name of a recording of the server. `rewards`
+        take the place of those received, one a step; `reward` is added to the last one. `success`
+        and `label` are for recordings. The same verdict may be sent again with its `amendment_id`.
+        NotFoundError if neither the session nor the recording has the episode,
+        FailedPreconditionError if it has waited longer than `Learning.verdict_seconds`.
+        """
+        return await self.perform(
+            amend_episode(
+                session,
+                episode,
+                amendment_id,
+                rewards=rewards,
+                reward=reward,
+                success=success,
+                label=label,
+                author=author,
+            )
+        )
 
     async def open_session(
         self,

@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 from spikeserve.errors import SpikeserveError, error_of_item
 from spikeserve.feature_order import FeatureOrder
 from spikeserve.replicas import Route, draw_id
-from spikeserve.values import Opening, Policy, SessionOptions
+from spikeserve.values import AmendedEpisode, Opening, Policy, SessionOptions
 from spikeserve.wire import METHODS, Message
 
 T = TypeVar("T")
@@ -66,6 +66,32 @@ def list_policies() -> Call[list[Policy]]:
     """Describes Client.list_policies."""
     request = METHODS["ListPolicies"].request()
     return Call("ListPolicies", request, lambda r: [Policy.from_wire(p) for p in r.policies])
+
+
+def amend_episode(
+    session: str,
+    episode: int,
+    amendment_id: str,
+    *,
+    rewards: Sequence[float] = (),
+    reward: float | None = None,
+    success: bool | None = None,
+    label: str = "",
+    author: str = "",
+) -> Call[AmendedEpisode]:
+    """Describes Client.amend_episode."""
+    request = METHODS["AmendEpisode"].request(
+        session_id=session,
+        episode=episode,
+        amendment_id=amendment_id,
+        rewards=rewards,
+        reward=reward,
+        success=success,
+        label=label,
+        author=author,
+    )
+    # Of a session of which nothing more is known, or of a recording.
+    return Call("AmendEpisode", request, AmendedEpisode.from_wire, route=Route(session))
 
 
 @dataclass(frozen=True)

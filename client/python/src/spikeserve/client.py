@@ -34,6 +34,7 @@ class Client(Connection):
 
     list_policies = blocking(AsyncClient.list_policies)
     act_batch = blocking(AsyncClient.act_batch)
+    amend_episode = blocking(AsyncClient.amend_episode)
 
     def open_session(
         self,

@@ -96,6 +96,9 @@ class Learning:
     max_drift: float | None = None  # largest |W - W_base| / |W_base|; SESSION only
     discount: float | None = None  # of the realized return per step, in [0, 1]
     guard_margin: float | None = None  # of the return guard, at least 0; SESSION only
+    # How long an ended episode waits for Client.amend_episode before it is learned from as it is,
+    # in [0, 3600] seconds. 0 (default): it is learned from at its end.
+    verdict_seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -268,6 +271,16 @@ class EpisodeSummary(FromMessage, message="EndEpisodeResponse"):
     # Steps at the begin of the episode that the summary does not have. Only a pilot knows them: its
     # session was lost, and a new one took its place.
     lost_steps: int = 0
+    awaits_verdict: bool = False  # Client.amend_episode returns `learning`
+
+
+@dataclass(frozen=True)
+class AmendedEpisode(FromMessage, message="AmendEpisodeResponse"):
+    """An episode after its verdict."""
+
+    episode_return: float  # the sum of the rewards, as amended
+    learning: LearningSummary | None = None  # None: the episode did not wait for its verdict
+    recording: str = "NOT_RECORDED"  # STORED: the recording has the verdict
 
 
 @dataclass(frozen=True)

@@ -21,3 +21,4 @@ class Learning:
     clip: float | None = None
     max_drift: float | None = None  # SESSION only
     guard_margin: float | None = None  # SESSION only
+    verdict_seconds: float | None = None  # for sessions of a server, which takes the verdicts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pathlib
 from typing import Any
 
@@ -23,6 +24,7 @@ from spikeserve.conversion.packages import package
 from spikeserve.spaces import ActionSpace, Discrete
 
 SUFFIX = ".cbor"
+AMENDMENTS = ".amendments"  # of the file beside a recording, a line for each verdict
 _FORMAT = "spikeserve.dataset.v1"
 
 
@@ -39,7 +41,7 @@ def read_recordings(source: pathlib.Path, selection: Selection) -> RobotData:
     data: RobotData | None = None
     first = source
     for path in files_of(source):
-        read = _read_file(path)
+        read = read_file(path)
         if selection.environment and read.environment != selection.environment:
             continue
         if data is None:
@@ -62,7 +64,8 @@ def read_recordings(source: pathlib.Path, selection: Selection) -> RobotData:
     return data
 
 
-def _read_file(path: pathlib.Path) -> RobotData:
+def read_file(path: pathlib.Path) -> RobotData:
+    """Reads one file, with the amendments of its episode."""
     cbor2 = package("cbor2")
     try:
         value = cbor2.loads(path.read_bytes())
@@ -78,6 +81,8 @@ def _read_file(path: pathlib.Path) -> RobotData:
     check(size >= 1, f"{field}: observation_size", "at least 1", size)
     stored = _member(value, "episodes", list, field)
     check(len(stored) > 0, f"{field}: episodes", "at least one", "none")
+    if path.with_suffix(AMENDMENTS).exists():
+        _amend(stored[0], path.with_suffix(AMENDMENTS))
     episodes = [
         _episode(item, size, space, f"{field}: episode {index}")
         for index, item in enumerate(stored)
@@ -87,6 +92,23 @@ def _read_file(path: pathlib.Path) -> RobotData:
     for index, episode in enumerate(episodes):
         check_episode(data, episode, f"{field}: episode {index}")
     return data
+
+
+def _amend(episode: Any, path: pathlib.Path) -> None:
+    """Applies the verdicts of `path`, as core/dataset/amendments.h does."""
+    rewards = _member(episode, "rewards", list, str(path))
+    served = _member(episode, "served", dict, str(path))
+    for line in path.read_text().splitlines():
+        amendment = json.loads(line)
+        if amendment.keys() & {"rewards", "reward"}:
+            amended = amendment.get("rewards", rewards)
+            check(len(amended) == len(rewards), str(path), f"{len(rewards)} rewards", len(amended))
+            episode["rewards"] = [*amended[:-1], amended[-1] + amendment.get("reward", 0.0)]
+            served["received_rewards"] = rewards
+        if "success" in amendment:
+            served["success"] = amendment["success"]
+        if "label" in amendment:
+            served["verdict"] = amendment["label"]
 
 
 def _member(value: Any, key: str, kind: type | tuple[type, ...], field: str) -> Any:
