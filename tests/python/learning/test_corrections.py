@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from restartable_server import RestartableServer
 from security import ADMIN, fails_with
-from serving import POLICY, Service
+from serving import POLICY, Service, run
 from test_learning import HIGH, LOW, TOLERANCE, norm, policies, server  # noqa: F401
 
 STEPS = 30
@@ -245,7 +245,9 @@ def test_what_an_operator_taught_a_session_is_undone(policies, tmp_path):  # noq
             restartable.start()
             grpc.channel_ready_future(channel).result()
             assert np.array_equal(robot.delta(), by_anna)
-            assert admin.UndoCorrections(operator_id="anna", **undo).updates > 0
+            flags = (f"--session={robot.id}", "--operator=anna", "--last=10m", f"--server={restartable.address}")
+            answer = run("spikectl", "--json", "admin", "undo_corrections", *flags).stdout
+            assert json.loads(answer) == {"updates": 8, "head_drift": 0.0}
             assert not robot.delta().any()
             assert (tmp_path / "audit").read_text().count('"UndoCorrections"') == 3
     finally:
