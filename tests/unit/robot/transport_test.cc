@@ -42,7 +42,7 @@ class TransportTest : public ::testing::Test {
   std::optional<Task> Step() {
     now_ += kPeriod;
     EXPECT_TRUE(robot_->BeginStep({.observation = observation_, .reward = 1.0}, Clock()));
-    (void)robot_->Choose(Clock(), now_);
+    if (robot_->Choose(Clock(), now_) == Choice::kOwnAction) robot_->TakeOwn(nullptr);
     (void)robot_->FinishStep(Clock());
     return robot_->NextSend(now_);
   }

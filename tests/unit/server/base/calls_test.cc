@@ -52,7 +52,7 @@ TEST(MethodTest, MethodsAreFoundByNameAndByRequest) {
     EXPECT_EQ(&AllMethods()[method.index], &method);
     EXPECT_EQ(method.path, "/" + method.service + "/" + method.name);
   }
-  EXPECT_EQ(names.size(), 52);
+  EXPECT_EQ(names.size(), 54);
   EXPECT_EQ(&MethodOf<v1::SetLabelRequest>(), &MethodNamed("SetLabel"));
   // Act and ActStream have the same requests.
   EXPECT_EQ(&MethodOf<v1::ActRequest>(), &MethodNamed("Act"));
