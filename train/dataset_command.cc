@@ -120,7 +120,7 @@ void AddDatasetCommand(Program& program) {
       .Add("recordings", "DIR", &flags->recordings,
            "Record directory of a server, or one session of it")
       .Add("correction_weight", "W", &flags->correction_weight,
-           "Loss weight of the steps that operators chose; default: all steps count alike")
+           "Loss weight of operators' steps; default: all count alike")
       .Add("policy_weight", "W", &flags->policy_weight,
            "Beside it: that of the policy's steps; all other steps have 0")
       .AddSwitch("json", &flags->json, "Print the summary on several lines");
