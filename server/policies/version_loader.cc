@@ -94,7 +94,7 @@ void VersionLoader::RemoveGone(PolicyCatalog* catalog, ReloadReport* report) con
   const PolicyCatalog before = *catalog;
   for (const auto& [name, policy] : before.policies()) {
     // The default of a policy that disappears as a whole protects no other version.
-    const bool none_left = absl::c_none_of(policy.versions, [&](const auto& item) {
+    const bool none_left = absl::c_none_of(policy.versions, [this, &name = name](const auto& item) {
       return folder_.Has({.policy = name, .version = item.first});
     });
     for (const auto& [number, served] : policy.versions) {
