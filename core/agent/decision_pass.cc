@@ -107,7 +107,7 @@ void AgentSession::DecisionPass::DecideVersion(absl::Span<Step* const> steps) {
     session.head_.TakeMerged(&session.session_);
     if (session.session_.step == 0) session.LearnOverdue();
     sessions.push_back(&session);
-    ConfirmNeutral(*step);
+    ConfirmNeutral(*step, step->result.executed);
     if (step->result.executed.has_value()) {
       session.TakeExecuted(*step->result.executed, step->executed->source);
     }
@@ -245,13 +245,14 @@ bool AgentSession::DecisionPass::Overrule(AgentSession& agent, bool is_past) {
   return is_over || seat != nullptr || session.learner.has_value();
 }
 
-void AgentSession::DecisionPass::ConfirmNeutral(const Step& step) {
+void AgentSession::DecisionPass::ConfirmNeutral(const Step& step,
+                                                const std::optional<Action>& executed) {
   AgentSession& agent = *step.session;
   const auto& last = agent.session_.last_answer;
   if (agent.hold_ == nullptr || !last.has_value() || last->hold != *agent.hold_) return;
-  const auto& executed = step.result.executed;
-  agent.is_at_neutral_ = !executed.has_value() || *executed == last->action ||
-                         step.executed->source.kind == static_cast<int>(SourceKind::kSafe);
+  const bool is_safe = step.executed.has_value() &&
+                       step.executed->source.kind == static_cast<int>(SourceKind::kSafe);
+  agent.is_at_neutral_ = !executed.has_value() || *executed == last->action || is_safe;
 }
 
 void AgentSession::DecisionPass::AppendActions(absl::Span<AgentSession* const> sessions) {

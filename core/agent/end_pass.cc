@@ -139,6 +139,7 @@ absl::StatusOr<EpisodeSummary> AgentSession::EndPass::End(const Step& step) {
         "fleet head: has not taken the last episode of the session yet; try again");
   }
   const bool is_known = !session.history.empty();  // otherwise the last steps were skipped
+  if (is_known) DecisionPass::ConfirmNeutral(step, end.executed_action);
   if (is_known && end.executed_action.has_value()) {
     agent.TakeExecuted(*end.executed_action,
                        step.executed.has_value() ? step.executed->source : ReportedSource());

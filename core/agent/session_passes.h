@@ -51,6 +51,9 @@ struct AgentSession::DecisionPass {
   static void DecideVersion(absl::Span<Step* const> steps);
   // As AppendPendingActions, but also for agents that report executed actions.
   static void AppendActions(absl::Span<AgentSession* const> sessions);
+  // Notes whether the robot took its neutral action under the hold. `executed`: in the place of the
+  // last answer, as a decision or an end reports it; absent: as answered.
+  static void ConfirmNeutral(const Step& step, const std::optional<Action>& executed);
 
  private:
   // Returns the answer that `choice` gives, without what only the session or the caller knows.
@@ -66,8 +69,6 @@ struct AgentSession::DecisionPass {
   // because of the wiring, in this order. Returns whether a journal's entry would not tell all of
   // what has changed.
   static bool Overrule(AgentSession& agent, bool is_past);
-  // Notes if a request shows that the robot took its neutral action under the hold.
-  static void ConfirmNeutral(const Step& step);
 };
 
 // Ends the episode, or repeats the summary of the last one.

