@@ -1,5 +1,7 @@
 #include "core/dataset/amendments.h"
 
+#include <filesystem>
+#include <system_error>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -14,6 +16,7 @@
 namespace spikeserve {
 namespace {
 
+namespace fs = std::filesystem;
 using Json = nlohmann::json;
 
 std::string AmendmentsPath(absl::string_view path) {
@@ -43,7 +46,12 @@ absl::StatusOr<std::vector<EpisodeAmendment>> ReadAmendments(const std::string& 
   std::vector<EpisodeAmendment> amendments;
   const std::string file = AmendmentsPath(path);
   const auto text = ReadFile(file);
-  if (!text.ok()) return amendments;
+  if (!text.ok()) {
+    std::error_code error;
+    const bool is_none = fs::status(file, error).type() == fs::file_type::not_found;
+    if (is_none) return amendments;
+    return text.status();  // the next amendment would replace those that are there
+  }
   for (const absl::string_view line : absl::StrSplit(*text, '\n', absl::SkipEmpty())) {
     auto amendment = ParseLine(line);
     if (!amendment.ok()) return Annotate(amendment.status(), file);

@@ -30,8 +30,8 @@ struct EpisodeAmendment {
 
 // Reads the amendments of the recording at `path`, oldest first, and applies them to its episode:
 // of those with rewards the last one, relative to what was received, and the last success and
-// label. Returns none if there are none. INVALID_ARGUMENT, which starts with the file's path, if
-// one does not fit.
+// label. Returns none if there is no file of them. INVALID_ARGUMENT if one does not fit, NOT_FOUND
+// if the file is there and cannot be read; messages start with its path.
 absl::StatusOr<std::vector<EpisodeAmendment>> ReadAmendments(const std::string& path,
                                                              Dataset* dataset);
 

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <filesystem>
 #include <fstream>
 #include <string>
 #include <vector>
@@ -63,6 +64,15 @@ TEST(AmendmentsTest, WhatDoesNotFitIsRefusedWithItsFile) {
               HasSubstr("000001.amendments: rewards: expected 3 numbers, one a step, received 1"));
   std::ofstream(::testing::TempDir() + "/000001.amendments") << "{\"amendment_id\": \"a\"\n";
   EXPECT_THAT(std::string(ReadDataset(path).status().message()), HasSubstr("000001.amendments"));
+}
+
+TEST(AmendmentsTest, AFileThatCannotBeReadIsNotTakenForNone) {
+  const std::string path = ::testing::TempDir() + "/000002.cbor";
+  ASSERT_TRUE(WriteDataset(Recorded(), path).ok());
+  std::filesystem::create_directory(::testing::TempDir() + "/000002.amendments");
+  const auto read = ReadDataset(path);
+  EXPECT_THAT(std::string(read.status().message()),
+              HasSubstr("000002.amendments: expected a file"));
 }
 
 }  // namespace
