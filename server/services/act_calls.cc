@@ -7,6 +7,7 @@
 #include "server/access/admission.h"
 #include "server/messages/convert.h"
 #include "server/services/request_parser.h"
+#include "server/transport/limits.h"
 
 namespace spikeserve {
 namespace {

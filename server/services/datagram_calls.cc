@@ -13,6 +13,7 @@
 #include "server/services/request_parser.h"
 #include "server/services/request_span.h"
 #include "server/services/service_call.h"
+#include "server/transport/limits.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
@@ -63,7 +64,7 @@ class DatagramCalls::Request final : public QueuedAct,
                                   context.max_message_bytes);
     }
     if (!calls_.CountBytes(*caller.tenant(), kBytes) && status.ok()) {
-      status = ServiceCall::TooManyBytesError();
+      status = TooManyBytesError();
     }
     if (!status.ok()) return Answer(status);
     call_context().caller = &caller;

@@ -83,12 +83,6 @@ void ServiceCall::PauseAfter(const absl::Status& status, size_t request_bytes) {
   timer_ = call_->loop().After(delay, [this] { std::exchange(delayed_, nullptr)(); });
 }
 
-absl::Status ServiceCall::TooManyBytesError() {
-  return absl::ResourceExhaustedError(
-      "--max_tenant_bytes: the requests and answers in flight of this tenant, or of all, occupy as "
-      "much memory as they may; try again later");
-}
-
 void ServiceCall::Finish(const absl::Status& status) {
   loop_.thread().AssertCurrent();
   if (call_ != nullptr) call_->Finish(status);

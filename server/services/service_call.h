@@ -48,9 +48,6 @@ class ServiceCall : public CallHandler, public std::enable_shared_from_this<Serv
   void OnClosed() override;
   void OnDrain() override;
 
-  // Returns the status of a request for which there is no memory.
-  static absl::Status TooManyBytesError();
-
  protected:
   // The caller was admitted and sent a message of at most message_limit() bytes.
   virtual void HandleMessage(absl::string_view message) = 0;

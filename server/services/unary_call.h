@@ -23,6 +23,7 @@
 #include "server/services/finite_response.h"
 #include "server/services/request_parser.h"
 #include "server/services/service_call.h"
+#include "server/transport/limits.h"
 
 namespace spikeserve {
 

@@ -8,6 +8,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/contract/dcheck.h"
 #include "server/transport/grpc_wire.h"
+#include "server/transport/limits.h"
 
 namespace spikeserve {
 namespace {
@@ -268,11 +269,7 @@ void GrpcStream::BoundRequest() {
   RefuseForBytes();
 }
 
-void GrpcStream::RefuseForBytes() {
-  Finish(absl::ResourceExhaustedError(
-      "the server holds as many bytes of requests as it may, in all or of this caller; try again "
-      "later"));
-}
+void GrpcStream::RefuseForBytes() { Finish(TooManyBytesError()); }
 
 void GrpcStream::Send(const google::protobuf::MessageLite& message) {
   loop().thread().AssertCurrent();

@@ -43,4 +43,11 @@ absl::Status TransportLimits::Validate() const {
   return status;
 }
 
+absl::Status TooManyBytesError() {
+  return absl::ResourceExhaustedError(
+      "--max_tenant_bytes, --max_unauthenticated_bytes, --max_connection_bytes, "
+      "--max_bytes_in_flight: the requests and answers in flight of this caller, or of all, occupy "
+      "as much memory as they may; try again later");
+}
+
 }  // namespace spikeserve

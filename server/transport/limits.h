@@ -46,4 +46,7 @@ struct TransportLimits {
   absl::Status Validate() const;
 };
 
+// RESOURCE_EXHAUSTED for a call whose bytes, with those in flight, exceed one of the limits above.
+absl::Status TooManyBytesError();
+
 }  // namespace spikeserve

@@ -7,6 +7,7 @@
 #include "core/contract/dcheck.h"
 #include "server/access/admission.h"
 #include "server/transport/grpc_wire.h"
+#include "server/transport/limits.h"
 #include "server/transport/transport_budgets.h"
 
 namespace spikeserve {
@@ -75,11 +76,7 @@ class HttpCalls::HttpCall final : public Call {
       return Finish(request.status());
     }
     request_bytes_ = static_cast<int64_t>(request->size());
-    if (!CountAll()) {
-      return Finish(absl::ResourceExhaustedError(
-          "the server holds as many bytes of requests as it may, in all or of this caller; try "
-          "again later"));
-    }
+    if (!CountAll()) return Finish(TooManyBytesError());
     if (request->size() > handler_->message_limit()) {
       handler_->OnTooLong(request->size());
     } else {
