@@ -122,6 +122,8 @@ Replica* Replicas::Choose(Route& route, const std::set<const Replica*>& tried) {
     for (const auto& [rank, replica] : ranks) route.ranked.push_back(replica);
   }
   ProbeThoseDue();
+  Replica* const last = route.replica;
+  if (route.has_stream && last != nullptr && !last->is_away && tried.count(last) == 0) return last;
   std::vector<Replica*> left;
   for (Replica* replica : route.ranked) {
     if (tried.count(replica) == 0) left.push_back(replica);
@@ -136,6 +138,11 @@ bool Replicas::MayMove(const Route& route) {
   if (all_.size() == 1) return false;
   absl::MutexLock lock(&mutex_);
   return !route.is_pinned;
+}
+
+void Replicas::Stream(Route& route) {
+  absl::MutexLock lock(&mutex_);
+  route.has_stream = true;
 }
 
 void Replicas::Pin(Route& route, bool is_pinned) {

@@ -58,13 +58,16 @@ struct Replica {
 // What decides the server of calls that belong together: of a session, a stream or a batch.
 //
 // `key` is the affinity metadata. It ranks the servers, equally in every client. A pinned route
-// stays at the server that answered last: sessions that no store has exist there only.
+// stays at the server that answered last: sessions that no store has exist there only. That of a
+// stream stays there while the server can be reached: the stream does not return to the server that
+// it prefers, and a call beside it that did would take a session from it.
 struct Route {
   explicit Route(std::string of_key) : key(std::move(of_key)) {}
 
   const std::string key;
   // The rest is guarded by the mutex of Replicas.
   bool is_pinned = false;
+  bool has_stream = false;
   Replica* replica = nullptr;  // the one that answered last
   std::vector<Replica*> ranked;
 };
@@ -110,6 +113,8 @@ class Replicas {
 
   // Returns whether a call of the route may go to another replica.
   bool MayMove(const Route& route) ABSL_LOCKS_EXCLUDED(mutex_);
+  // Notes that a stream takes the route.
+  void Stream(Route& route) ABSL_LOCKS_EXCLUDED(mutex_);
   // Pins a route to the replica that answered last, or lets it move.
   void Pin(Route& route, bool is_pinned) ABSL_LOCKS_EXCLUDED(mutex_);
   // Returns the replica that a route is pinned to, or null if it may move or there is no other.

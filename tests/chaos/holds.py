@@ -4,8 +4,8 @@ usage: python -m tests.chaos.holds [--robots=N] [--cut_off=N] [--period=SECONDS]
 
 Three servers share a Redis. Each robot asks for a decision once in a period. One call holds them all: prints how long it took
 until 99.9 % of those that can be reached were known to be at their neutral action, and checks that the list names the others;
-the same for 99 % after all servers were killed and started again: some robots of spikeload, those that waited for an answer then,
-do not show again what they executed. Needs the variables SPIKESERVE_PROGRAM and SPIKELOAD_PROGRAM. Exits with status 1 if something differs.
+the same after all servers were killed and started again. Needs the variables SPIKESERVE_PROGRAM and SPIKELOAD_PROGRAM. Exits with
+status 1 if something differs.
 """
 
 import argparse
@@ -106,7 +106,6 @@ def main():
             server.kill()
         for server in fleet.replicas:
             server.start()
-        wanted = math.ceil(0.99 * arguments.robots)
         seconds = wait_for_neutral(operator, held.id, wanted)
         print(f"after kill -9 of all servers: {wanted} robots at neutral again {seconds:.2f} s after the start")
         until(lambda: lost <= {robot.session_id for robot in operator.verdict(held.id).robots}, LIMIT)

@@ -20,6 +20,7 @@ from test_replicas import (  # noqa: F401
     play,
     pytestmark,
     test_a_rolling_restart,
+    test_calls_beside_a_stream_stay_with_it,
     test_every_replica_is_killed,
     test_every_replica_is_stopped,
     test_redis_is_killed,
@@ -106,6 +107,11 @@ class CppStreams(CppCalls):
 @pytest.fixture(params=[CppCalls, CppBatches, CppStreams], ids=lambda player: player.__name__)
 def disturbed(fleet, undisturbed, request):  # noqa: F811
     yield from disturbing(fleet, undisturbed, request.param)
+
+
+@pytest.fixture
+def streams():
+    return CppStreams
 
 
 @pytest.fixture

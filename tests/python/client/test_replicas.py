@@ -330,6 +330,49 @@ def test_streams_of_sessions_without_a_store(fleet):
                 stream.act(session, observation(0, 0), timeout=30)
 
 
+@pytest.fixture(params=[Streams, AsyncStreams], ids=lambda player: player.__name__)
+def streams(request):
+    return request.param
+
+
+def test_calls_beside_a_stream_stay_with_it(fleet, streams):
+    """The server that the stream prefers comes back: ends of episodes do not take the sessions there."""
+    asyncio.run(stay_with_the_stream(fleet, streams))
+
+
+async def stay_with_the_stream(fleet, kind):
+    client = (spikeserve.AsyncClient if issubclass(kind, AsyncCalls) else spikeserve.Client)(fleet.addresses, OPTIONS)
+    player = kind(client)
+    sessions = [await player.open(i, "SYNC") for i in range(3)]
+    await player.act_all(sessions, 0)
+    ids = {player.id_of(session) for session in sessions}
+    [home] = [replica for replica in fleet.replicas if ids <= open_at(replica).keys()]
+    home.kill()
+    await player.act_all(sessions, 1)
+    home.start()
+    others = 0
+    while not open_at(home):  # until the client knows that it is back
+        await player.open(len(sessions) + others, "SYNC")
+        others += 1
+        assert others < 1000
+    [host] = [r for r in fleet.replicas if r is not home and all(open_at(r).get(i) == 2 for i in ids)]
+    for i, session in enumerate(sessions):
+        await player.end(session, i)
+    await player.act_all(sessions, 2)
+    assert not ids & open_at(home).keys()
+    assert all(open_at(host)[i] == 3 for i in ids)
+    player.leave()
+    closed = client.close()
+    if issubclass(kind, AsyncCalls):
+        await closed
+
+
+def open_at(replica):
+    """Returns the decisions of the sessions of a server, by id."""
+    with spikeserve.AdminClient(replica.address) as admin:
+        return {session.session_id: session.decisions for session in admin.list_sessions(page_size=1000).sessions}
+
+
 @pytest.fixture
 def calls():
     return Calls
@@ -354,9 +397,7 @@ async def end_elsewhere(fleet, replicas, player, durability):
         await player.act_all(sessions, t)
     until(lambda: all(store_has(fleet, player.id_of(session), 3) for session in sessions))
     # Two replicas own three sessions, so one of them owns two.
-    session, another = next(
-        (a, b) for a, b in itertools.combinations(sessions, 2) if owner_of(a) is owner_of(b)
-    )
+    session, another = next((a, b) for a, b in itertools.combinations(sessions, 2) if owner_of(a) is owner_of(b))
     owner = owner_of(session)
     [other] = [replica for replica in replicas if replica is not owner]
     owner.stop()
@@ -379,9 +420,7 @@ def store_has(fleet, session_id, decisions):
 
 def test_a_replica_that_was_stopped_sends_no_stale_answer(fleet):
     """It receives a request, is stopped before it appends, and continues when another one owns the session."""
-    impatient = spikeserve.ClientOptions(
-        timeout=DEADLINE_SECONDS, retry=spikeserve.RetryOptions(max_attempts=1)
-    )
+    impatient = spikeserve.ClientOptions(timeout=DEADLINE_SECONDS, retry=spikeserve.RetryOptions(max_attempts=1))
     stopped, other = fleet.replicas[:2]
     with (
         spikeserve.Client(stopped.address, impatient) as former,

@@ -55,12 +55,15 @@ class Route:
     """What decides the server of calls that belong together: of a session, a stream or a batch.
 
     `key` is the affinity metadata. It ranks the servers, equally in every client. A pinned route
-    stays at the server that answered last: sessions that no store has exist there only.
+    stays at the server that answered last: sessions that no store has exist there only. That of a
+    stream stays there while the server can be reached: the stream does not return to the server
+    that it prefers, and a call beside it that did would take a session from it.
     """
 
     def __init__(self, key: str = "") -> None:
         self.key = key
         self.is_pinned = False
+        self.has_stream = False
         self.replica: Replica | None = None  # the one that answered last
         self.ranked: Sequence[Replica] = ()
 
@@ -132,6 +135,9 @@ class Replicas:
                 self._all, key=lambda replica: rank(route.key, replica.address), reverse=True
             )
         self._probe_those_due()
+        last = route.replica
+        if route.has_stream and last is not None and not last.is_away and last not in tried:
+            return last
         left = [replica for replica in route.ranked if replica not in tried] or route.ranked
         return next((replica for replica in left if not replica.is_away), left[0])
 

@@ -18,6 +18,7 @@ class StreamOpener:
     def __init__(self, channels: Channels) -> None:
         self._channels = channels
         self.route = Route(draw_id())
+        self.route.has_stream = True
         self._replica = channels.replicas.choose(self.route)
         self._line = self._replica.line
 
