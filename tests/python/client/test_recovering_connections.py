@@ -5,10 +5,12 @@ import inspect
 import os
 import socket
 import subprocess
+import threading
 import time
 
 import pytest
 import spikeserve
+from links import Link
 from security import until
 from spikeserve.lines import MISSES, SILENCE_SECONDS, Doubt
 from spikeserve.wire import message_class
@@ -111,6 +113,45 @@ def test_a_slow_server_keeps_its_connection(play, link):
         return await act(OBSERVATION, 1.0)
 
     play(scenario, spikeserve.ClientOptions(timeout=60, keepalive=600))
+
+
+class ObservedLink(Link):
+    """Tells when a health check has passed."""
+
+    def __init__(self, target):
+        super().__init__(target)
+        self.checked = threading.Event()
+
+    def pieces(self, pipe):
+        for data in super().pieces(pipe):
+            yield data
+            if b"\x00\x00\x00\x00\x02\x08\x01" in data:  # SERVING, as a message of gRPC
+                self.checked.set()
+
+
+@pytest.mark.parametrize("kind", [spikeserve.Client, spikeserve.AsyncClient])
+def test_a_line_that_answers_a_moment_later_is_kept(address, kind, monkeypatch):
+    for module in ("connection", "async_connection"):
+        for limit in ("GRACE_SECONDS", "RACE_SECONDS"):  # a busy machine may need longer
+            monkeypatch.setattr(f"spikeserve.{module}.{limit}", 60.0)
+
+    async def scenario(link):
+        client = kind(link.address, spikeserve.ClientOptions(timeout=60, keepalive=600, retry=once))
+        session = await finish(client.open_session("cartpole"))
+        await finish(session.act(OBSERVATION))
+        link.forget()
+        late = threading.Thread(target=lambda: link.checked.wait() and link.remember())
+        late.start()
+        # A call that is cancelled would not be made again.
+        assert (await finish(session.act(OBSERVATION, 1.0))).step == 1
+        late.join()
+        assert link.accepted == 2
+        await finish(session.close())
+        await finish(client.close())
+
+    once = spikeserve.RetryOptions(max_attempts=1)
+    with ObservedLink(address) as link:
+        asyncio.run(scenario(link))
 
 
 def client_sockets(link):

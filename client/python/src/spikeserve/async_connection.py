@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Callable, Coroutine
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from spikeserve.calls import Call
 from spikeserve.channels import ClientOptions
 from spikeserve.errors import SpikeserveError, is_retryable_code
 from spikeserve.lines import (
+    GRACE_SECONDS,
     RACE_SECONDS,
     SERVING,
     SILENCE_SECONDS,
@@ -86,6 +88,9 @@ class AsyncConnection(Caller):
                 if (line := await check) is not None:
                     winner = line
                     break
+            if winner is fresh:
+                with contextlib.suppress(asyncio.TimeoutError):
+                    winner = await asyncio.wait_for(next(iter(checks)), GRACE_SECONDS) or fresh
             for check_task in checks:
                 check_task.cancel()
         finally:

@@ -21,7 +21,7 @@ from spikeserve.errors import (
     is_retryable,
     is_retryable_code,
 )
-from spikeserve.lines import RACE_SECONDS, SERVING, LineWatch, has_answered
+from spikeserve.lines import GRACE_SECONDS, RACE_SECONDS, SERVING, LineWatch, has_answered
 from spikeserve.replicas import PROBE_SECONDS, Replica
 from spikeserve.wire import Message
 
@@ -63,6 +63,9 @@ class Connection(Caller):
                 check.add_done_callback(ended.put)
         finished = (ended.get() for _ in range(len(checks)))
         winner = next((checks[check] for check in finished if has_answered(check)), old)
+        if winner is fresh:
+            with contextlib.suppress(queue.Empty):
+                winner = old if has_answered(ended.get(timeout=GRACE_SECONDS)) else fresh
         if winner is fresh and not self._is_closed:
             replica.renew(fresh)
         replica.doubt.raced(winner is fresh)

@@ -3,7 +3,8 @@
 A NAT, a firewall or a mobile network may forget a connection and drop its packets without a word,
 while new connections work. The keepalive of HTTP/2 finds that out after seconds. Therefore a fresh
 connection is tried as soon as answers are missing: both get a health check, and if the fresh one
-answers first, it takes the place of the old one. Nothing here waits, except `LineWatch`.
+answers first, and the old one not within GRACE_SECONDS of that, it takes its place. Nothing here
+waits, except `LineWatch`.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ SERVING = b"\x08\x01"
 MISSES = 3  # calls in a row without an answer in time, before a race
 SILENCE_SECONDS = 0.3  # without any answer while calls wait for one, before a race
 RACE_SECONDS = 1.0  # for the two health checks
+GRACE_SECONDS = 0.05  # for the old line: on a busy machine, answers change places
 FIRST_PAUSE = 0.1  # seconds after a race that the fresh connection has not won, doubled each time
 LONGEST_PAUSE = 5.0
 
