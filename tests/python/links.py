@@ -77,6 +77,15 @@ class Link:
             self.changed.notify_all()
             self.changed.wait_for(lambda: not any(pipe.chunks for pipe in self._pipes))
 
+    def close_ended(self):
+        """Closes the connections of which both directions have ended."""
+        with self.changed:
+            ended = {pipe.source for pipe in self._pipes if pipe.has_ended}
+            over = [pipe for pipe in self._pipes if pipe.has_ended and pipe.sink in ended]
+            self._pipes = [pipe for pipe in self._pipes if pipe not in over]
+        for pipe in over:
+            pipe.close()
+
     def pieces(self, pipe):
         """Yields what is to be forwarded in one direction of a connection."""
         while data := pipe.source.recv(1 << 16):
@@ -107,8 +116,8 @@ class Pipe:
     """
 
     def __init__(self, link, source, sink, answers=None):
-        self._link, self.source, self._sink, self.answers = link, source, sink, answers
-        self.is_forgotten = False
+        self._link, self.source, self.sink, self.answers = link, source, sink, answers
+        self.is_forgotten = self.has_ended = False
         self.chunks = collections.deque()  # (time.monotonic() of its delivery, bytes; empty: the end)
         self._last = 0.0
         self._is_closed = False
@@ -119,7 +128,7 @@ class Pipe:
         with self._link.changed:
             self._is_closed = True
             self._link.changed.notify_all()
-        for side in (self.source, self._sink):
+        for side in (self.source, self.sink):
             with contextlib.suppress(OSError):
                 side.shutdown(socket.SHUT_RDWR)
             side.close()
@@ -154,13 +163,15 @@ class Pipe:
                     continue
             with contextlib.suppress(OSError):
                 if data:
-                    self._sink.sendall(data)
+                    self.sink.sendall(data)
                 else:
-                    self._sink.shutdown(socket.SHUT_WR)
+                    self.sink.shutdown(socket.SHUT_WR)
             with self._link.changed:
                 self.chunks.popleft()
                 self._link.changed.notify_all()
             if not data:
+                self.has_ended = True
+                self._link.close_ended()
                 return
 
     def _may_write(self):
