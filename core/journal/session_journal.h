@@ -87,6 +87,8 @@ class SessionJournal final : public SessionListener,
   // Returns true if another process may have claimed the session unnoticed.
   bool is_shared() const { return writer_.IsShared(); }
 
+  // Returns UNAVAILABLE while the store cannot be reached.
+  absl::Status CheckReachable() const { return writer_.CheckReachable(); }
   // Returns UNAVAILABLE if the session must not decide now: while the store cannot be reached
   // (SYNC), or while too much is still to be written (ASYNC).
   absl::Status CheckWritable() const;

@@ -59,6 +59,11 @@ absl::StatusOr<Seat> SeatFromProto(const v1::TakeControlRequest& request,
   return seat;
 }
 
+// Returns UNAVAILABLE if the store could not be told of a change, which then must not happen.
+absl::Status CheckReachable(const SessionEntry& entry) {
+  return entry.journal == nullptr ? absl::OkStatus() : entry.journal->CheckReachable();
+}
+
 }  // namespace
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> AdminHandler::Find(const CallContext& context,
@@ -74,6 +79,7 @@ absl::Status AdminHandler::TakeControl(CallContext& context, const v1::TakeContr
                                        v1::TakeControlResponse* response) const {
   ASSIGN_OR_RETURN(Seat seat, SeatFromProto(request, *context.caller));
   ASSIGN_OR_RETURN(const auto entry, Find(context, request.session_id()));
+  RETURN_IF_ERROR(CheckReachable(*entry));
   absl::MutexLock lock(&entry->mutex);
   const ActionSpace& space = entry->served->policy().action_space;
   const Seat* const taken = entry->agent.seat();
@@ -87,7 +93,7 @@ absl::Status AdminHandler::TakeControl(CallContext& context, const v1::TakeContr
   }
   RETURN_IF_ERROR(entry->agent.TakeControl(seat, request.take_over()));
   entry->was_taken.store(true, std::memory_order_relaxed);
-  AddConfirmation(*entry, /*has_decided=*/true, &context.commits);
+  AddStored(*entry, &context.commits);
   response->set_lease_id(seat.lease_id);
   response->set_operator_id(seat.operator_id);
   *response->mutable_action_space() = ToProto(space);
@@ -99,6 +105,7 @@ absl::Status AdminHandler::SteerSession(CallContext& context,
                                         const v1::SteerSessionRequest& request,
                                         v1::SteerSessionResponse* response) const {
   ASSIGN_OR_RETURN(const auto entry, Find(context, request.session_id()));
+  RETURN_IF_ERROR(CheckReachable(*entry));
   absl::MutexLock lock(&entry->mutex);
   AgentSession& agent = entry->agent;
   Action action;
@@ -119,10 +126,11 @@ absl::Status AdminHandler::ReturnControl(CallContext& context,
                                          const v1::ReturnControlRequest& request,
                                          v1::ReturnControlResponse* response) const {
   ASSIGN_OR_RETURN(const auto entry, Find(context, request.session_id()));
+  RETURN_IF_ERROR(CheckReachable(*entry));
   absl::MutexLock lock(&entry->mutex);
   const Seat seat = entry->agent.session().seat.value_or(Seat());
   RETURN_IF_ERROR(entry->agent.ReturnControl(request.lease_id()));
-  AddConfirmation(*entry, /*has_decided=*/true, &context.commits);
+  AddStored(*entry, &context.commits);
   response->set_steps(seat.steps);
   response->set_agreed_steps(seat.agreed_steps);
   return absl::OkStatus();

@@ -17,13 +17,16 @@ namespace {
 
 // Adds what the answer waits for. Errors wait, too, so that the answers of one session keep their
 // order; the items of a batch are answered together, so that an error among them need not.
-void AddCommits(DecisionRequest& act, bool has_decided) {
+void AddCommits(DecisionRequest& act, bool has_decided)
+    ABSL_EXCLUSIVE_LOCKS_REQUIRED(act.entry->mutex) {
+  const SessionEntry& entry = *act.entry;
+  entry.mutex.AssertHeld();
   Commits& commits = act.context->commits;
   const size_t before = commits.size();
   if (act.step.place.is_of_session()) {
-    AddCommit(*act.entry, &commits);
+    AddCommit(entry, &commits);
   } else {
-    AddConfirmation(*act.entry, has_decided, &commits);
+    AddConfirmation(entry, has_decided, &commits);
   }
   if (commits.size() == before || act.item < 0) return;
   if (act.status.ok()) {
@@ -150,7 +153,10 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const SessionHolds& hol
     TakeHold(holds, entry);
     Step& step = act->step;
     step.result.finished = true;  // also if it had to wait for another request
-    step.result.status = ToStep(*act->request, act->received, act->is_next, entry, &step);
+    step.result.status = CheckMayBeHeard(entry);
+    if (step.result.status.ok()) {
+      step.result.status = ToStep(*act->request, act->received, act->is_next, entry, &step);
+    }
     if (step.result.status.ok()) steps.push_back(&step);
     spans.push_back(StartSpan(*act));
   }

@@ -144,6 +144,7 @@ void SessionGate::AwaitEarlier(const std::string& id, CallContext* context) cons
   const std::string& tenant = context->caller->tenant()->name();
   const auto entry = store_.Peek(id, tenant);
   if (entry == nullptr || entry->tenant != tenant) return;
+  absl::MutexLock lock(&entry->mutex);
   AddCommit(*entry, &context->commits);
 }
 

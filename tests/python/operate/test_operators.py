@@ -266,6 +266,62 @@ def test_control_goes_on_at_the_next_server():
             assert control.steps >= 6
 
 
+def has_session(server, session):
+    with spikeserve.AdminClient(server.address) as admin:
+        return session.session_id in {each.session_id for each in admin.list_sessions().sessions}
+
+
+@WITHOUT_REDIS
+def test_a_hand_over_that_the_store_lacks_is_not_heard():
+    """A server is cut off from the store, and killed: what it alone knew of operators, no robot has heard."""
+    with running_fleet(replicas=2, linked=True) as fleet, operating(fleet.addresses) as (client, ann):
+        session = client.open_session("cartpole", spikeserve.SessionOptions(durability="ASYNC"))
+        heard = []
+
+        def act():
+            decision = session.act(OBSERVATION, 1.0, timeout=60.0)
+            heard.append(decision.operator_id)
+            return heard[-1]
+
+        act()
+        [owner] = [i for i, server in enumerate(fleet.replicas) if has_session(server, session)]
+        with spikeserve.Operator(client, "bob") as bob, ann.take(session.session_id, lease=60.0) as control:
+            assert act() == "ann"
+            fleet.links[owner].cut()
+            with pytest.raises((spikeserve.UnavailableError, spikeserve.DeadlineExceededError)):
+                bob.take(session.session_id, lease=60.0, take_over=True)
+            for _ in range(5):
+                act()
+            fleet.replicas[owner].kill()
+            for _ in range(5):
+                act()
+            assert set(heard[2:]) == {"ann"}
+            control.act(1)
+            taken = bob.take(session.session_id, lease=60.0, take_over=True)
+            assert (taken.relieved, act()) == ("ann", "bob")
+            with pytest.raises(spikeserve.FailedPreconditionError, match="bob"):
+                control.release()
+            taken.release()
+            assert act() == ""
+
+
+def test_control_is_in_the_store_before_it_is_confirmed(tmp_path):
+    """A file store loses the last milliseconds of an ASYNC session with its server, but no take-over or return."""
+    store = f"--session_store=file:{tmp_path}/sessions"
+    with restartable_server(store) as server, operating(server.address) as (client, operator):
+        for _ in range(3):
+            session = client.open_session("cartpole", spikeserve.SessionOptions(durability="ASYNC"))
+            for is_taken in (True, False):
+                control = operator.take(session.session_id, lease=60.0)
+                if not is_taken:
+                    control.release()
+                server.kill()
+                server.start()
+                assert (session.act(OBSERVATION, 1.0, timeout=60.0).source == "OPERATOR") == is_taken
+                if is_taken:
+                    control.release()
+
+
 def test_the_commands(server):
     session = server.agent.OpenSession(policy="cartpole", labels={"site": "east"}).session_id
 
