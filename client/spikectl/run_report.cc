@@ -23,10 +23,12 @@ std::optional<double> JoulesPerDecision(EnergyModel model, const EpisodeRecord& 
   return PerDecision(*total, record);
 }
 
-// Returns the model of the figure that people read: the one that includes memory, if it applies.
+// Returns the model of the figure that people read: the first that applies.
 EnergyModel ShownModel(const EpisodeRecord& record) {
-  const bool has_memory = JoulesPerDecision(EnergyModel::kIntSram45nm, record).has_value();
-  return has_memory ? EnergyModel::kIntSram45nm : kDefaultEnergyModel;
+  for (const auto& [model, name] : EnumNames(EnergyModel())) {
+    if (JoulesPerDecision(model, record).has_value()) return model;
+  }
+  return kDefaultEnergyModel;
 }
 
 // Returns, for example, "7.90 nJ".

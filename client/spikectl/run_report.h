@@ -16,9 +16,8 @@ std::string RunTableHead();
 // Returns the line of the episode that started from `seed`.
 std::string RunTableLine(uint64_t seed, const EpisodeRecord& episode);
 
-// Returns the summary below the table. It names its energy model: int_sram_45nm, which includes
-// memory, for policies that it applies to, or else kDefaultEnergyModel; the lines of the table use
-// the same. REQUIRES: at least one episode.
+// Returns the summary below the table. It names its energy model, the first that applies
+// to the policy; the lines of the table use the same. REQUIRES: at least one episode.
 std::string RunSummary(const std::vector<EpisodeRecord>& episodes);
 
 // Returns an object with `episodes`, `mean_return`, `spikes_per_decision`,

@@ -28,11 +28,11 @@ constexpr double kShift16 = kAdd16;
 constexpr double kSoftmaxTerm = kCompare16 + kAdd16 + kMultiply16 + kAdd32 + kShift16 + kAdd32;
 // An element is added to the sum, loses the mean, is squared and added to a sum of 64 bits,
 // shifted, multiplied by the inverse root and by its weight (each product is rounded by an
-// addition), gets its bias and is limited on both sides.
-constexpr double kNormElement = kAdd32 + kAdd16 + kMultiply16 + 2 * kAdd32 + kShift16 +
-                                2 * (kMultiply16 + kAdd32) + kAdd16 + 2 * kCompare16;
-// Without a norm, an element of the residual stream is limited on both sides.
-constexpr double kResidualLimit = 2 * kCompare16;
+// addition), and gets its bias.
+constexpr double kNormElement =
+    kAdd32 + kAdd16 + kMultiply16 + 2 * kAdd32 + kShift16 + 2 * (kMultiply16 + kAdd32) + kAdd16;
+// A sum that may saturate is compared with both bounds.
+constexpr double kLimit = 2 * kCompare16;
 // The membrane gets the current and is compared with the threshold.
 constexpr double kMembraneUpdate = kAdd16 + kCompare16;
 // The leak is the sum of its signed binary digits, shifted; they are subtracted, with the bit that
@@ -69,9 +69,13 @@ Price AttentionPrice(const ModelConfig& config) {
   return {kShift16 + kAdd16, kShift16 + kAdd32};
 }
 
-// Returns the elements of the residual stream that are limited without a norm: each is coded once.
-uint64_t LimitedElements(const Counts& counts, const ModelConfig& config) {
-  return config.has_norms() ? 0 : counts.coder_gains;
+// Returns the sums that are limited on both sides: those of a membrane, of its leak, and the
+// elements of the residual stream, before a norm and behind it. Without norms, each element is
+// limited once and coded once.
+uint64_t Limits(const Counts& counts, const ModelConfig& config) {
+  const uint64_t residuals =
+      config.has_norms() ? 2 * counts.layer_norm_elements : counts.coder_gains;
+  return counts.membrane_updates + counts.membrane_leaks + residuals;
 }
 
 // Returns the bytes of the weights of all layers. Those of the embeddings and the head are few.
@@ -117,7 +121,7 @@ std::array<PricedOperation, kPricedOperations> OperationsOf(const Counts& counts
       same("softmax_term", counts.softmax_terms, kSoftmaxTerm),
       {"gate_product", Number(counts.gate_products), kMultiply8 + kAdd8, kMultiply8 + kAdd32},
       same("norm_element", counts.layer_norm_elements, kNormElement),
-      same("residual_limit", LimitedElements(counts, config), kResidualLimit),
+      same("limit", Limits(counts, config), kLimit),
   }};
 }
 
@@ -128,13 +132,14 @@ std::array<PricedTraffic, kPricedTraffics> TrafficOf(const Counts& counts,
   const auto priced = [](absl::string_view name, double bytes, double memory) {
     return PricedTraffic{name, bytes, memory, SramPrice(memory)};
   };
-  // A membrane is read and written, its threshold and its bias are read: 16 bits each.
-  const double neurons = 8 * Number(counts.membrane_updates);
+  // A threshold and a bias of 16 bits. The membrane begins at 0, and stays in a register for all
+  // ticks of a token.
+  const double neurons = 4 * Number(counts.driven_neurons);
   // A coder reads the thresholds that it compares.
   const double coders = Number(counts.coder_gains) * 2 * Comparisons(config);
   return {{
       priced("weights", Number(counts.weight_bytes), WeightMemory(config)),
-      priced("neurons", neurons, 6 * (3 * d + config.ffn_size)),
+      priced("neurons", neurons, 4 * (3 * d + config.ffn_size)),
       priced("coders", coders, 4 * d * config.ticks),
       priced("keys_and_values", Number(counts.attention_bytes),
              3 * config.context * StoredBytes(config)),

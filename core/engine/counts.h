@@ -46,14 +46,16 @@ struct Counts {
   uint64_t membrane_updates = 0;
 
   // The next six are counted in integer arithmetic only.
-  uint64_t membrane_ticks = 0;  // LIF neurons times ticks, whether they were updated or not
-  // Ticks for which a membrane leaked and integrated its bias. They end with the last input spike.
+  // LIF neurons whose population has an input spike in the token: their membranes begin at 0.
+  uint64_t driven_neurons = 0;
+  // Ticks for which a membrane leaked and integrated its bias: from the second one, because the
+  // first begins at the bias, to that of the last input spike.
   uint64_t membrane_leaks = 0;
   // Those of integer_multiply_accumulates whose activation has 16 bits instead of 8.
   uint64_t wide_multiply_accumulates = 0;
   uint64_t attention_scalings = 0;  // nonzero sums of values, divided by the sum of their weights
-  // Bytes of weights that are read: one for each accumulate and each product of ffn.output, because
-  // rows are read when their neuron fires, and each other map whole, once for all new tokens.
+  // Bytes of weights that are read: the nonzero ones of a neuron or a phase generator that fires,
+  // once a token for all its spikes, and each other map whole, once for all new tokens.
   uint64_t weight_bytes = 0;
   // Bytes of keys, values and running sums of values that are read or written: of a token that is
   // stored, T d key bits, its values (ValueBytes()), and for each nonzero one a 16-bit sum twice

@@ -21,6 +21,31 @@ constexpr double kHorowitzSoftmaxTerm = 2 * kMultiplyAccumulate;
 constexpr double kPaperSpike = 5.0;  // the paper, section 5.2
 
 constexpr std::array<EnergyModelInfo, kEnergyModels> kInfos = {{
+    {.counts =
+         "int_45nm, and the bytes of weights, neurons, coders' tables, keys and values that are "
+         "read or written: 1.25, 2.5 or 12.5 pJ a byte, by the smallest SRAM of 8 KB, 32 KB or "
+         "1 MB that holds all weights, or that part of a layer; the weights of an input that "
+         "fires are read once a token, those of activations once a decision",
+     .leaves_out =
+         "wires between memories, registers, control, activations between two maps, and what "
+         "int_45nm leaves out except memory",
+     .applies_to = "policies in integers, dense ones by the same rules",
+     .source = "Horowitz, ISSCC 2014: 45 nm, 10, 20 and 100 pJ for 64 bits"},
+    {.counts =
+         "0.03 pJ an accumulate, 0.23 pJ a multiply-accumulate in 8 bits and 0.43 pJ one with "
+         "a 16-bit activation; in integer 0.1 pJ a membrane update, 0.05 pJ each of the additions "
+         "of a leak and of the comparisons that find a coder's period, 0.1 pJ an attention "
+         "product, 0.9 pJ a "
+         "scaling, 1.15 pJ a term of a softmax, 0.23 pJ a gate product, 3.05 pJ an element of a "
+         "norm, 0.1 pJ a limit on both sides, of membranes, leaks and residuals; in dense policies "
+         "0.23 pJ an attention product; 0.03 pJ a spike of a coder; the head in float32",
+     .leaves_out = "memory and data movement, control, additions of residuals, roots, single "
+                   "divisions, the phase generators, what rounds a sum of a map, the table of a "
+                   "dense policy's activation and the scales of its vectors, the action head's "
+                   "softmax or tanh",
+     .applies_to = "policies in integers, dense ones by the same rules",
+     .source =
+         "Horowitz, ISSCC 2014: 45 nm, 0.9 V, integers of 8 and 32 bits; 16 bits interpolated"},
     {.counts = "0.9 pJ an accumulate, 4.6 pJ a multiply-accumulate, a membrane update, a coder "
                "gain and a gate product, 14.7 pJ an element of a LayerNorm, 9.2 pJ a term of a "
                "softmax; an attention product is an accumulate, in a dense policy a "
@@ -30,31 +55,6 @@ constexpr std::array<EnergyModelInfo, kEnergyModels> kInfos = {{
                    "softmax or tanh",
      .applies_to = "every policy; one in integers is priced as if it were float32",
      .source = "Horowitz, ISSCC 2014: 45 nm, 0.9 V, float32"},
-    {.counts =
-         "0.03 pJ an accumulate, 0.23 pJ a multiply-accumulate in 8 bits and 0.43 pJ one with "
-         "a 16-bit activation; in integer 0.1 pJ a membrane update, 0.05 pJ each of the additions "
-         "of a leak and of the comparisons that find a coder's period, 0.1 pJ an attention "
-         "product, 0.9 pJ a "
-         "scaling, 1.15 pJ a term of a softmax, 0.23 pJ a gate product, 3.15 pJ an element of a "
-         "norm, 0.1 pJ an element that is limited "
-         "without one; in dense policies 0.23 pJ an attention product; 0.03 pJ a spike of a coder; "
-         "the head in float32",
-     .leaves_out = "memory and data movement, control, additions of residuals, roots, single "
-                   "divisions, the phase generators, the table of a dense policy's activation and "
-                   "the scales of its vectors, the action head's softmax or tanh",
-     .applies_to = "policies in integers, dense ones by the same rules",
-     .source =
-         "Horowitz, ISSCC 2014: 45 nm, 0.9 V, integers of 8 and 32 bits; 16 bits interpolated"},
-    {.counts =
-         "int_45nm, and the bytes of weights, neurons, coders' tables, keys and values that are "
-         "read or written: 1.25, 2.5 or 12.5 pJ a byte, by the smallest SRAM of 8 KB, 32 KB or "
-         "1 MB that holds all weights, or that part of a layer; a weight is read for each "
-         "spike, and once a decision for activations",
-     .leaves_out =
-         "wires between memories, control, activations between two maps, and what int_45nm "
-         "leaves out except memory",
-     .applies_to = "policies in integers, dense ones by the same rules",
-     .source = "Horowitz, ISSCC 2014: 45 nm, 10, 20 and 100 pJ for 64 bits"},
     {.counts = "5 pJ a spike",
      .leaves_out = "everything but spikes: synapses, membranes, attention, memory",
      .applies_to = "spiking policies",

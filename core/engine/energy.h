@@ -19,19 +19,20 @@
 
 namespace spikeserve {
 
-// In the order in which they are shown.
-enum class EnergyModel { kHorowitz45nm, kInt45nm, kIntSram45nm, kSpike5pj };
+// In the order in which they are shown: the first that applies to a policy leads, which is the one
+// with memory for policies in integers.
+enum class EnergyModel { kIntSram45nm, kInt45nm, kHorowitz45nm, kSpike5pj };
 inline constexpr int kEnergyModels = 4;
 
 constexpr std::array<EnumName<EnergyModel>, kEnergyModels> EnumNames(EnergyModel) {
-  return {{{EnergyModel::kHorowitz45nm, "horowitz_45nm"},
+  return {{{EnergyModel::kIntSram45nm, "int_sram_45nm"},
            {EnergyModel::kInt45nm, "int_45nm"},
-           {EnergyModel::kIntSram45nm, "int_sram_45nm"},
+           {EnergyModel::kHorowitz45nm, "horowitz_45nm"},
            {EnergyModel::kSpike5pj, "spike_5pj"}}};
 }
 
-// The model of every figure that names no other: it applies to every policy, so that totals and
-// sorted lists can use it alone.
+// The model of totals over policies and of every stored figure that names no other: it applies to
+// every policy, so that they can use it alone.
 inline constexpr EnergyModel kDefaultEnergyModel = EnergyModel::kHorowitz45nm;
 
 // What to know about a model before reading its figures.

@@ -21,7 +21,7 @@ SPIKESERVE_FIELDS(Counts, spikes_by_stage, accumulates, multiply_accumulates, at
 
 // The counts of integer arithmetic.
 inline size_t MoreFields(const Counts& counts) { return counts.weight_bytes > 0 ? 6 : 0; }
-SPIKESERVE_MORE_FIELDS(Counts, membrane_ticks, membrane_leaks, wide_multiply_accumulates,
+SPIKESERVE_MORE_FIELDS(Counts, driven_neurons, membrane_leaks, wide_multiply_accumulates,
                        attention_scalings, weight_bytes, attention_bytes)
 
 SPIKESERVE_FIELDS(Answer, step, action, probabilities, return_to_go, counts, unusual_observations,

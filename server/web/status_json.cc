@@ -47,15 +47,12 @@ Json EnergyModelToJson(EnergyModel model) {
       {"applies_to", std::string(info.applies_to)}, {"source", std::string(info.source)}};
 }
 
-// What each energy model counts and leaves out: first the one with memory, which decides what is
-// cheaper, then the same without. The figures without a model's name, such as energy_joules, are
-// those of the default one, which applies to every policy.
+// What each energy model counts and leaves out. The figures without a model's name, such as
+// energy_joules, are those of the default one, which applies to every policy.
 Json EnergyModelsToJson() {
-  constexpr EnergyModel kFirst[] = {EnergyModel::kIntSram45nm, EnergyModel::kInt45nm};
   Json models = Json::array();
-  for (const EnergyModel model : kFirst) models.push_back(EnergyModelToJson(model));
   for (const auto& [model, name] : EnumNames(EnergyModel())) {
-    if (model != kFirst[0] && model != kFirst[1]) models.push_back(EnergyModelToJson(model));
+    models.push_back(EnergyModelToJson(model));
   }
   return models;
 }

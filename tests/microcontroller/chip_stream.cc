@@ -226,7 +226,7 @@ class Stream {
     for (const uint64_t count :
          {c.accumulates, c.multiply_accumulates, c.attention_products,
           c.integer_multiply_accumulates, c.membrane_updates, c.coder_gains, c.layer_norm_elements,
-          c.softmax_terms, c.gate_products, c.membrane_ticks, c.membrane_leaks,
+          c.softmax_terms, c.gate_products, c.driven_neurons, c.membrane_leaks,
           c.wide_multiply_accumulates, c.attention_scalings, c.weight_bytes, c.attention_bytes}) {
       hash_.Add(count, 4);
     }

@@ -93,7 +93,7 @@ void ExpectEqual(const Engine::Output& actual, const Engine::Output& expected, i
   expect_equal("attention_products", &Counts::attention_products);
   expect_equal("integer_multiply_accumulates", &Counts::integer_multiply_accumulates);
   expect_equal("wide_multiply_accumulates", &Counts::wide_multiply_accumulates);
-  expect_equal("membrane_ticks", &Counts::membrane_ticks);
+  expect_equal("driven_neurons", &Counts::driven_neurons);
   expect_equal("membrane_updates", &Counts::membrane_updates);
   expect_equal("membrane_leaks", &Counts::membrane_leaks);
   expect_equal("attention_scalings", &Counts::attention_scalings);

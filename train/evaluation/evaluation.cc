@@ -82,7 +82,7 @@ nlohmann::ordered_json OperationsToJson(const Counts& counts, double decisions,
       {"softmax_terms", mean(counts.softmax_terms)},
       {"gate_products", mean(counts.gate_products)}};
   if (!config.is_integer()) return operations;
-  operations["membrane_ticks"] = mean(counts.membrane_ticks);
+  operations["driven_neurons"] = mean(counts.driven_neurons);
   operations["membrane_leaks"] = mean(counts.membrane_leaks);
   operations["wide_multiply_accumulates"] = mean(counts.wide_multiply_accumulates);
   operations["attention_scalings"] = mean(counts.attention_scalings);

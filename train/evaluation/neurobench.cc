@@ -10,6 +10,7 @@
 #include "core/base/status.h"
 #include "core/engine/factory/engine_factory.h"
 #include "core/engine/token.h"
+#include "core/engine/token_costs.h"
 
 namespace spikeserve {
 namespace {
@@ -60,6 +61,13 @@ uint64_t DenseProducts(const Policy& policy, TokenKind kind, int inputs) {
          (is_state ? size(policy.action_space.size()) * d : 0);
 }
 
+// Returns the neurons times ticks of a token, coders included, in every arithmetic.
+uint64_t Activations(const ModelConfig& config, TokenKind kind) {
+  Counts counts;
+  AddTokenCosts(config, kind, /*keys=*/0, &counts);
+  return counts.membrane_updates;
+}
+
 void DecideEpisode(const Engine& engine, const Dataset& dataset, const Episode& episode,
                    Evaluation* evaluation) {
   const Policy& policy = engine.policy();
@@ -103,12 +111,11 @@ absl::StatusOr<NeuroBench> MeasureNeuroBench(const Policy& policy, const Evaluat
   const auto decisions = static_cast<double>(evaluation.decisions);
   const auto mean = [&](uint64_t count) { return static_cast<double>(count) / decisions; };
   const uint64_t spikes = counts.total_spikes() - counts.spikes(Stage::kPhase);
-  uint64_t activations = config.is_integer() ? counts.membrane_ticks : counts.membrane_updates;
-  if (config.is_integer()) {  // its coders have no membranes
-    activations += counts.coder_gains * static_cast<uint64_t>(config.ticks);
-  }
   // The first decision of an episode has no action token.
   const uint64_t actions = evaluation.decisions - evaluation.returns.size();
+  const uint64_t activations = evaluation.decisions * (Activations(config, TokenKind::kReturn) +
+                                                       Activations(config, TokenKind::kState)) +
+                               actions * Activations(config, TokenKind::kAction);
   const uint64_t dense =
       evaluation.decisions * (DenseProducts(policy, TokenKind::kReturn, 1) +
                               DenseProducts(policy, TokenKind::kState,

@@ -171,8 +171,9 @@ static void integer_energies(const spike_costs* c, double* operations, double* w
       c->softmax_terms,
       c->gate_products,
       c->layer_norm_elements,
-      SPIKE_NORMS ? 0 : c->coder_gains};
-  const double bytes[] = {(double)c->weight_bytes, 8 * (double)c->membrane_updates,
+      c->membrane_updates + c->membrane_leaks +
+          (SPIKE_NORMS ? 2 * c->layer_norm_elements : c->coder_gains)};
+  const double bytes[] = {(double)c->weight_bytes, 4 * (double)c->driven_neurons,
                           (double)c->coder_gains * SPIKE_CODER_BYTES, (double)c->attention_bytes};
   double sum = 0.0, traffic = 0.0;
   size_t i;

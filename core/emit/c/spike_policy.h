@@ -44,7 +44,7 @@ typedef struct {
   uint32_t spikes[8];
   uint32_t accumulates, multiply_accumulates, attention_products, integer_multiply_accumulates;
   uint32_t membrane_updates, coder_gains, layer_norm_elements, softmax_terms, gate_products;
-  uint32_t membrane_ticks, membrane_leaks, wide_multiply_accumulates, attention_scalings;
+  uint32_t driven_neurons, membrane_leaks, wide_multiply_accumulates, attention_scalings;
   uint32_t weight_bytes, attention_bytes;
 } spike_costs;
 

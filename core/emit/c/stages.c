@@ -135,7 +135,7 @@ static void drive(spike_state* s, const spike_population* p, int has_phase, uint
                   uint8_t* event, spike_costs* costs) {
   const int outputs = p->outputs;
   const int8_t* weight = p->weight;
-  uint32_t synapses = 0;
+  uint32_t synapses = 0, rows = 0;
   int j, k, n, t;
   for (t = 0; t < SPIKE_TICKS; ++t) {
     event[t] = 0;
@@ -147,6 +147,7 @@ static void drive(spike_state* s, const spike_population* p, int has_phase, uint
     current = s->drive[s->period[j] - 1];
     event[s->period[j] - 1] = 1;
     synapses += (uint32_t)p->nonzero[j] * (uint32_t)(SPIKE_TICKS / s->period[j]);
+    rows += p->nonzero[j];
     for (k = 0; k < outputs; ++k) current[k] = (int16_t)(current[k] + weight[k]);
   }
   /* From the last tick on, because the neurons of period n also fire at later multiples of n. */
@@ -161,19 +162,21 @@ static void drive(spike_state* s, const spike_population* p, int has_phase, uint
   }
 #if SPIKE_PHASES
   for (j = 0; has_phase && j < SPIKE_HEADS; ++j, weight += outputs) {
+    int fires = 0;
     for (t = 0; t < SPIKE_TICKS; ++t) {
       if (!phase_fires(j, timestep, t)) continue;
-      event[t] = 1;
+      fires = event[t] = 1;
       synapses += p->nonzero[SPIKE_HIDDEN + j];
       for (k = 0; k < outputs; ++k) s->drive[t][k] = (int16_t)(s->drive[t][k] + weight[k]);
     }
+    if (fires) rows += p->nonzero[SPIKE_HIDDEN + j];
   }
 #else
   (void)has_phase;
   (void)timestep;
 #endif
   costs->accumulates += synapses;
-  costs->weight_bytes += synapses;
+  costs->weight_bytes += rows;
 }
 
 /* Fires a population that receives the coder's spikes. Sets `bits` to the spikes by head, or
@@ -189,8 +192,10 @@ static void fire(spike_state* s, const spike_population* p, uint32_t timestep,
     last = t + 1;
   }
   costs->membrane_updates += (uint32_t)(p->outputs * events);
-  costs->membrane_leaks += (uint32_t)(p->outputs * last);
-  costs->membrane_ticks += (uint32_t)(p->outputs * SPIKE_TICKS);
+  if (last > 0) {
+    costs->membrane_leaks += (uint32_t)(p->outputs * (last - 1));
+    costs->driven_neurons += (uint32_t)p->outputs;
+  }
   if (bits != NULL) memset(bits, 0, sizeof(s->query));
   for (k = 0; k < p->outputs; ++k) {
     const int i = k % SPIKE_HEAD_SIZE;

@@ -162,19 +162,19 @@ class IntegerReferencePass {
     const size_t outputs = population.bias.values.size();
     Fired fired = MakeFired(config_.ticks, outputs);
     std::vector<int16_t> membranes(outputs, 0);
+    std::vector<uint8_t> fires(inputs[0].size(), 0);  // at some tick
     int last_event = 0;
     for (int tick = 1; tick <= config_.ticks; ++tick) {
       const std::vector<uint8_t>& input = inputs[tick - 1];
       for (size_t i = 0; i < outputs; ++i) lif.Leak(population.bias.values[i], membranes[i]);
       if (std::count(input.begin(), input.end(), 1) == 0) continue;
       if (IsNew(token)) {
-        const uint64_t synapses = CountProducts(population, input);
-        counts_.accumulates += synapses;
-        counts_.weight_bytes += synapses;
+        counts_.accumulates += CountProducts(population, input);
         counts_.membrane_updates += outputs;
-        counts_.membrane_leaks += outputs * static_cast<uint64_t>(tick - last_event);
+        counts_.membrane_leaks += outputs * static_cast<uint64_t>(tick - std::max(last_event, 1));
       }
       last_event = tick;
+      for (size_t j = 0; j < input.size(); ++j) fires[j] |= input[j];
       for (size_t i = 0; i < outputs; ++i) {
         int16_t current = 0;
         for (size_t j = 0; j < input.size(); ++j) {
@@ -188,7 +188,10 @@ class IntegerReferencePass {
         ++fired.counts[i];
       }
     }
-    if (IsNew(token)) counts_.membrane_ticks += outputs * static_cast<uint64_t>(config_.ticks);
+    if (IsNew(token)) {
+      counts_.weight_bytes += CountProducts(population, fires);
+      if (last_event > 0) counts_.driven_neurons += outputs;
+    }
     return fired;
   }
 

@@ -165,8 +165,15 @@ class IntegerTokenPass {
       counts_->membrane_updates += number;
       last = static_cast<uint64_t>(tick);
     }
-    counts_->membrane_leaks += number * last;
-    counts_->membrane_ticks += number * static_cast<uint64_t>(drive.ticks);
+    if (last == 0) return;
+    counts_->membrane_leaks += number * (last - 1);
+    counts_->driven_neurons += number;
+  }
+
+  // Counts the products of the input spikes with weights, and the weights that are read.
+  void CountSynapses(absl::Span<const uint32_t> nonzero, const PhaseSpikes* phase) {
+    counts_->accumulates += scratch_.spikes.Products(nonzero, phase);
+    counts_->weight_bytes += scratch_.spikes.Rows(nonzero, phase);
   }
 
   // Computes and stores the token's keys and values, and its query if its output is used.
@@ -185,10 +192,9 @@ class IntegerTokenPass {
       query_spikes_ = FireBits(population, drive, 2 * section, scratch_.query);
       counts_->spikes(Stage::kQuery) += query_spikes_;
     }
-    uint64_t synapses = scratch_.spikes.Products(population.nonzero, &phase);
-    if (!needs_query) synapses -= scratch_.spikes.Products(packed.nonzero_query, &phase);
-    counts_->accumulates += synapses;
-    counts_->weight_bytes += synapses;
+    absl::Span<const uint32_t> nonzero = population.nonzero;
+    if (!needs_query) nonzero = packed.nonzero_key_value;
+    CountSynapses(nonzero, &phase);
     const uint64_t values =
         context_->caches[layer].Store(slot, scratch_.keys.data(), scratch_.counts.data());
     // A value enters the sum of all values now, and leaves it later.
@@ -323,9 +329,8 @@ class IntegerTokenPass {
       std::vector<uint64_t>& sums = (*context_->hidden_spikes)[layer];
       for (size_t j = 0; j < sums.size(); ++j) sums[j] += static_cast<uint64_t>(scratch_.hidden[j]);
     }
-    const uint64_t synapses = scratch_.spikes.Products(population.nonzero, nullptr);
-    counts_->accumulates += synapses;
-    counts_->weight_bytes += synapses + Apply(packed.ffn_output, scratch_.hidden);
+    CountSynapses(population.nonzero, nullptr);
+    counts_->weight_bytes += Apply(packed.ffn_output, scratch_.hidden);
     Normalize(packed.ffn_norm);
   }
 

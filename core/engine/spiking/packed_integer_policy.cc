@@ -55,7 +55,9 @@ PackedIntegerPolicy::PackedIntegerPolicy(const Policy& policy)
     PackedIntegerLayer layer;
     layer.coder = Pack(fixed.coder);
     layer.key_value_query = Pack({&maps.key, &maps.value, &maps.query}, d);
-    layer.nonzero_query = NonzeroByInput(maps.query);
+    layer.nonzero_key_value = NonzeroByInput(maps.key);
+    const std::vector<uint32_t> values = NonzeroByInput(maps.value);
+    for (size_t i = 0; i < values.size(); ++i) layer.nonzero_key_value[i] += values[i];
     if (policy.config.has_routing()) {
       layer.routing_hidden = Pack(fixed.routing_hidden);
       layer.routing_gate = Pack(fixed.routing_gate);

@@ -20,9 +20,9 @@ struct PackedIntegerLayer {
   PackedPeriodCoder coder;
   // [in][3 pad(d)]: keys, values, queries. A token that needs no query uses the first two thirds.
   PackedIntegerPopulation key_value_query;
-  std::vector<uint32_t> nonzero_query;  // [in]: the query's part of key_value_query.nonzero
-  PackedFixedPointMap routing_hidden;   // modes with routing
-  PackedFixedPointMap routing_gate;     // modes with routing
+  std::vector<uint32_t> nonzero_key_value;  // [in]: their part of key_value_query.nonzero
+  PackedFixedPointMap routing_hidden;       // modes with routing
+  PackedFixedPointMap routing_gate;         // modes with routing
   PackedFixedPointMap attention_output;
   PackedNorm attention_norm;
   PackedPeriodCoder ffn_coder;

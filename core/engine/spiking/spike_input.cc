@@ -1,5 +1,6 @@
 #include "core/engine/spiking/spike_input.h"
 
+#include <algorithm>
 #include <bit>
 
 #include "core/engine/spiking/kernels/event_kernels.h"
@@ -38,6 +39,9 @@ void PhaseSpikes::Set(const std::vector<IntegerPhase>& phases, int ticks, int64_
     }
     offsets.push_back(static_cast<int32_t>(generators.size()));
   }
+  firing = generators;
+  std::sort(firing.begin(), firing.end());
+  firing.erase(std::unique(firing.begin(), firing.end()), firing.end());
 }
 
 void SpikeInput::Code(const PackedPeriodCoder& coder, const int16_t* x) {
@@ -114,6 +118,14 @@ uint64_t SpikeInput::Products(absl::Span<const uint32_t> nonzero, const PhaseSpi
     for (const int32_t k : phase->generators) products += nonzero[neurons_ + k];
   }
   return products;
+}
+
+uint64_t SpikeInput::Rows(absl::Span<const uint32_t> nonzero, const PhaseSpikes* phase) const {
+  uint64_t rows = Synapses(nonzero);
+  if (phase != nullptr) {
+    for (const int32_t k : phase->firing) rows += nonzero[neurons_ + k];
+  }
+  return rows;
 }
 
 }  // namespace spikeserve

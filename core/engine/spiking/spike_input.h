@@ -22,6 +22,7 @@ namespace spikeserve {
 struct PhaseSpikes {
   std::vector<int32_t> generators;  // generators that fire, by tick, ascending inside a tick
   std::vector<int32_t> offsets;     // [T + 1]: index in `generators` at which a tick starts
+  std::vector<int32_t> firing;      // generators that fire at some tick; in integer arithmetic only
 
   // Computes the phase spikes of `timestep`. In modes without phase spikes, all ticks are empty.
   void Set(const Policy& policy, int64_t timestep);
@@ -67,6 +68,9 @@ class SpikeInput {
   // Returns the number of products of a spike and a nonzero weight, where `nonzero` [inputs] is the
   // number of nonzero weights of each input; `phase` may be null.
   uint64_t Products(absl::Span<const uint32_t> nonzero, const PhaseSpikes* phase) const;
+
+  // Returns the number of nonzero weights of all inputs that fire, however often.
+  uint64_t Rows(absl::Span<const uint32_t> nonzero, const PhaseSpikes* phase) const;
 
  private:
   uint64_t SynapsesOf(const SpikeGroup& group, absl::Span<const uint32_t> nonzero) const;

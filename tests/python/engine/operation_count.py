@@ -24,7 +24,8 @@ INTEGER_PRICES = {
     "scaling": 0.9,
     "softmax": 1.15,
     "gate": 0.23,
-    "norm": 3.15,
+    "norm": 3.05,
+    "limit": 0.1,
 }
 
 
@@ -53,8 +54,8 @@ class Counted:
     def _norm(self, name, x):
         if self.config.get("norm") != "none":
             self.done["norm"] += len(x)
-        else:
-            self.done["comparison"] += 2 * len(x)
+            self.done["limit"] += len(x)
+        self.done["limit"] += len(x)
         return super()._norm(name, x)
 
     def _code(self, name, x, *stage):
@@ -69,13 +70,12 @@ class Counted:
 
     def _synapses(self, name, inputs):
         weight = self.tensors[f"{name}.weight"]
-        synapses = sum(products(weight, spikes) for spikes in inputs)
-        self.done["accumulate"] += synapses
-        return synapses, len(weight)
+        self.done["accumulate"] += sum(products(weight, spikes) for spikes in inputs)
+        return len(weight)
 
     def _layer_sizes(self):
         d, ffn = self.config["hidden_size"], self.config["ffn_size"]
-        return d, ffn, 6 * (3 * d + ffn)  # the last: a 16-bit membrane, threshold and bias of each neuron
+        return d, ffn, 4 * (3 * d + ffn)  # the last: a 16-bit threshold and bias of each neuron
 
     def _weights_of_layers(self, analog_bytes):
         spiking = ("query.weight", "key.weight", "value.weight", "ffn.hidden.weight", "ffn.output.weight")
@@ -124,13 +124,15 @@ class CountedIntegerEngine(Counted, IntegerEngine):
         return super()._map(name, x)
 
     def _fire(self, name, inputs, stage):
-        synapses, neurons = self._synapses(name, inputs)
+        neurons = self._synapses(name, inputs)
         events = np.flatnonzero(inputs.any(axis=1)) + 1
         self.done["update"] += neurons * len(events)
         digits = (self.leak ^ (3 * self.leak)).bit_count()
-        self.done["leak"] += neurons * int(events.max(initial=0)) * (digits + 1)
-        self.moved["weights"] += synapses
-        self.moved["neurons"] += 8 * neurons * len(events)
+        leaks = neurons * (int(events.max(initial=1)) - 1)  # the first tick begins at the bias
+        self.done["leak"] += leaks * (digits + 1)
+        self.done["limit"] += neurons * len(events) + leaks
+        self.moved["weights"] += products(self.tensors[f"{name}.weight"], inputs.any(axis=0))
+        self.moved["neurons"] += 4 * neurons * bool(len(events))
         fired = super()._fire(name, inputs, stage)
         if name.endswith("key"):
             self.moved["keys and values"] += (self.ticks * neurons + 7) // 8
@@ -224,6 +226,7 @@ class DenseEngine:
 
     def _norm(self, name, a):
         self.done["norm"] += len(a)
+        self.done["limit"] += 2 * len(a)
         return norm(a, *self._part(name, "weight", "shift", "bias"))
 
     def _map(self, name, x, kind="mac", exponent=0):

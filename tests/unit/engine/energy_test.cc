@@ -25,6 +25,8 @@ Counts SomeCounts() {
   counts.integer_multiply_accumulates = 20;
   counts.attention_products = 500;
   counts.membrane_updates = 3000;
+  counts.membrane_leaks = 2000;
+  counts.driven_neurons = 250;
   counts.coder_gains = 100;
   counts.layer_norm_elements = 200;
   counts.softmax_terms = 300;
@@ -42,19 +44,23 @@ ModelConfig Configured(Arithmetic arithmetic) {
 
 TEST(EnergyTest, EveryModelPricesWhatItSays) {
   const Counts counts = SomeCounts();
-  const ModelConfig config = Configured(Arithmetic::kInteger);
+  ModelConfig config = Configured(Arithmetic::kInteger);
+  config.membrane_decay = 1.0f - 13.0f / 256.0f;
   ASSERT_EQ(config.ticks, 5);
+  ASSERT_EQ(config.leak(), 13);
   const auto joules = [&](EnergyModel model) { return *EstimateEnergy(model, counts, config); };
   EXPECT_DOUBLE_EQ(joules(EnergyModel::kSpike5pj), 500 * kPico);
   EXPECT_DOUBLE_EQ(
       joules(EnergyModel::kHorowitz45nm),
       (0.9 * (1000 + 500) + 4.6 * (60 + 3000 + 100 + 400) + 14.7 * 200 + 9.2 * 300) * kPico);
-  // A coder's element is looked up by 3 comparisons.
+  // A coder's element is looked up by 3 comparisons. A leak of 13 = 16 - 4 + 1 has 3 additions, and
+  // one of the bias. Each sum of a membrane is limited, and an element of a norm twice.
   const double operations = 0.03 * 1000 + 0.23 * 20 + 4.6 * 40 + 0.1 * 3000 + 3 * 0.05 * 100 +
-                            0.03 * 90 + 0.1 * 500 + 1.15 * 300 + 0.23 * 400 + 3.15 * 200;
+                            0.03 * 90 + 0.1 * 500 + 1.15 * 300 + 0.23 * 400 + 3.05 * 200 +
+                            0.1 * (3000 + 2000 + 2 * 200) + 0.2 * 2000;
   EXPECT_NEAR(joules(EnergyModel::kInt45nm), operations * kPico, 1e-9 * kPico);
   // Every memory of this small policy costs 1.25 pJ a byte.
-  const double bytes = 800 + 8 * 3000 + 2 * 3 * 100 + 900;
+  const double bytes = 800 + 4 * 250 + 2 * 3 * 100 + 900;
   EXPECT_NEAR(joules(EnergyModel::kIntSram45nm), (operations + 1.25 * bytes) * kPico, 1e-9 * kPico);
   EXPECT_EQ(DefaultEnergy(counts, config), joules(EnergyModel::kHorowitz45nm));
 }

@@ -77,7 +77,7 @@ TEST(SessionTest, CountsOfIntegerArithmeticFollowOnlyWhereThereAreAny) {
   const Json::json_pointer counts_of_answer("/1/10/4");
   EXPECT_EQ(Json::from_cbor(SerializeSession(session))[counts_of_answer].size(), 10u);
   Counts& counts = session.last_answer->counts;
-  counts.membrane_ticks = 1;
+  counts.driven_neurons = 1;
   counts.membrane_leaks = 2;
   counts.wide_multiply_accumulates = 3;
   counts.attention_scalings = 4;

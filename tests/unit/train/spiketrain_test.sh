@@ -280,7 +280,7 @@ fade --init=whole/policy.safetensors --norm=fade --out=faded-late --iterations=3
 "$spiketrain" quantize --to=integer --policy=faded-on/policy.safetensors --out=faded-integer/policy.safetensors --episodes=2 \
   --allow_loss >/dev/null 2>&1 || fail "no integers without norms"
 "$spiketrain" account --policy=faded-integer/policy.safetensors --episodes=1 >account.txt
-grep -q '^residual_limit ' account.txt || fail "no limits: $(cat account.txt)"
+grep -q '^limit ' account.txt || fail "no limits: $(cat account.txt)"
 refuses '--norm: expected layer for a policy without norms, received fade' \
   train --data=data.cbor --init=faded/policy.safetensors --out=x --norm=fade
 refuses '--norm: expected layer in mode dense, received fade' \
