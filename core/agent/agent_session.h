@@ -91,6 +91,9 @@ class AgentSession {
   // - UNAVAILABLE: as for Apply.
   // REQUIRES: the rewards and their sum are finite.
   absl::StatusOr<Verdict> Amend(const Amendment& amendment);
+  // Learns from episodes that wait and whose time is over. Returns whether others wait, or the head
+  // of the fleet has not taken the last one yet.
+  bool Settle();
   // A verdict has changed the return of an episode that has been learned from, or is not.
   void OnAmended(int64_t episode, double change) {
     life_.OnAmended(change, episode + 1 == session_.episode && session_.step == 0);

@@ -65,6 +65,13 @@ absl::StatusOr<Verdict> AgentSession::Amend(const Amendment& amendment) {
   return session_.verdicts.back();
 }
 
+bool AgentSession::Settle() {
+  head_.TakeMerged(&session_);
+  LearnOverdue();
+  return contribution() != nullptr ||
+         (session_.learner.has_value() && !session_.learner->waiting.empty());
+}
+
 void AgentSession::LearnOverdue() {
   if (!session_.learner.has_value()) return;
   const Waiting& waiting = session_.learner->waiting;

@@ -1,14 +1,11 @@
 #include "core/open_sessions/session_store.h"
 
 #include <algorithm>
-#include <cmath>
 #include <optional>
 #include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
-#include "absl/strings/ascii.h"
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json.h"
 #include "core/base/status_macros.h"
@@ -35,31 +32,15 @@ void PrefetchCounters(const SessionEntry& entry) ABSL_NO_THREAD_SAFETY_ANALYSIS 
 
 }  // namespace
 
-absl::Duration PeriodOf(const std::map<std::string, std::string>& labels) {
-  const auto label = labels.find(kPeriodLabel);
-  double seconds = 0.0;
-  if (label == labels.end() || !absl::SimpleAtod(label->second, &seconds)) return {};
-  return std::isfinite(seconds) && seconds > 0.0 ? absl::Seconds(seconds) : absl::ZeroDuration();
-}
-
-std::string LabelText(const std::map<std::string, std::string>& labels) {
-  std::string text;
-  for (const auto& [key, value] : labels) {
-    absl::StrAppend(&text, key, "=", value, absl::string_view(&kLabelEnd, 1));
-  }
-  absl::AsciiStrToLower(&text);
-  text.shrink_to_fit();
-  return text;
-}
-
 SessionStore::SessionStore(int64_t max_sessions, const Clock* clock)
     : max_sessions_(max_sessions), clock_(clock) {}
 
-void SessionStore::NotifyClosed(SessionEntry& entry) {
-  entry.served->observer->OnClose();
-  if (entry.quota != nullptr) entry.quota->Release();
-  if (on_closed_ != nullptr) on_closed_(entry);
-  if (entry.journal != nullptr) entry.journal->OnClose();
+void SessionStore::NotifyClosed(const std::string& id, const std::shared_ptr<SessionEntry>& entry) {
+  entry->served->observer->OnClose();
+  if (entry->quota != nullptr) entry->quota->Release();
+  if (on_closed_ != nullptr) on_closed_(*entry);
+  if (closed_.Keep(id, entry)) return;
+  if (entry->journal != nullptr) entry->journal->OnClose();
 }
 
 SessionStore::Shard& SessionStore::ShardOf(absl::string_view id) {
@@ -160,7 +141,7 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> SessionStore::Find(absl::string_vi
     shard.slots.erase(it);
   }
   size_.fetch_sub(1);
-  NotifyClosed(*lost);
+  NotifyClosed(std::string(id), lost);
   return NoSuchSession(id);
 }
 
@@ -199,7 +180,7 @@ absl::Status SessionStore::Close(absl::string_view id, absl::string_view tenant)
     shard.slots.erase(it);
   }
   size_.fetch_sub(1);
-  NotifyClosed(*entry);
+  NotifyClosed(std::string(id), entry);
   return absl::OkStatus();
 }
 
@@ -287,7 +268,8 @@ void SessionStore::Forgive(absl::Duration time) {
 
 int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {
   const absl::Duration oldest = clock_->Now() - time_to_live;
-  std::vector<std::shared_ptr<SessionEntry>> idle;  // destroyed outside the locks
+  // Destroyed outside the locks.
+  std::vector<std::pair<std::string, std::shared_ptr<SessionEntry>>> idle;
   for (Shard& shard : shards_) {
     absl::MutexLock lock(&shard.mutex);
     absl::erase_if(shard.slots, [&](auto& item) {
@@ -295,12 +277,13 @@ int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {
       // References are taken only under this mutex, so a count of one is the store's own and stays
       // one.
       if (slot.last_used > oldest || slot.entry.use_count() > 1) return false;
-      idle.push_back(std::move(slot.entry));
+      idle.emplace_back(item.first.id, std::move(slot.entry));
       return true;
     });
   }
   size_.fetch_sub(static_cast<int64_t>(idle.size()));
-  for (const auto& entry : idle) NotifyClosed(*entry);
+  for (const auto& [id, entry] : idle) NotifyClosed(id, entry);
+  closed_.Settle();
   return static_cast<int64_t>(idle.size());
 }
 

@@ -93,7 +93,7 @@ class HeldSessions {
   }
 
   // Adds the others that no living server has. Returns UNAVAILABLE if the store cannot be read.
-  absl::Status AddStored(const JournalStore& journals) {
+  absl::Status AddStored(const JournalStore& journals, SessionStore& sessions) {
     return journals.VisitUnowned([&](const auto& stored_as, const auto& records) {
       const auto journal = ParseJournal(records);
       if (!journal.ok()) {
@@ -104,6 +104,7 @@ class HeldSessions {
       const Session& session = journal->snapshot;
       const std::string& tenant = session.options.tenant;
       if (!caller_.CanRead(tenant) || open_.contains({tenant, session.id})) return;
+      if (sessions.closed().Find(session.id, tenant) != nullptr) return;  // has no robot
       if (v1::HeldSession* const added = Add(session.id, session)) added->set_only_stored(true);
     });
   }
@@ -244,7 +245,7 @@ absl::Status AdminHandler::ListHolds(CallContext& context, const v1::ListHoldsRe
   HeldSessions held(request, caller, holds);
   held.AddOpen(*parts_.store);
   if (request.stored() && parts_.journals != nullptr) {
-    RETURN_IF_ERROR(held.AddStored(*parts_.journals));
+    RETURN_IF_ERROR(held.AddStored(*parts_.journals, *parts_.store));
   }
   held.MovePageTo(response);
   return absl::OkStatus();

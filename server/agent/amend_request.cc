@@ -63,13 +63,25 @@ absl::StatusOr<EpisodeAmendment> LineFromProto(const v1::AmendEpisodeRequest& re
   return line;
 }
 
+// Returns the error for a verdict that the session has, if its recording could not be amended.
+absl::Status NotWritten(const absl::Status& cause) {
+  return Annotate(cause,
+                  "recording: expected the verdict, which the session has, to be written, too; "
+                  "send the same request again");
+}
+
 }  // namespace
 
 absl::Status PolicyHandler::AmendEpisode(CallContext& context,
                                          const v1::AmendEpisodeRequest& request,
                                          v1::AmendEpisodeResponse* response) const {
   ASSIGN_OR_RETURN(const EpisodeAmendment line, LineFromProto(request, *context.caller));
-  const auto entry = gate_->Find(context, request.session_id());
+  const std::string& tenant = context.caller->tenant()->name();
+  auto entry = gate_->Find(context, request.session_id());
+  if (const auto closed = store_->closed().Find(request.session_id(), tenant);
+      !entry.ok() && closed != nullptr) {
+    entry = closed;
+  }
   if (entry.ok()) {
     RETURN_IF_ERROR(CheckMayPlay(*context.caller, **entry));
     const Amendment amendment = {.episode = request.episode(),
@@ -80,8 +92,7 @@ absl::Status PolicyHandler::AmendEpisode(CallContext& context,
     return AmendSession(context, amendment, line, **entry, response);
   }
   if (recordings_ == nullptr) return entry.status();
-  const auto amended = recordings_->Amend(request.session_id(), context.caller->tenant()->name(),
-                                          request.episode(), line);
+  const auto amended = recordings_->Amend(request.session_id(), tenant, request.episode(), line);
   // A stored session of this id is claimed first.
   if (absl::IsNotFound(amended.status())) return entry.status();
   if (!amended.ok()) return amended.status();
@@ -135,6 +146,7 @@ absl::Status PolicyHandler::AmendSession(CallContext& context, const Amendment& 
     context.may_claim = context.has_claimed = false;
     return absl::IsNotFound(amended.status()) ? verdict.status() : amended.status();
   }
+  if (!amended.ok() && !absl::IsNotFound(amended.status())) return NotWritten(amended.status());
   if (amended.ok()) response->set_recording(v1::STORED);
   if (verdict.ok()) {
     response->set_episode_return(verdict->episode_return);

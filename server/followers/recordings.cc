@@ -158,7 +158,9 @@ absl::StatusOr<Recordings::AmendedReturn> Recordings::AmendFile(const std::strin
   if (!served.has_value() || served->tenant != tenant) {
     return absl::NotFoundError("session_id: expected a recording of the caller");
   }
-  ASSIGN_OR_RETURN(auto given, ReadAmendments(path, &*dataset));
+  auto read = ReadAmendments(path, &*dataset);
+  if (!read.ok()) return absl::UnavailableError(read.status().message());
+  std::vector<EpisodeAmendment> given = *std::move(read);
   AmendedReturn amended = {.before = return_of()};
   amended.after = amended.before;
   for (const EpisodeAmendment& before : given) {

@@ -17,6 +17,7 @@ from stored_sessions import replicas_on, until_answered
 OBSERVATIONS = np.random.default_rng(5).uniform(-0.2, 0.2, (8, 4))
 STEPS = len(OBSERVATIONS)
 HOUR = 3600.0
+STORED = 2  # RecordingState
 EXAMPLES = DEPLOY.parent / "examples"
 SAMPLED = {"action_selection": "SAMPLE", "temperature": 4.0}
 
@@ -111,6 +112,42 @@ def test_a_fleet_learns_the_same_although_its_server_dies(replicas):
         assert amend(second, "late", i, reward=1.0 + i) == answer
     late, timely = (second.admin.GetHead(policy=policy, include_weights=True) for policy in ("late", "timely"))
     assert late.delta == timely.delta and any(late.delta) and late.updates == len(robots)
+
+
+@WITHOUT_REDIS
+def test_a_fleet_learns_although_its_robots_have_closed_their_sessions(replicas):
+    """By their server, and by another one after it has died."""
+    first, second = replicas
+    for i in range(2):
+        open_robot(first, "late", i, scope="FLEET", verdict_seconds=HOUR)
+        play(first, "late", i)
+        assert end(first, "late", i, reward=1.0).awaits_verdict
+        first.CloseSession(session_id=session_id("late", i))
+    assert not first.admin.ListSessions(policy="late").sessions
+    answer = amend(first, "late", 0, reward=2.0)
+    assert answer.episode_return == 3.0 and answer.learning.updates == 1
+    assert amend(first, "late", 0, reward=2.0) == answer
+    first.kill()
+    assert amend(second, "late", 1, reward=2.0).learning.updates == 1
+    assert second.admin.GetHead(policy="late").updates == 2
+
+
+def test_closed_sessions_are_no_robots_and_end(tmp_path):
+    """A fleet learns from what waits when its time is over; a head of one session is gone with it."""
+    store = f"--session_store=file:{tmp_path}/sessions"
+    with running_server(flags=[store, "--session_ttl=2s"]) as server:
+        agent, admin = server.agent, server.admin
+        for i, scope in enumerate(("FLEET", "SESSION")):
+            open_robot(agent, "cartpole", i, scope=scope, verdict_seconds=1.0)
+            play(agent, "cartpole", i)
+            assert end(agent, "cartpole", i, reward=2.0).awaits_verdict
+            agent.CloseSession(session_id=session_id("cartpole", i))
+        admin.HoldSessions(id="all", selection={"all": True})
+        assert not admin.ListHolds(page_size=10, stored=True).sessions
+        with fails_with(grpc.StatusCode.NOT_FOUND, "session_id"):
+            agent.AmendEpisode(**verdict("cartpole", 1, reward=1.0))
+        until(lambda: admin.GetHead(policy="cartpole").updates == 1)
+        until(lambda: admin.ListSessions().stored_sessions == 0)
 
 
 @pytest.fixture(scope="module")
@@ -220,6 +257,29 @@ def test_recordings_get_a_line_and_keep_what_was_received(server):
     np.testing.assert_array_equal(read.rewards, [1.0] * (STEPS - 1) + [3.0])
     assert read.served["received_rewards"] == [1.0] * STEPS
     assert read.served["success"] is False and read.served["verdict"] == "shaky"
+
+
+def test_a_verdict_that_the_recording_lacks_is_an_error(server):
+    """Although the session has learned it: the same request writes it, and teaches nothing twice."""
+    with service_with(server, "agent") as agent:
+        learning = {"verdict_seconds": HOUR}
+        robot = {"session_id": session_id("cartpole")}
+        name = agent.OpenSession(policy="cartpole", record=True, learning=learning, **robot, **SAMPLED).recording
+        play(agent, "cartpole")
+        end(agent, "cartpole")
+        file = server.recordings / name / "000000.amendments"
+        until(file.with_suffix(".cbor").exists)
+        file.mkdir()
+        with fails_with(grpc.StatusCode.UNAVAILABLE, "recording: expected the verdict, which the session has"):
+            agent.AmendEpisode(**verdict("cartpole", reward=2.0))
+        learned = agent.GetSession(include_head_delta=True, **robot).head_delta
+        assert any(learned)
+        file.rmdir()
+        answer = agent.AmendEpisode(**verdict("cartpole", reward=2.0))
+        assert (answer.recording, answer.episode_return, answer.learning.updates) == (STORED, 2.0, 1)
+        assert agent.GetSession(include_head_delta=True, **robot).head_delta == learned
+        assert len(file.read_text().splitlines()) == 1
+        agent.CloseSession(**robot)
 
 
 def test_a_reward_model_judges_what_was_recorded(tmp_path):
