@@ -46,7 +46,9 @@ constexpr SeatPage kSeatPages[] = {
     {"/steer.json", "SteerSession", ReadJson<v1::SteerSessionRequest>,
      WriteJson<v1::SteerSessionResponse>},
     {"/return.json", "ReturnControl", ReadJson<v1::ReturnControlRequest>,
-     WriteJson<v1::ReturnControlResponse>}};
+     WriteJson<v1::ReturnControlResponse>},
+    {"/undo.json", "UndoCorrections", ReadJson<v1::UndoCorrectionsRequest>,
+     WriteJson<v1::UndoCorrectionsResponse>}};
 
 // Returns null if there is none at `path`.
 const SeatPage* PageAt(absl::string_view path) {

@@ -1,6 +1,7 @@
-// Answers the status page's seat of an operator: POST /take.json, /steer.json and /return.json, the
-// methods TakeControl, SteerSession and ReturnControl with their messages as JSON. They are calls
-// like those of gRPC: with the same rights, rates, audit and confirmations by the store.
+// Answers the status page's seat of an operator: POST /take.json, /steer.json, /return.json and
+// /undo.json, the methods TakeControl, SteerSession, ReturnControl and UndoCorrections with their
+// messages as JSON. They are calls like those of gRPC: with the same rights, rates, audit and
+// confirmations by the store.
 #pragma once
 
 #include <variant>

@@ -381,6 +381,9 @@ absl::StatusOr<std::string> SessionJson(SessionStore& store, const Credential& c
   const Session& session = entry.agent.session();
   json["target_return"] = session.target_return;
   json["return_to_go"] = session.return_to_go;
+  const auto& learning = session.options.learning;
+  json["learns"] =
+      learning.has_value() ? ordered_json(std::string(ToString(learning->scope))) : ordered_json();
   json["environment"] = entry.served->policy().environment;
   json["observation"] = ObservationJson(session, entry.served->policy(), unusual_deviations);
   const auto& source = entry.agent.life().last_source();

@@ -6,6 +6,7 @@ import {NOTHING, count, duration, element, fixed, nameOf, needOf, setText, si} f
 import {Scene} from './scene.js';
 import {Seat} from './seat.js';
 import {TileGrid} from './tiles.js';
+import {Undo} from './undo.js';
 
 const KEPT_DECISIONS = 120;
 const PLAY_MILLISECONDS = 250;
@@ -53,6 +54,7 @@ export class SessionView {
     this.body = get('decision');
     this.scene = new Scene(get('scene'));
     this.seat = new Seat();
+    this.undo = new Undo();
     this.observation = get('observation');
     this.liveState = get('live-state');
     this.decisionError = get('decision-error');
@@ -84,6 +86,7 @@ export class SessionView {
     if (id === this.id) return;
     this.id = id;
     this.seat.open(id);
+    this.undo.open();
     this.frames = [];
     this.shown = undefined;
     this.live = undefined;
@@ -111,6 +114,7 @@ export class SessionView {
     if (this.id !== id) return;
     setText(this.error, '');
     this.seat.show(session);
+    this.undo.show(session);
     this.showFigures(session);
     const asks = !this.streams() || this.frames.length === 0;  // also for what cannot be explained
     if (pressed(this.followButton) && asks) await this.fetchFrame(id);

@@ -441,6 +441,8 @@ def test_the_seat_of_the_status_page(tmp_path):
         for origin in ("http://evil.example", own.replace(":", "s:", 1) + "0", f"{own}.evil.example", "null"):
             code, error = post("take", wanted, Origin=origin)
             assert code == 403 and error["error"].startswith("Origin: expected none, that of this server"), origin
+            assert post("undo", wanted, Origin=origin)[0] == 403
+        assert post("undo", wanted, "viewer")[0] == 403
         assert post("take", wanted, Content_Type="text/plain")[0] == 415
         assert http_call(server.http, "GET", "/take.json", token="nina")[0] == 405
         assert post("take", wanted | {"lease_seconds": "long"})[1]["message"].startswith("body: ")

@@ -106,3 +106,38 @@ def test_a_gamepad_steers_a_box_while_the_page_has_the_focus(browser, server):
     assert changes == {"returned": [1], "ended": [0]}
     assert browser.evaluate("document.querySelector('#seat-actions').hidden")
     assert browser.problems() == []
+
+
+@pytest.mark.parametrize("scope", ["SESSION", "FLEET"])
+def test_what_an_operator_taught_is_undone_by_two_presses(browser, server, scope):
+    opened = server.agent.OpenSession(policy="cartpole", learning={"rule": "corrections", "scope": scope})
+    robot = {"session_id": opened.session_id}
+    answer = server.agent.Act(step=0, observation=OBSERVATION, **robot)
+    server.admin.TakeControl(
+        operator_id="ann", lease_seconds=60, action={"discrete": 1 - answer.action.discrete}, **robot
+    )
+    for step in range(1, 4):
+        server.agent.Act(step=step, observation=OBSERVATION, reward=1.0, **robot)
+    if scope == "FLEET":
+        server.agent.EndEpisode(reward=1.0, terminated=True, **robot)
+        server.agent.Act(step=0, observation=OBSERVATION, **robot)
+    drift = lambda: server.agent.GetSession(**robot).head_drift
+    taught = drift()
+    assert taught > 0.0
+    browser.open(f"http://{server.http}/#/sessions/{opened.session_id}")
+    browser.wait_for("document.querySelector('#undo-name').value === 'ann'", "the operator")
+    button = "document.querySelector('#undo-button').textContent"
+    browser.tab_to("e.id === 'undo-button'")
+    browser.press(Keys.ENTER)
+    browser.wait_for(f"{button} === 'Press again to undo'", "the question")
+    assert browser.text("#undo-state") == ("Of the whole fleet." if scope == "FLEET" else "")
+    browser.press(Keys.TAB)  # another place takes it back
+    browser.wait_for(f"{button} === 'Undo'", "the answer no")
+    assert drift() == taught
+    browser.tab_to("e.id === 'undo-button'")
+    browser.press(Keys.ENTER, Keys.ENTER)
+    browser.wait_for(
+        "/^[1-9][0-9]* updates undone/.test(document.querySelector('#undo-state').textContent)", "the undoing"
+    )
+    assert drift() == 0.0
+    assert browser.problems() == []
