@@ -36,7 +36,7 @@ class HelpSignals {
   void OnDecision(const Answer& answer);
   // Takes the counts that a robot's report adds to the one before.
   void OnReport(const BeatCounts& added);
-  // Takes by how much the return of an episode was below its target_return; negative: above.
+  // Takes by how much the return of an episode was below its forecast; negative: above.
   void OnEpisode(double lacking) { lacking_ = lacking; }
 
   // `lacking` is by how much the running episode is already known to end below its target; the

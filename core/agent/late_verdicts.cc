@@ -105,7 +105,9 @@ void AgentSession::Report(EndReport report, std::optional<double> episode_return
   if (contribution() != nullptr) life_.OnContribution();
   if (contribution() != nullptr && !is_taken) contribution()->Append();
   if (!episode_return.has_value()) return;
-  life_.OnEpisode(*episode_return, target_return);
+  // A target may be more than the policy has ever reached.
+  const double reached = TrainingReturn(policy()).value_or(target_return);
+  life_.OnEpisode(*episode_return, std::min(target_return, reached));
   served_->observer->OnEpisodeEnd(*episode_return);
 }
 

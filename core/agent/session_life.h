@@ -7,6 +7,7 @@
 // Not thread-safe.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -109,10 +110,13 @@ class SessionLife {
                     .spikes = static_cast<float>(spikes),
                     .seconds = static_cast<float>(seconds)});
   }
-  void OnEpisode(double episode_return, double target_return) {
+  // `expected` is the return that the policy was thought to reach; that of the episodes before is
+  // expected, too, if it is more.
+  void OnEpisode(double episode_return, double expected) {
+    const double forecast = ended_episodes() == 0 ? expected : std::max(expected, mean_return());
     return_sum_ += episode_return;
     last_return_ = episode_return;
-    help_.OnEpisode(target_return - episode_return);
+    help_.OnEpisode(forecast - episode_return);
     episodes_.Add({.episode_return = episode_return});
   }
 

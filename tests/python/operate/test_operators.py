@@ -394,6 +394,13 @@ def test_who_needs_help(server):
     assert len(answer.action_probabilities) == 2
     server.agent.EndEpisode(session_id=unsure, terminated=True)
     assert listed(policy="cartpole")[unsure].low_return == pytest.approx(1.0)  # nothing of a target of 500
+    # Expected are the 500 of the policy's evaluation, if the target is more, or what the session returned before.
+    for target, returns, lacking in ((1000.0, [450.0], 50.0), (10.0, [400.0, 300.0], 100.0)):
+        session = server.agent.OpenSession(policy="cartpole", target_return=target).session_id
+        for reward in returns:
+            act(session_id=session, step=0, observation=OBSERVATION)
+            server.agent.EndEpisode(session_id=session, reward=reward, terminated=True)
+        assert listed(policy="cartpole")[session].low_return == pytest.approx(lacking / 500)
     with fails_with(INVALID, "page_token: expected none with by_need"):
         listed(page_token=calm)
 
