@@ -17,7 +17,7 @@
 #include "core/model/policy_file.h"
 #include "core/quantize/quantize_integer.h"
 #include "tests/support/simd_targets.h"
-#include "tests/support/small_config.h"
+#include "tests/support/small_policy.h"
 
 namespace spikeserve {
 namespace {

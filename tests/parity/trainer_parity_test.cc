@@ -21,7 +21,7 @@
 #include "core/engine/factory/engine_factory.h"
 #include "core/math/counter_random.h"
 #include "core/neuron/lif.h"
-#include "tests/support/small_config.h"
+#include "tests/support/small_policy.h"
 #include "train/model/torch_model.h"
 
 namespace spikeserve {

@@ -13,7 +13,7 @@
 #include "core/engine/factory/engine_factory.h"
 #include "core/model/policy.h"
 #include "core/quantize/quantize_integer.h"
-#include "tests/support/small_config.h"
+#include "tests/support/small_policy.h"
 
 namespace spikeserve {
 

@@ -1,6 +1,6 @@
 """Every shell of core/robot flies through tests/scenarios/link_events.txt, over real links, all at the same time.
 
-Compared with the file, and so with each other and with the simulator (tests/unit/robot/scenario_test.cc): the number of steps of
+Compared with the file, and so with each other and with the simulator (tests/unit/robot/simulator_test.cc): the number of steps of
 every episode, and each reward, once; the sources of the steps of each event, of which only the number of fresh ones is a matter
 of time; that an answer comes again; and that the session is lost once, by the event that loses it. The histories: the session of
 each shell equals, bit for bit, one on a server that nothing disturbs and that was told the same steps.

@@ -4,7 +4,10 @@
 
 #include <cmath>
 #include <limits>
+#include <memory>
+#include <vector>
 
+#include "core/agent/shadow_session.h"
 #include "core/journal/session_bytes.h"
 #include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
@@ -136,6 +139,122 @@ TEST_P(SessionCacheTest, AnswersDoNotDependOnTheCache) {
 
 INSTANTIATE_TEST_SUITE_P(Policies, SessionCacheTest, ::testing::ValuesIn(CacheCases()),
                          [](const auto& test) { return test.param.name; });
+
+class ActTogetherTest : public ::testing::Test {
+ protected:
+  static SessionOptions Options(int i) {
+    SessionOptions options = SmallOptions();
+    options.seed = static_cast<uint64_t>(i);
+    options.action_selection.sample = i % 2 == 1;
+    options.target_return += i;
+    if (i % 3 == 2) options.learning.emplace();
+    return options;
+  }
+
+  // Returns sessions that alternate between two versions; some sample and some learn.
+  std::vector<std::unique_ptr<AgentSession>> NewSessions() {
+    std::vector<std::unique_ptr<AgentSession>> sessions;
+    for (int i = 0; i < 8; ++i) {
+      sessions.push_back(std::make_unique<AgentSession>(i % 2 == 0 ? even_ : odd_,
+                                                        NewSession("id", Options(i)), &clock_));
+    }
+    return sessions;
+  }
+
+  static void Apply(std::vector<Step>& steps) {
+    std::vector<Step*> all;
+    for (Step& step : steps) all.push_back(&step);
+    AgentSession::Apply(all);
+  }
+
+  FakeClock clock_;
+  std::shared_ptr<const ServedPolicy> even_ = Serve(SmallConfig(), ActionSpace::Discrete(2));
+  std::shared_ptr<const ServedPolicy> odd_ = Serve(SmallConfig(), ActionSpace::Discrete(3));
+};
+
+TEST_F(ActTogetherTest, EqualsOneAfterTheOtherBitForBit) {
+  const auto alone = NewSessions();
+  const auto together = NewSessions();
+  for (int64_t step = 0; step < 30; ++step) {
+    std::vector<std::vector<float>> observations;
+    for (size_t i = 0; i < together.size(); ++i) {
+      observations.push_back(ObservationAt(step + static_cast<int64_t>(i)));
+    }
+    std::vector<Step> steps;
+    std::vector<AgentSession*> sessions;
+    for (size_t i = 0; i < together.size(); ++i) {
+      steps.push_back({.session = together[i].get(),
+                       .place = {.step = step},
+                       .observation = observations[i],
+                       .reward = RewardAt(step)});
+      sessions.push_back(together[i].get());
+    }
+    if (step % 7 == 3) together[2]->DropContext();
+    Apply(steps);
+    for (size_t i = 0; i < alone.size(); ++i) {
+      ASSERT_TRUE(alone[i]->Act(step, observations[i], RewardAt(step)).ok());
+      ASSERT_TRUE(steps[i].result.status.ok()) << steps[i].result.status;
+      EXPECT_FALSE(steps[i].result.is_retry);
+      EXPECT_EQ(SerializeSession(together[i]->session()), SerializeSession(alone[i]->session()))
+          << "session " << i << " at step " << step;
+    }
+    if (step % 3 == 0) AgentSession::AppendPendingActions(sessions);
+  }
+}
+
+class ShadowSessionTest : public ::testing::Test {
+ protected:
+  // Makes the next decision of the served session and returns it as input for the shadow.
+  ShadowStep Serve(AgentSession& agent) {
+    const int64_t step = agent.session().step;
+    const auto answer = agent.Act(step, ObservationAt(step), 0.5);
+    EXPECT_TRUE(answer.ok()) << answer.status();
+    return {.episode = agent.session().episode,
+            .step = step,
+            .observation = ObservationAt(step),
+            .reward = 0.5,
+            .target_return = agent.session().target_return,
+            .served = **answer};
+  }
+
+  FakeClock clock_;
+  std::shared_ptr<const ServedPolicy> policy_ =
+      spikeserve::Serve(SmallConfig(), ActionSpace::Discrete(3));
+  AgentSession agent_{policy_, NewSession("served", SmallOptions()), &clock_};
+  ShadowSession shadow_{*policy_, SmallOptions(), &clock_};
+};
+
+TEST_F(ShadowSessionTest, ItsWindowHoldsTheActionsThatWereExecuted) {
+  for (int step = 0; step < 20; ++step) {
+    std::optional<ReportedAction> executed;
+    ShadowStep seen;
+    if (step > 0) {
+      seen.executed = Action{.discrete = step % 3, .continuous = {}};
+      executed = int64_t{step % 3};
+    }
+    const auto served = agent_.Act(step, ObservationAt(step), 0.5, executed);
+    ASSERT_TRUE(served.ok()) << served.status();
+    seen.step = step;
+    seen.observation = ObservationAt(step);
+    seen.reward = 0.5;
+    seen.target_return = agent_.session().target_return;
+    seen.served = **served;
+    const auto answer = shadow_.Act(seen);
+    ASSERT_TRUE(answer.ok()) << answer.status();
+    EXPECT_EQ((*answer)->counts, (*served)->counts) << step;
+  }
+}
+
+TEST_F(ShadowSessionTest, AnEpisodeWithAHoleIsLostUntilTheNext) {
+  ASSERT_TRUE(shadow_.Act(Serve(agent_)).ok());
+  Serve(agent_);  // the shadow misses this step
+  EXPECT_EQ(shadow_.Act(Serve(agent_)).status().code(), absl::StatusCode::kFailedPrecondition);
+  ASSERT_TRUE(agent_.EndEpisode({}).ok());
+  Serve(agent_);  // the shadow misses the first step of the second episode
+  EXPECT_EQ(shadow_.Act(Serve(agent_)).status().code(), absl::StatusCode::kFailedPrecondition);
+  ASSERT_TRUE(agent_.EndEpisode({}).ok());
+  EXPECT_TRUE(shadow_.Act(Serve(agent_)).ok());
+}
 
 }  // namespace
 }  // namespace spikeserve

@@ -1,5 +1,8 @@
-#include "tests/unit/agent/allocation_counter.h"
-
+// Counts the allocations of a thread, for allocation_test.cc. Linking it replaces operator new in
+// the whole program. malloc, which Eigen calls directly, is counted in the objects that are linked
+// with
+// --wrap=malloc.
+#include <cstdint>
 #include <cstdlib>
 #include <new>
 
@@ -9,7 +12,9 @@ thread_local int64_t allocations = 0;
 
 }  // namespace
 
-int64_t spikeserve::Allocations() { return allocations; }
+namespace spikeserve {
+int64_t Allocations() { return allocations; }
+}  // namespace spikeserve
 
 // The linker's --wrap=malloc sends calls of malloc to __wrap_malloc.
 extern "C" void* __real_malloc(size_t size);

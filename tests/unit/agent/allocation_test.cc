@@ -10,9 +10,11 @@
 #include "core/session/session_value.h"
 #include "tests/support/fake_clock.h"
 #include "tests/support/session_fixture.h"
-#include "tests/unit/agent/allocation_counter.h"
 
 namespace spikeserve {
+
+int64_t Allocations();  // of this thread since it has started: allocation_counter.cc
+
 namespace {
 
 struct Case {
