@@ -1,5 +1,3 @@
-#include "train/seed_runs.h"
-
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -15,6 +13,7 @@
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/environment/environment.h"
+#include "train/train_run.h"
 
 namespace spikeserve {
 namespace {

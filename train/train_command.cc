@@ -7,7 +7,6 @@
 #include "core/base/status_macros.h"
 #include "train/commands.h"
 #include "train/record_flags.h"
-#include "train/seed_runs.h"
 #include "train/train_flags.h"
 #include "train/train_run.h"
 #include "train/train_summary.h"

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/model/policy.h"
 #include "train/data/episode_source.h"
@@ -63,5 +64,12 @@ struct TrainedPolicy {
 // --out, a directory that it makes. `command_line` becomes a part of the policy's record.
 absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const EpisodeSource& source,
                                           const std::string& command_line);
+
+// Trains with each of --seeds into --out/seed-N, one after the other, and prints the return of each
+// policy, their mean and their standard deviation. All policies play the same starts, from seed
+// 1,000,000 on, which no final evaluation uses. Copies the policy with the highest mean return to
+// --out/policy.safetensors. Returns INVALID_ARGUMENT if a seed is not a number or not unique, or if
+// spiketrain cannot play the environment.
+absl::Status TrainSeeds(const TrainFlags& flags, const std::string& command_line);
 
 }  // namespace spikeserve

@@ -33,7 +33,7 @@ class Playground {
                                                           uint64_t seed);
 
   // Decides once and takes the action; begins a new episode if the last step has ended one. Returns
-  // the decision as DecisionToJson (decision_json.h), with
+  // the decision as DecisionToJson (playground.cc), with
   // - environment: Gymnasium's name,
   // - seed: of the episode's reset,
   // - episode_return: the rewards of the episode, with that of this action,

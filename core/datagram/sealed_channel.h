@@ -12,6 +12,7 @@
 // Not thread-safe.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -20,7 +21,6 @@
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
-#include "core/datagram/replay_window.h"
 
 struct evp_cipher_ctx_st;
 
@@ -47,6 +47,26 @@ enum class Opened {
   kMalformed,  // of another version or key, or too long or too short
   kReplayed,   // it has arrived before, or newer ones have long ago
   kForged,     // it was not sealed with the key
+};
+
+// Which numbers of one direction have arrived, as in RFC 6479: what comes twice, or long after
+// newer ones, is refused.
+class ReplayWindow {
+ public:
+  // Numbers that are this far behind the newest one count as replayed.
+  static constexpr uint64_t kSize = 1024;
+
+  // Returns whether `number` would be new.
+  bool IsNew(uint64_t number) const;
+  // Notes `number`. Returns whether it is the newest one. REQUIRES: IsNew(number).
+  bool Add(uint64_t number);
+
+ private:
+  static constexpr uint64_t kBits = 64;  // of a word
+  static constexpr uint64_t kWords = kSize / kBits + 1;
+
+  uint64_t past_ = 0;  // the number behind the newest one
+  std::array<uint64_t, kWords> seen_ = {};
 };
 
 class SealedChannel {

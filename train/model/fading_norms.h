@@ -1,5 +1,6 @@
 // Norms that become affine maps during training: x <- p LayerNorm(x) + (1 - p) BatchNorm(x), times
-// a weight, plus a bias, with p falling from 1 to 0. FoldNorms (fold_norms.h) removes what is left.
+// a weight, plus a bias, with p falling from 1 to 0. FoldNorms (torch_model.cc) removes what is
+// left.
 //
 // Not thread-safe while the moments change.
 #pragma once

@@ -8,6 +8,7 @@
 // equal, bit for bit, to those of the server for the same requests.
 #pragma once
 
+#include <cstddef>
 #include <memory>
 #include <optional>
 #include <string>
@@ -20,7 +21,6 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/types/span.h"
 #include "client/python/engine/batch_answers.h"
-#include "client/python/engine/policy_source.h"
 #include "core/action/reported_action.h"
 #include "core/agent/agent_session.h"
 #include "core/agent/explanation.h"
@@ -29,6 +29,30 @@
 #include "core/base/clock.h"
 
 namespace spikeserve {
+
+// Reads one policy file several times, also after another file has taken its name. Thread-safe.
+// Holds a file descriptor.
+class PolicySource {
+ public:
+  // NOT_FOUND if there is no such file.
+  static absl::StatusOr<std::unique_ptr<const PolicySource>> Open(const std::string& path);
+
+  ~PolicySource();
+  PolicySource(const PolicySource&) = delete;
+  PolicySource& operator=(const PolicySource&) = delete;
+
+  // Errors: see ReadPolicyFile. FAILED_PRECONDITION if the content has changed since Open.
+  absl::StatusOr<Policy> Read() const;
+
+ private:
+  PolicySource(std::string path, int descriptor);
+
+  absl::StatusOr<std::string> ReadBytes() const;
+
+  const std::string path_;
+  const int descriptor_;
+  size_t hash_ = 0;  // of the content
+};
 
 // A policy with its engine, and the head that its fleet sessions share. Immutable apart from that
 // head.

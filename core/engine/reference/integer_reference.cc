@@ -1,5 +1,3 @@
-#include "core/engine/reference/integer_reference.h"
-
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -8,6 +6,7 @@
 
 #include "core/engine/counting.h"
 #include "core/engine/fixed_point_maps.h"
+#include "core/engine/reference/reference_engine.h"
 #include "core/engine/token_costs.h"
 #include "core/math/fixed_point.h"
 #include "core/neuron/phase.h"

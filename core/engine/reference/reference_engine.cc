@@ -8,7 +8,6 @@
 #include "core/contract/dcheck.h"
 #include "core/engine/counting.h"
 #include "core/engine/prefix_engine.h"
-#include "core/engine/reference/integer_reference.h"
 #include "core/engine/reference/populations.h"
 #include "core/math/exp.h"
 #include "core/math/layer_norm.h"

@@ -20,4 +20,10 @@ std::unique_ptr<Engine> MakeSpikingReferenceEngine(std::shared_ptr<const Policy>
 void ComputeSpikingReference(const Policy& policy, const PrefixContext& prefix,
                              Engine::Output* output, Trace* trace);
 
+// As ComputeSpikingReference, for policies with Arithmetic::kInteger. An
+// attention row holds for a group of ticks, so each layer's trace repeats it, as well as the gates,
+// at each of them. Thread-safe.
+void ComputeIntegerReference(const Policy& policy, const PrefixContext& prefix,
+                             Engine::Output* output, Trace* trace);
+
 }  // namespace spikeserve
