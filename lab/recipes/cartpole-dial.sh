@@ -8,7 +8,7 @@ source "$(dirname "$0")/recipe.sh"
 
 # The policy must distinguish the returns-to-go of the last steps, which --return_scale ensures, and must see these steps
 # often enough, which --weigh ensures.
-data skills --expert=dial --weigh --steps=200000 --expert_fraction=0.5 --disturbed_fraction=0.5
+data skills --expert=return_conditioned --weigh --steps=200000 --expert_fraction=0.5 --disturbed_fraction=0.5
 
 # The current state and return-to-go are sufficient for the decision, so short clips give the same policy in a third of
 # the time. The last stage trains on whole windows.

@@ -26,7 +26,9 @@ class FeedbackExpert final : public Expert {
 
 absl::StatusOr<std::unique_ptr<Expert>> MakeCartPoleExpert(const ExpertOptions& options) {
   if (options.name.empty() || options.name == "feedback") return std::make_unique<FeedbackExpert>();
-  if (options.name != "dial") return UnknownExpert(options, "feedback or dial");
+  if (options.name != "return_conditioned") {
+    return UnknownExpert(options, "feedback or return_conditioned");
+  }
   return std::make_unique<TargetLengthExpert>(
       MakeCartPole(), /*reward=*/1.0, std::make_unique<FeedbackExpert>(),
       std::make_unique<FallExpert>(), EpisodeLengths{.least = 10, .most = 500});

@@ -24,7 +24,7 @@ class Expert {
 
   // Returns the action in an environment's internal `state` (Environment::state()). A pure function
   // of `state`, with two exceptions: the beam search expert follows its plan while the states are
-  // those it predicted, and the dial expert counts its steps.
+  // those it predicted, and the return-conditioned expert counts its steps.
   virtual Action Act(absl::Span<const double> state) = 0;
 
   // Returns how much the choice in `state` matters: the value of the best action minus the value of
@@ -37,9 +37,9 @@ class Expert {
 
 struct ExpertOptions {
   std::string environment = "CartPole-v1";
-  // The expert's name. CartPole-v1: feedback, dial. MountainCar-v0: value_iteration, dial.
-  // Pendulum-v1: value_iteration, robust, cautious. Acrobot-v1: beam, lookahead, greedy. Empty
-  // selects the first name of the environment's list.
+  // The expert's name. CartPole-v1: feedback, return_conditioned. MountainCar-v0: value_iteration,
+  // return_conditioned. Pendulum-v1: value_iteration, robust, cautious. Acrobot-v1: beam,
+  // lookahead, greedy. Empty selects the first name of the environment's list.
   std::string name = {};
   // Directory of the solved value tables. A table is read if its file exists, and otherwise solved
   // and written. Empty: tables are always solved and never written.

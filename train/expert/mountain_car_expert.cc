@@ -13,9 +13,9 @@
 namespace spikeserve {
 
 absl::StatusOr<std::unique_ptr<Expert>> MakeMountainCarExpert(const ExpertOptions& options) {
-  const bool dial = options.name == "dial";
-  if (!dial && !options.name.empty() && options.name != "value_iteration") {
-    return UnknownExpert(options, "value_iteration or dial");
+  const bool is_conditioned = options.name == "return_conditioned";
+  if (!is_conditioned && !options.name.empty() && options.name != "value_iteration") {
+    return UnknownExpert(options, "value_iteration or return_conditioned");
   }
   Problem problem = {.model = MakeMountainCar(), .choices = {}};
   for (int push = 0; push < 3; ++push) {
@@ -26,7 +26,7 @@ absl::StatusOr<std::unique_ptr<Expert>> MakeMountainCarExpert(const ExpertOption
                                   {{{-1.2, 0.6, 1801}, {-0.07, 0.07, 1401}}}, {.tolerance = 1e-3}));
   auto shortest = std::make_unique<LookaheadExpert<2>>(
       problem, std::make_shared<const ValueTable<2>>(std::move(table)), /*depth=*/1);
-  if (!dial) return shortest;
+  if (!is_conditioned) return shortest;
   auto coast = std::make_unique<ConstantExpert>(Action{.discrete = 1, .continuous = {}});
   return std::make_unique<TargetLengthExpert>(problem.model, /*reward=*/-1.0, std::move(coast),
                                               std::move(shortest),

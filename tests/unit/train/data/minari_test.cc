@@ -62,8 +62,8 @@ void ExpectSame(const Dataset& read, const Dataset& written) {
 
 TEST(MinariTest, DiscreteActionsRoundTrip) {
   const std::string directory = TemporaryDirectory("cartpole-test-v0");
-  const Dataset written =
-      *RecordDataset({.expert = {.name = "dial"}, .steps = 300, .disturbed_fraction = 0.3});
+  const Dataset written = *RecordDataset(
+      {.expert = {.name = "return_conditioned"}, .steps = 300, .disturbed_fraction = 0.3});
   ASSERT_TRUE(WriteMinariDataset(written, directory).ok());
   EXPECT_TRUE(IsMinariDataset(directory));
   const absl::StatusOr<Dataset> read = ReadMinariDataset(directory);

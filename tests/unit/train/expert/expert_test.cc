@@ -54,8 +54,8 @@ TEST(ExpertTest, CautiousPendulumSwingsUpOnACoarseTable) {
 }
 
 // Every episode lasts the number of steps that is drawn from its seed.
-TEST(ExpertTest, DialsLastAsLongAsTheyAreAsked) {
-  const std::unique_ptr<Expert> cart_pole = *MakeExpert({.name = "dial"});
+TEST(ExpertTest, ReturnConditionedOnesLastAsLongAsTheyAreAsked) {
+  const std::unique_ptr<Expert> cart_pole = *MakeExpert({.name = "return_conditioned"});
   const std::vector<double> returns = *EvaluateExpert(*cart_pole, "CartPole-v1", 50, 0);
   const auto [least, most] = std::minmax_element(returns.begin(), returns.end());
   EXPECT_LT(*least, 100.0);
@@ -63,7 +63,7 @@ TEST(ExpertTest, DialsLastAsLongAsTheyAreAsked) {
   EXPECT_NEAR(StatisticsOf(returns).mean, 255.0, 70.0);
 
   const std::unique_ptr<Expert> car =
-      *MakeExpert({.environment = "MountainCar-v0", .name = "dial", .coarsening = 8});
+      *MakeExpert({.environment = "MountainCar-v0", .name = "return_conditioned", .coarsening = 8});
   const std::vector<double> climbs = *EvaluateExpert(*car, "MountainCar-v0", 50, 0);
   EXPECT_NEAR(StatisticsOf(climbs).mean, -150.0, 15.0);
 }
