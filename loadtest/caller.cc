@@ -61,7 +61,7 @@ LoadReport Caller::RunClosedLoop(steady_clock::duration duration) {
   return FinishReport(start);
 }
 
-LoadReport Caller::RunAtRate(const Schedule& schedule, steady_clock::duration duration) {
+LoadReport Caller::RunAtRate(const RequestSchedule& schedule, steady_clock::duration duration) {
   const Time start = steady_clock::now();
   const Time end = start + duration;
   std::deque<SimulatedAgent*> free;

@@ -33,7 +33,7 @@
 namespace spikeserve {
 
 // The times at which requests are due: the first one after `offset`, then one every `interval`.
-struct Schedule {
+struct RequestSchedule {
   std::chrono::steady_clock::duration offset;
   std::chrono::steady_clock::duration interval;
 };
@@ -49,7 +49,8 @@ class Caller {
   // Each of these sends requests for `duration`, waits for the outstanding answers and returns the
   // measurements.
   LoadReport RunClosedLoop(std::chrono::steady_clock::duration duration);
-  LoadReport RunAtRate(const Schedule& schedule, std::chrono::steady_clock::duration duration);
+  LoadReport RunAtRate(const RequestSchedule& schedule,
+                       std::chrono::steady_clock::duration duration);
 
   // Closes the sessions of all agents and returns the first error.
   absl::Status CloseSessions();

@@ -27,8 +27,8 @@
 #include "server/agent/session_recovery.h"
 #include "server/base/address.h"
 #include "server/base/background_worker.h"
+#include "server/base/live_servers.h"
 #include "server/base/replica_reports.h"
-#include "server/base/replicas.h"
 #include "server/followers/recordings.h"
 #include "server/followers/shadow_runner.h"
 #include "server/history/server_history.h"
@@ -79,7 +79,7 @@ class Membership {
   bool is_shared() const { return base_.store.shared != nullptr; }
   // True once the settings and the heads that servers share were taken over, or nothing is shared.
   bool has_joined() const;
-  Replicas* replicas() { return &replicas_; }
+  LiveServers* replicas() { return &replicas_; }
   const ReplicaReports* reports() const { return &reports_; }
   SharedFiles* files() { return files_.get(); }  // null: nothing is shared
 
@@ -91,7 +91,7 @@ class Membership {
 
  private:
   const Foundation& base_;
-  Replicas replicas_;
+  LiveServers replicas_;
   ReplicaReports reports_;
   const std::unique_ptr<SharedFiles> files_;
   // Of Follow():

@@ -64,7 +64,7 @@ absl::Status ComparePolicy(const CompareFlags& flags) {
     RETURN_IF_ERROR(PlayBaselines(policy->environment, flags.evaluation.first_seed, played.returns,
                                   &comparison));
   }
-  const Verdict verdict =
+  const PolicyVerdict verdict =
       Judge(comparison, ActionNames(source.dataset()), /*loss_fall=*/std::nullopt);
   const auto json_of = [&](bool with_weights) {
     nlohmann::ordered_json json = ToJson(comparison, with_weights);

@@ -165,8 +165,8 @@ std::string QuantizationRecord(const std::string& command_line,
 }
 
 // Judges by what was lost: a policy that was refused is not judged.
-Verdict VerdictOf(const std::optional<RoundingLoss>& loss, double most) {
-  Verdict verdict;
+PolicyVerdict VerdictOf(const std::optional<RoundingLoss>& loss, double most) {
+  PolicyVerdict verdict;
   if (!loss.has_value()) {
     verdict.reason =
         "what the integers lost was not measured, because the environment is not one "
@@ -200,7 +200,7 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
   RETURN_IF_ERROR(MakeDirectoryOf(flags.out));
   integer.training = QuantizationRecord(command_line, sources, pair, loss, parent, integer.config);
   RETURN_IF_ERROR(WritePolicyFile(integer, flags.out));
-  const Verdict verdict = VerdictOf(loss, flags.max_loss);
+  const PolicyVerdict verdict = VerdictOf(loss, flags.max_loss);
   nlohmann::ordered_json json = pair.has_value() ? ToJson(*pair) : nlohmann::ordered_json::object();
   json["verdict"] = ToJson(verdict);
   const std::string text = pair.has_value() ? ToText(*pair, "before", "after") : "";

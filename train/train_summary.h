@@ -34,7 +34,7 @@ struct TrainSummary {
   double validation_loss;                // below 0: no episodes were held out
   std::optional<Evaluation> evaluation;  // absent: the environment cannot be played here
   double spikes_on_data;                 // per decision; see SpikesOnData
-  Verdict verdict;
+  PolicyVerdict verdict;
   // Absent with --no_baselines, and for observations that are too large.
   std::optional<BaselineComparison> comparison;
 };

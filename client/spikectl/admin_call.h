@@ -1,5 +1,6 @@
 // Functions that the actions of `spikectl admin` share. Every action makes one call of PolicyAdmin
-// with the values of its flags, and returns the answer of one server.
+// with the values of its flags, and returns the answer of one server. OnEveryServer prints the rows
+// of several; not thread-safe.
 #pragma once
 
 #include <grpcpp/client_context.h>
@@ -9,9 +10,11 @@
 #include <string>
 #include <vector>
 
+#include "absl/functional/function_ref.h"
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "client/spikectl/every_server.h"
 #include "client/spikectl/server_flags.h"
+#include "nlohmann/json.hpp"
 #include "spikeserve/admin_client.h"
 #include "spikeserve/v1/policy_admin.grpc.pb.h"
 
@@ -78,5 +81,21 @@ Request HeadRequest(const AdminFlags& flags) {
   request.set_tenant(flags.tenant);
   return request;
 }
+
+// What a command has to print about one server.
+struct ServerAnswer {
+  std::string text;
+  nlohmann::ordered_json json;
+  // All servers with the same store do what this one has done.
+  bool shared = false;
+};
+
+// Calls `call` with the flags for one server after the other, and prints its answers: that of a
+// single server as it is; those of several as rows that begin with the address, or as the list
+// "servers" of a JSON object. After an answer that is `shared`, no other server is called. Returns
+// OK if every server did it; otherwise an error that counts and names those that did not.
+absl::Status OnEveryServer(
+    const ServerFlags& flags,
+    absl::FunctionRef<absl::StatusOr<ServerAnswer>(const ServerFlags&)> call);
 
 }  // namespace spikeserve

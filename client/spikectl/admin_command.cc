@@ -33,32 +33,33 @@ ordered_json NamedJson(const AdminFlags& flags) {
 }
 
 // Returns what a call did, and the whole traffic of the policy before and after it.
-Answer TrafficAnswer(const std::string& text, ordered_json json, const v1::TrafficChange& traffic) {
+ServerAnswer TrafficAnswer(const std::string& text, ordered_json json,
+                           const v1::TrafficChange& traffic) {
   AddTraffic(traffic, &json);
   return {absl::StrCat(text, ToText(traffic)), std::move(json), traffic.shared()};
 }
 
-absl::StatusOr<Answer> Load(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> Load(const AdminFlags& flags) {
   auto request = VersionRequest<v1::LoadPolicyRequest>(flags);
   request.set_make_default(flags.make_default);
   ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::LoadPolicy, request));
   ordered_json json = NamedJson(flags);
   json["is_default"] = response.policy().is_default();
   AddTraffic(response.traffic(), &json);
-  return Answer{
+  return ServerAnswer{
       absl::StrCat("loaded ", Named(flags), response.policy().is_default() ? ", the default" : "",
                    ToText(response.traffic())),
       json};
 }
 
-absl::StatusOr<Answer> Unload(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> Unload(const AdminFlags& flags) {
   ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::UnloadPolicy,
                                                   VersionRequest<v1::UnloadPolicyRequest>(flags)));
   return TrafficAnswer(absl::StrCat("unloaded ", Named(flags)), NamedJson(flags),
                        response.traffic());
 }
 
-absl::StatusOr<Answer> Default(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> Default(const AdminFlags& flags) {
   ASSIGN_OR_RETURN(const auto response,
                    CallAdmin(flags, &AdminStub::SetDefaultVersion,
                              VersionRequest<v1::SetDefaultVersionRequest>(flags)));
@@ -67,7 +68,7 @@ absl::StatusOr<Answer> Default(const AdminFlags& flags) {
                        {{"policy", policy}, {"version", response.version()}}, response.traffic());
 }
 
-absl::StatusOr<Answer> Label(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> Label(const AdminFlags& flags) {
   auto request = VersionRequest<v1::SetLabelRequest>(flags);
   request.set_label(flags.label);
   ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::SetLabel, request));
@@ -77,7 +78,7 @@ absl::StatusOr<Answer> Label(const AdminFlags& flags) {
                        response.traffic());
 }
 
-absl::StatusOr<Answer> Unlabel(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> Unlabel(const AdminFlags& flags) {
   v1::RemoveLabelRequest request;
   request.set_policy(flags.policy);
   request.set_label(flags.label);
@@ -115,8 +116,8 @@ absl::StatusOr<std::vector<v1::TrafficShare>> ParseShares(const std::vector<std:
 
 // Describes the change of the shares or the shadow that `response` reports.
 template <typename Response>
-absl::StatusOr<Answer> DescribeTraffic(const AdminFlags& flags,
-                                       const absl::StatusOr<Response>& response) {
+absl::StatusOr<ServerAnswer> DescribeTraffic(const AdminFlags& flags,
+                                             const absl::StatusOr<Response>& response) {
   if (!response.ok()) return response.status();
   const v1::Traffic& after = response->traffic().after();
   return TrafficAnswer(absl::StrCat("traffic of ", flags.policy),
@@ -127,7 +128,7 @@ absl::StatusOr<Answer> DescribeTraffic(const AdminFlags& flags,
 }
 
 // Changes only what a flag names.
-absl::StatusOr<Answer> Traffic(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> Traffic(const AdminFlags& flags) {
   if (flags.shares.empty() && !flags.shadow.has_value()) {
     return InvalidArgument("--shares", "shares, none, or --shadow instead",
                            "neither; --shares=none gives all sessions to the default version, "
@@ -156,7 +157,7 @@ absl::StatusOr<Answer> Traffic(const AdminFlags& flags) {
                          CallAdmin(flags, &AdminStub::SetTraffic, fill(v1::SetTrafficRequest())));
 }
 
-absl::StatusOr<Answer> Reload(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> Reload(const AdminFlags& flags) {
   ASSIGN_OR_RETURN(const auto response,
                    CallAdmin(flags, &AdminStub::ReloadPolicies, v1::ReloadPoliciesRequest()));
   std::string text =
@@ -167,11 +168,11 @@ absl::StatusOr<Answer> Reload(const AdminFlags& flags) {
   for (const std::string& setting : response.waiting()) {
     absl::StrAppend(&text, "\nwaiting: ", setting);
   }
-  return Answer{text,
-                {{"loaded", MessagesToList(response.loaded(), Numbers::kExact)},
-                 {"unloaded", MessagesToList(response.unloaded(), Numbers::kExact)},
-                 {"refused", response.refused()},
-                 {"waiting", response.waiting()}}};
+  return ServerAnswer{text,
+                      {{"loaded", MessagesToList(response.loaded(), Numbers::kExact)},
+                       {"unloaded", MessagesToList(response.unloaded(), Numbers::kExact)},
+                       {"refused", response.refused()},
+                       {"waiting", response.waiting()}}};
 }
 
 constexpr int kPageSize = 1000;  // sessions
@@ -198,7 +199,7 @@ void AppendSession(const v1::SessionInfo& session, bool by_need, std::string* te
                         corrections.start_disagreement());
 }
 
-absl::StatusOr<Answer> Sessions(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> Sessions(const AdminFlags& flags) {
   auto request = VersionRequest<v1::ListSessionsRequest>(flags);
   request.set_by_need(flags.by_need);
   std::string text =
@@ -239,16 +240,17 @@ absl::StatusOr<Answer> Sessions(const AdminFlags& flags) {
                     "\nSessions that no request has reached since their server ended are in "
                     "the session store alone: spikectl store check counts them.");
   }
-  return Answer{text, std::move(json)};
+  return ServerAnswer{text, std::move(json)};
 }
 
-absl::StatusOr<Answer> Drain(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> Drain(const AdminFlags& flags) {
   v1::DrainRequest request;
   request.set_cancel(flags.cancel);
   ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::Drain, request));
-  return Answer{absl::StrCat(request.cancel() ? "serving" : "draining",
-                             ", open sessions: ", response.open_sessions()),
-                {{"draining", !request.cancel()}, {"open_sessions", response.open_sessions()}}};
+  return ServerAnswer{
+      absl::StrCat(request.cancel() ? "serving" : "draining",
+                   ", open sessions: ", response.open_sessions()),
+      {{"draining", !request.cancel()}, {"open_sessions", response.open_sessions()}}};
 }
 
 void AddPolicy(FlagGroup& group, AdminFlags* flags) {
@@ -365,7 +367,7 @@ struct AdminAction {
   const char* summary;
   bool needs_policy;
   void (*add_flags[4])(FlagGroup& group, AdminFlags* flags);
-  absl::StatusOr<Answer> (*run)(const AdminFlags& flags);
+  absl::StatusOr<ServerAnswer> (*run)(const AdminFlags& flags);
 };
 
 constexpr AdminAction kActions[] = {

@@ -14,16 +14,16 @@ namespace {
 
 using nlohmann::ordered_json;
 
-Answer Paused(const AdminFlags& flags, bool paused) {
+ServerAnswer Paused(const AdminFlags& flags, bool paused) {
   const std::string& policy = flags.policy;
-  return Answer{absl::StrCat(policy.empty() ? "every policy" : policy, ": learning ",
-                             paused ? "paused" : "resumed"),
-                {{"policy", policy}, {"paused", paused}}};
+  return ServerAnswer{absl::StrCat(policy.empty() ? "every policy" : policy, ": learning ",
+                                   paused ? "paused" : "resumed"),
+                      {{"policy", policy}, {"paused", paused}}};
 }
 
 }  // namespace
 
-absl::StatusOr<Answer> ShowHead(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> ShowHead(const AdminFlags& flags) {
   auto request = HeadRequest<v1::GetHeadRequest>(flags);
   request.set_include_weights(flags.weights);
   ASSIGN_OR_RETURN(const auto head, CallAdmin(flags, &AdminStub::GetHead, request));
@@ -32,36 +32,37 @@ absl::StatusOr<Answer> ShowHead(const AdminFlags& flags) {
     json.erase("base");
     json.erase("delta");
   }
-  return Answer{absl::StrFormat("%s/%d: drift %.4g, %d updates, %d refused, %d rollbacks, %d fleet "
-                                "sessions%s",
-                                head.policy(), head.version(), head.drift(), head.updates(),
-                                head.rejected_updates(), head.rollbacks(), head.sessions(),
-                                head.paused() ? "; learning is paused" : ""),
-                json};
+  return ServerAnswer{
+      absl::StrFormat("%s/%d: drift %.4g, %d updates, %d refused, %d rollbacks, %d fleet "
+                      "sessions%s",
+                      head.policy(), head.version(), head.drift(), head.updates(),
+                      head.rejected_updates(), head.rollbacks(), head.sessions(),
+                      head.paused() ? "; learning is paused" : ""),
+      json};
 }
 
-absl::StatusOr<Answer> PromoteHead(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> PromoteHead(const AdminFlags& flags) {
   auto request = HeadRequest<v1::PromoteHeadRequest>(flags);
   request.set_make_default(flags.make_default);
   ASSIGN_OR_RETURN(const auto promoted, CallAdmin(flags, &AdminStub::PromoteHead, request));
   ordered_json json = {
       {"policy", request.policy()}, {"version", promoted.version()}, {"path", promoted.path()}};
   AddTraffic(promoted.traffic(), &json);
-  return Answer{absl::StrCat("wrote and loaded ", request.policy(), "/", promoted.version(), ": ",
-                             promoted.path(), ToText(promoted.traffic())),
-                json, promoted.traffic().shared()};
+  return ServerAnswer{absl::StrCat("wrote and loaded ", request.policy(), "/", promoted.version(),
+                                   ": ", promoted.path(), ToText(promoted.traffic())),
+                      json, promoted.traffic().shared()};
 }
 
-absl::StatusOr<Answer> RollbackHead(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> RollbackHead(const AdminFlags& flags) {
   const auto request = HeadRequest<v1::RollbackHeadRequest>(flags);
   ASSIGN_OR_RETURN(const auto rolled_back, CallAdmin(flags, &AdminStub::RollbackHead, request));
-  return Answer{absl::StrFormat("%s: the policy's own head again; its drift was %.4g",
-                                request.policy(), rolled_back.drift()),
-                {{"policy", request.policy()}, {"drift", rolled_back.drift()}},
-                rolled_back.shared()};
+  return ServerAnswer{absl::StrFormat("%s: the policy's own head again; its drift was %.4g",
+                                      request.policy(), rolled_back.drift()),
+                      {{"policy", request.policy()}, {"drift", rolled_back.drift()}},
+                      rolled_back.shared()};
 }
 
-absl::StatusOr<Answer> UndoCorrections(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> UndoCorrections(const AdminFlags& flags) {
   auto request = HeadRequest<v1::UndoCorrectionsRequest>(flags);
   request.set_session_id(flags.session);
   request.set_operator_id(flags.operator_id);
@@ -71,21 +72,21 @@ absl::StatusOr<Answer> UndoCorrections(const AdminFlags& flags) {
       const auto undone,
       of_session ? OperatorServers(*flags.servers).OfSession(&AdminStub::UndoCorrections, request)
                  : CallAdmin(flags, &AdminStub::UndoCorrections, request));
-  return Answer{absl::StrFormat("%s: took out %d updates by %s; the head's drift is %.4g",
-                                of_session ? flags.session : flags.policy, undone.updates(),
-                                flags.operator_id, undone.head_drift()),
-                {{"updates", undone.updates()}, {"head_drift", undone.head_drift()}},
-                of_session};
+  return ServerAnswer{absl::StrFormat("%s: took out %d updates by %s; the head's drift is %.4g",
+                                      of_session ? flags.session : flags.policy, undone.updates(),
+                                      flags.operator_id, undone.head_drift()),
+                      {{"updates", undone.updates()}, {"head_drift", undone.head_drift()}},
+                      of_session};
 }
 
-absl::StatusOr<Answer> PauseLearning(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> PauseLearning(const AdminFlags& flags) {
   v1::PauseLearningRequest request;
   request.set_policy(flags.policy);
   RETURN_IF_ERROR(CallAdmin(flags, &AdminStub::PauseLearning, request).status());
   return Paused(flags, true);
 }
 
-absl::StatusOr<Answer> ResumeLearning(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> ResumeLearning(const AdminFlags& flags) {
   v1::ResumeLearningRequest request;
   request.set_policy(flags.policy);
   RETURN_IF_ERROR(CallAdmin(flags, &AdminStub::ResumeLearning, request).status());

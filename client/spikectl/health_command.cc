@@ -12,7 +12,7 @@ namespace {
 
 using grpc::health::v1::HealthCheckResponse;
 
-absl::StatusOr<Answer> CheckHealth(const ServerFlags& flags) {
+absl::StatusOr<ServerAnswer> CheckHealth(const ServerFlags& flags) {
   ASSIGN_OR_RETURN(const auto client, Connect(flags));
   HealthCheckResponse response;
   RETURN_IF_ERROR(client->CallOther(
@@ -24,7 +24,7 @@ absl::StatusOr<Answer> CheckHealth(const ServerFlags& flags) {
   if (response.status() != HealthCheckResponse::SERVING) {
     return absl::UnavailableError(absl::StrCat("health: expected SERVING, received ", state));
   }
-  return Answer{state, {{"health", state}}};
+  return ServerAnswer{state, {{"health", state}}};
 }
 
 }  // namespace

@@ -195,17 +195,18 @@ std::string Describe(const v1::SessionSelection& selection) {
   return absl::StrJoin(parts, ", ");
 }
 
-absl::StatusOr<Answer> Resume(const HoldFlags& flags, const ServerFlags& server) {
+absl::StatusOr<ServerAnswer> Resume(const HoldFlags& flags, const ServerFlags& server) {
   v1::ResumeSessionsRequest request;
   request.set_id(flags.id);
   ASSIGN_OR_RETURN(const auto admin, ConnectAdmin(server));
   ASSIGN_OR_RETURN(const auto resumed, admin->Call(&AdminStub::ResumeSessions, request));
-  return Answer{absl::StrCat("resumed ", flags.id, ": ", Describe(resumed.hold().selection())),
-                {{"id", flags.id}, {"sessions", resumed.hold().sessions()}},
-                resumed.shared()};
+  return ServerAnswer{
+      absl::StrCat("resumed ", flags.id, ": ", Describe(resumed.hold().selection())),
+      {{"id", flags.id}, {"sessions", resumed.hold().sessions()}},
+      resumed.shared()};
 }
 
-absl::StatusOr<Answer> ShowHolds(const ServerFlags& server) {
+absl::StatusOr<ServerAnswer> ShowHolds(const ServerFlags& server) {
   ASSIGN_OR_RETURN(const auto admin, ConnectAdmin(server));
   ASSIGN_OR_RETURN(const auto list, admin->Call(&AdminStub::ListHolds, v1::ListHoldsRequest()));
   std::vector<std::string> lines;
@@ -223,7 +224,7 @@ absl::StatusOr<Answer> ShowHolds(const ServerFlags& server) {
                      {"sessions", held.sessions()},
                      {"since", held.since()}});
   }
-  return Answer{lines.empty() ? "no holds" : absl::StrJoin(lines, "\n"), {{"holds", holds}}};
+  return ServerAnswer{lines.empty() ? "no holds" : absl::StrJoin(lines, "\n"), {{"holds", holds}}};
 }
 
 }  // namespace

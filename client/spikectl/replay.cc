@@ -56,9 +56,9 @@ std::optional<v1::Action> Executed(const Dataset& dataset, int step) {
 }
 
 // Compares one decision with what was recorded at `step`.
-class Comparison {
+class DecisionCheck {
  public:
-  Comparison(const Dataset& dataset, int step)
+  DecisionCheck(const Dataset& dataset, int step)
       : dataset_(dataset),
         episode_(dataset.episodes[0]),
         served_(*episode_.served),
@@ -127,7 +127,7 @@ absl::Status ReplayEpisode(const Dataset& dataset, RemoteSession& session, Repla
     ASSIGN_OR_RETURN(const auto response, step == 0 ? session.Act(observation, 0.0)
                                                     : session.Act(observation, rewards[step - 1],
                                                                   Executed(dataset, step - 1)));
-    result->difference = Comparison(dataset, step).Find(response);
+    result->difference = DecisionCheck(dataset, step).Find(response);
     if (result->difference.has_value()) return absl::OkStatus();
     ++result->decisions;
     ++result->steps_by_source[ToString(episode.source(step))];

@@ -155,12 +155,13 @@ ordered_json ToJson(const v1::Rollout& rollout) {
 }
 
 template <typename Response>
-absl::StatusOr<Answer> Describe(const absl::StatusOr<Response>& response) {
+absl::StatusOr<ServerAnswer> Describe(const absl::StatusOr<Response>& response) {
   if (!response.ok()) return response.status();
   ordered_json json = ToJson(response->rollout());
   AddTraffic(response->traffic(), &json);
-  return Answer{absl::StrCat(ToText(response->rollout()), spikeserve::ToText(response->traffic())),
-                json, response->traffic().shared()};
+  return ServerAnswer{
+      absl::StrCat(ToText(response->rollout()), spikeserve::ToText(response->traffic())), json,
+      response->traffic().shared()};
 }
 
 // Returns who made a change: the token and the certificate, as far as there are any, and the
@@ -198,7 +199,7 @@ ordered_json ToJson(const v1::HistoryEntry& entry) {
 
 }  // namespace
 
-absl::StatusOr<Answer> ChangeRollout(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> ChangeRollout(const AdminFlags& flags) {
   if (flags.abort) {
     v1::AbortRolloutRequest request;
     request.set_policy(flags.policy);
@@ -208,7 +209,7 @@ absl::StatusOr<Answer> ChangeRollout(const AdminFlags& flags) {
   return Describe(CallAdmin(flags, &AdminStub::StartRollout, request));
 }
 
-absl::StatusOr<Answer> ShowRollouts(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> ShowRollouts(const AdminFlags& flags) {
   ASSIGN_OR_RETURN(const auto response,
                    CallAdmin(flags, &AdminStub::ListRollouts, v1::ListRolloutsRequest()));
   std::vector<std::string> lines;
@@ -217,11 +218,11 @@ absl::StatusOr<Answer> ShowRollouts(const AdminFlags& flags) {
     lines.push_back(ToText(rollout));
     rollouts.push_back(ToJson(rollout));
   }
-  return Answer{lines.empty() ? "no roll-outs" : absl::StrJoin(lines, "\n"),
-                {{"rollouts", rollouts}}};
+  return ServerAnswer{lines.empty() ? "no roll-outs" : absl::StrJoin(lines, "\n"),
+                      {{"rollouts", rollouts}}};
 }
 
-absl::StatusOr<Answer> ShowHistory(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> ShowHistory(const AdminFlags& flags) {
   v1::ListHistoryRequest request;
   request.set_policy(flags.policy);
   request.set_limit(flags.limit);
@@ -232,7 +233,8 @@ absl::StatusOr<Answer> ShowHistory(const AdminFlags& flags) {
     lines.push_back(ToText(entry));
     entries.push_back(ToJson(entry));
   }
-  return Answer{lines.empty() ? "no actions" : absl::StrJoin(lines, "\n"), {{"entries", entries}}};
+  return ServerAnswer{lines.empty() ? "no actions" : absl::StrJoin(lines, "\n"),
+                      {{"entries", entries}}};
 }
 
 }  // namespace spikeserve

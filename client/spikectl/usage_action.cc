@@ -92,7 +92,7 @@ std::string TableOf(const ordered_json& rows, const std::vector<std::string>& by
 
 }  // namespace
 
-absl::StatusOr<Answer> ShowUsage(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> ShowUsage(const AdminFlags& flags) {
   v1::GetUsageRequest request;
   request.set_month(flags.month);
   for (const std::string& key : flags.by) request.add_by(key);
@@ -113,13 +113,13 @@ absl::StatusOr<Answer> ShowUsage(const AdminFlags& flags) {
                           budget.tenant(), budget.name(), budget.spent(), budget.limit(),
                           TimeText(response.resets_at(), "%Y-%m-%dT%H:%M:%SZ"));
   }
-  return Answer{text,
-                {{"month", response.month()},
-                 {"label_key", response.label_key()},
-                 {"rows", rows},
-                 {"budgets", budgets},
-                 {"resets_at", response.resets_at()}},
-                response.shared()};
+  return ServerAnswer{text,
+                      {{"month", response.month()},
+                       {"label_key", response.label_key()},
+                       {"rows", rows},
+                       {"budgets", budgets},
+                       {"resets_at", response.resets_at()}},
+                      response.shared()};
 }
 
 }  // namespace spikeserve

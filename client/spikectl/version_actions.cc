@@ -52,7 +52,7 @@ absl::Status CheckPart(const v1::PullPolicyResponse& part, int64_t offset) {
 
 }  // namespace
 
-absl::StatusOr<Answer> PushVersion(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> PushVersion(const AdminFlags& flags) {
   RETURN_IF_ERROR(CheckFile(flags));
   auto request = HeadRequest<v1::PushPolicyRequest>(flags);
   request.set_make_default(flags.make_default);
@@ -72,7 +72,7 @@ absl::StatusOr<Answer> PushVersion(const AdminFlags& flags) {
   }
   AddTraffic(pushed.traffic(), &json);
   absl::StrAppend(&text, ToText(pushed.traffic()));
-  if (flags.rollout.empty()) return Answer{text, json, pushed.traffic().shared()};
+  if (flags.rollout.empty()) return ServerAnswer{text, json, pushed.traffic().shared()};
   AdminFlags rollout = flags;
   rollout.version = pushed.version();
   rollout.steps = flags.rollout;
@@ -83,10 +83,10 @@ absl::StatusOr<Answer> PushVersion(const AdminFlags& flags) {
                                      ", without a roll-out: ", started.status().message()));
   }
   json["rollout"] = started->json;
-  return Answer{absl::StrCat(text, "\n", started->text), json, pushed.traffic().shared()};
+  return ServerAnswer{absl::StrCat(text, "\n", started->text), json, pushed.traffic().shared()};
 }
 
-absl::StatusOr<Answer> PullVersion(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> PullVersion(const AdminFlags& flags) {
   RETURN_IF_ERROR(CheckFile(flags));
   auto request = VersionRequest<v1::PullPolicyRequest>(flags);
   ASSIGN_OR_RETURN(const auto admin, ConnectAdmin(*flags.server));
@@ -107,22 +107,23 @@ absl::StatusOr<Answer> PullVersion(const AdminFlags& flags) {
   if (!part.signature().empty()) {
     RETURN_IF_ERROR(WriteFileAtomically(SignatureFile(flags), {part.signature()}));
   }
-  return Answer{absl::StrCat(flags.policy, "/", part.version(), ": ", file.size(), " bytes to ",
-                             flags.file, part.signature().empty() ? "" : ", with the signature"),
-                {{"policy", flags.policy},
-                 {"version", part.version()},
-                 {"file", flags.file},
-                 {"sha256", part.sha256()},
-                 {"signed", !part.signature().empty()}},
-                /*shared=*/true};
+  return ServerAnswer{
+      absl::StrCat(flags.policy, "/", part.version(), ": ", file.size(), " bytes to ", flags.file,
+                   part.signature().empty() ? "" : ", with the signature"),
+      {{"policy", flags.policy},
+       {"version", part.version()},
+       {"file", flags.file},
+       {"sha256", part.sha256()},
+       {"signed", !part.signature().empty()}},
+      /*shared=*/true};
 }
 
-absl::StatusOr<Answer> RemoveVersion(const AdminFlags& flags) {
+absl::StatusOr<ServerAnswer> RemoveVersion(const AdminFlags& flags) {
   ASSIGN_OR_RETURN(const auto removed, CallAdmin(flags, &AdminStub::RemovePolicy,
                                                  VersionRequest<v1::RemovePolicyRequest>(flags)));
   ordered_json json = {{"policy", flags.policy}, {"version", flags.version}};
   AddTraffic(removed.traffic(), &json);
-  return Answer{
+  return ServerAnswer{
       absl::StrCat("removed ", flags.policy, "/", flags.version, ToText(removed.traffic())), json,
       removed.traffic().shared()};
 }

@@ -127,8 +127,8 @@ absl::Status Client::Run(const Rules& rules, Attempts& attempts,
   for (bool is_first = true;; is_first = false) {
     grpc::ClientContext context;
     Prepare(attempts.route(), rules.timeout, &context);
-    const Connection::Watched watched(&attempts.replica().connection, &context,
-                                      /*expects_answer=*/true);
+    const RenewableConnection::Watched watched(&attempts.replica().connection, &context,
+                                               /*expects_answer=*/true);
     const absl::Status status = watched.Note(StatusFromGrpc(attempt(watched.line(), &context)));
     if (status.ok()) {
       attempts.Answered();

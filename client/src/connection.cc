@@ -91,8 +91,8 @@ Line::Line(std::shared_ptr<grpc::Channel> to)
       stub(v1::PolicyService::NewStub(channel)),
       health(grpc::health::v1::Health::NewStub(channel)) {}
 
-Connection::Watched::Watched(Connection* connection, grpc::ClientContext* context,
-                             bool expects_answer)
+RenewableConnection::Watched::Watched(RenewableConnection* connection, grpc::ClientContext* context,
+                                      bool expects_answer)
     : connection_(connection),
       context_(context),
       began_(SteadyNow()),
@@ -103,12 +103,12 @@ Connection::Watched::Watched(Connection* connection, grpc::ClientContext* contex
   connection_->WakeWatch();
 }
 
-Connection::Watched::~Watched() {
+RenewableConnection::Watched::~Watched() {
   absl::MutexLock lock(&connection_->mutex_);
   connection_->calls_.erase(this);
 }
 
-absl::Status Connection::Watched::Note(const absl::Status& status) const {
+absl::Status RenewableConnection::Watched::Note(const absl::Status& status) const {
   if (IsAnswer(status)) {
     connection_->Answered();
   } else if (absl::IsDeadlineExceeded(status)) {
@@ -119,12 +119,12 @@ absl::Status Connection::Watched::Note(const absl::Status& status) const {
   return status;
 }
 
-Connection::Connection(std::shared_ptr<grpc::Channel> channel, Connector connect)
+RenewableConnection::RenewableConnection(std::shared_ptr<grpc::Channel> channel, Connector connect)
     : connect_(std::move(connect)),
       line_(std::make_shared<Line>(std::move(channel))),
       pause_(kFirstPause) {}
 
-Connection::~Connection() {
+RenewableConnection::~RenewableConnection() {
   std::thread watch;
   {
     absl::MutexLock lock(&mutex_);
@@ -135,19 +135,19 @@ Connection::~Connection() {
   if (watch.joinable()) watch.join();
 }
 
-std::shared_ptr<Line> Connection::line() {
+std::shared_ptr<Line> RenewableConnection::line() {
   absl::MutexLock lock(&mutex_);
   return line_;
 }
 
-void Connection::Answered() {
+void RenewableConnection::Answered() {
   absl::MutexLock lock(&mutex_);
   answered_at_ = SteadyNow();
   silent_since_ = absl::InfiniteDuration();
   misses_ = 0;
 }
 
-void Connection::Missed(absl::Duration began) {
+void RenewableConnection::Missed(absl::Duration began) {
   absl::MutexLock lock(&mutex_);
   if (began < answered_at_) return;
   silent_since_ = std::min(silent_since_, began);
@@ -156,14 +156,14 @@ void Connection::Missed(absl::Duration began) {
   WakeWatch();
 }
 
-void Connection::Doubt(absl::Duration since) {
+void RenewableConnection::Doubt(absl::Duration since) {
   absl::MutexLock lock(&mutex_);
   if (SteadyNow() - std::max(since, answered_at_) < kLineSilence) return;
   is_asked_ = true;
   WakeWatch();
 }
 
-void Connection::WakeWatch() {
+void RenewableConnection::WakeWatch() {
   if (connect_ == nullptr) return;
   if (!watch_.joinable()) {
     watch_ = std::thread([this] { Watch(); });
@@ -172,7 +172,7 @@ void Connection::WakeWatch() {
   }
 }
 
-bool Connection::IsDoubtful(absl::Duration now) {
+bool RenewableConnection::IsDoubtful(absl::Duration now) {
   if (std::exchange(is_asked_, false)) return true;
   return std::any_of(calls_.begin(), calls_.end(), [&](const Watched* call) {
     mutex_.AssertHeld();
@@ -180,7 +180,7 @@ bool Connection::IsDoubtful(absl::Duration now) {
   });
 }
 
-void Connection::Watch() {
+void RenewableConnection::Watch() {
   while (true) {
     Work work;
     {
@@ -193,7 +193,7 @@ void Connection::Watch() {
   }
 }
 
-Connection::Work Connection::TakeWork() {
+RenewableConnection::Work RenewableConnection::TakeWork() {
   Work work;
   for (auto& line : retired_) {
     if (line.use_count() == 1) work.ended.push_back(std::move(line));  // no call has it
@@ -205,7 +205,7 @@ Connection::Work Connection::TakeWork() {
   return work;
 }
 
-void Connection::Wait() {
+void RenewableConnection::Wait() {
   Lockable lockable(&mutex_);
   if (is_asked_ || !calls_.empty() || !retired_.empty() || SteadyNow() - busy_at_ < kIdle) {
     changed_.wait_for(lockable, absl::ToChronoMilliseconds(kTick));
@@ -217,7 +217,7 @@ void Connection::Wait() {
   busy_at_ = SteadyNow();
 }
 
-void Connection::Race() {
+void RenewableConnection::Race() {
   const std::shared_ptr<grpc::Channel> channel = connect_();
   if (channel == nullptr) return;
   const auto fresh = std::make_shared<Line>(channel);

@@ -45,14 +45,14 @@ using Connector = std::function<std::shared_ptr<grpc::Channel>()>;
 inline constexpr absl::Duration kLineSilence = absl::Milliseconds(300);
 inline constexpr int kLineMisses = 3;
 
-class Connection {
+class RenewableConnection {
  public:
   // A call under way, from its begin to its end. Not thread-safe.
   class Watched {
    public:
     // `context` is cancelled if a fresh line replaces that of the call. If `expects_answer`, a call
     // that lasts for kLineSilence puts the line in doubt; streams are silent for other reasons.
-    Watched(Connection* connection, grpc::ClientContext* context, bool expects_answer);
+    Watched(RenewableConnection* connection, grpc::ClientContext* context, bool expects_answer);
     ~Watched();
     Watched(const Watched&) = delete;
     Watched& operator=(const Watched&) = delete;
@@ -63,9 +63,9 @@ class Connection {
     absl::Status Note(const absl::Status& status) const;
 
    private:
-    friend class Connection;
+    friend class RenewableConnection;
 
-    Connection* const connection_;
+    RenewableConnection* const connection_;
     grpc::ClientContext* const context_;
     const absl::Duration began_;  // of SteadyNow()
     const bool expects_answer_;
@@ -73,9 +73,9 @@ class Connection {
   };
 
   // Without `connect`, the line is never replaced.
-  Connection(std::shared_ptr<grpc::Channel> channel, Connector connect);
+  RenewableConnection(std::shared_ptr<grpc::Channel> channel, Connector connect);
   // REQUIRES: no call is watched. Blocks until a race has ended, for a second at most.
-  ~Connection();
+  ~RenewableConnection();
 
   // Returns the line for a call that begins now.
   std::shared_ptr<Line> line() ABSL_LOCKS_EXCLUDED(mutex_);

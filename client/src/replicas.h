@@ -46,7 +46,7 @@ struct Replica {
   Replica(std::string of_address, std::shared_ptr<grpc::Channel> channel, Connector connect);
 
   const std::string address;
-  Connection connection;
+  RenewableConnection connection;
 
   // The rest is guarded by the mutex of Replicas.
   bool is_away = false;

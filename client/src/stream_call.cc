@@ -15,7 +15,7 @@ constexpr absl::Duration kLongestWait = absl::Hours(24 * 365);
 
 }  // namespace
 
-StreamCall::StreamCall(Connection* connection, const Route& route)
+StreamCall::StreamCall(RenewableConnection* connection, const Route& route)
     : watched_(connection, &context_, /*expects_answer=*/false) {
   context_.AddMetadata(kAffinityKey, route.key);
   watched_.line().stub->async()->ActStream(&context_, this);

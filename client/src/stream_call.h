@@ -31,7 +31,7 @@ class StreamCall : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActRespons
   };
 
   // A fresh line of `connection`, which must outlive the call, cancels the call.
-  StreamCall(Connection* connection, const Route& route);
+  StreamCall(RenewableConnection* connection, const Route& route);
   // Cancels the call if it has not ended, and blocks until gRPC has called OnDone.
   ~StreamCall() override;
 
@@ -52,7 +52,7 @@ class StreamCall : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActRespons
 
  private:
   grpc::ClientContext context_;
-  Connection::Watched watched_;
+  RenewableConnection::Watched watched_;
   v1::ActResponse incoming_;  // written by gRPC between StartRead and OnReadDone
 
   absl::Mutex mutex_;

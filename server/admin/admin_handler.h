@@ -17,7 +17,7 @@
 #include "core/open_sessions/session_store.h"
 #include "server/admin/audit_log.h"
 #include "server/agent/call_context.h"
-#include "server/base/replicas.h"
+#include "server/base/live_servers.h"
 #include "server/base/shared_folder.h"
 #include "server/policies/policy_registry.h"
 #include "server/policies/shared_files.h"
@@ -38,7 +38,7 @@ class AdminHandler {
     PolicyRegistry* registry;
     SessionStore* store;
     const AuditLog* history;
-    const Replicas* replicas;
+    const LiveServers* replicas;
     const SharedFiles* files;      // of several servers; null: there is one
     const JournalStore* journals;  // null if no session is stored
     RolloutManager* rollouts;

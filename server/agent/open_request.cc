@@ -95,8 +95,8 @@ absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& re
   return options;
 }
 
-absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const std::string& id,
-                                  const PolicyCatalog& catalog) {
+absl::StatusOr<ChosenVersions> ChooseRoute(const v1::OpenSessionRequest& request,
+                                           const std::string& id, const PolicyCatalog& catalog) {
   const std::string& key = request.routing_key();
   if (key.size() > LabelLimits::kBytes) {
     return InvalidArgument("routing_key", absl::StrCat("at most ", LabelLimits::kBytes, " bytes"),

@@ -28,7 +28,7 @@ absl::StatusOr<SessionOptions> OptionsFromProto(const v1::OpenSessionRequest& re
 // Returns the version that a new session is opened on. Without a routing key, the session's id
 // decides its share of the traffic. INVALID_ARGUMENT for a routing key that is too long; otherwise
 // the errors of PolicyCatalog::Choose.
-absl::StatusOr<Route> ChooseRoute(const v1::OpenSessionRequest& request, const std::string& id,
-                                  const PolicyCatalog& catalog);
+absl::StatusOr<ChosenVersions> ChooseRoute(const v1::OpenSessionRequest& request,
+                                           const std::string& id, const PolicyCatalog& catalog);
 
 }  // namespace spikeserve

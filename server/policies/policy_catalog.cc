@@ -92,7 +92,7 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyCatalog::Find(const st
                                           "] of policy ", name, ", received ", version));
 }
 
-absl::StatusOr<Route> PolicyCatalog::Choose(const VersionChoice& choice) const {
+absl::StatusOr<ChosenVersions> PolicyCatalog::Choose(const VersionChoice& choice) const {
   ASSIGN_OR_RETURN(const auto found, FindPolicy(choice.policy));
   const CatalogPolicy& policy = *found;
   int64_t version = choice.version;
@@ -114,9 +114,9 @@ absl::StatusOr<Route> PolicyCatalog::Choose(const VersionChoice& choice) const {
     version = ShareOf(policy.settings.shares, choice);
   }
   ASSIGN_OR_RETURN(auto served, Find(choice.policy, version));
-  Route route = {.served = std::move(served),
-                 .shadow = nullptr,
-                 .by_rollout = is_free && policy.settings.rollout_running()};
+  ChosenVersions route = {.served = std::move(served),
+                          .shadow = nullptr,
+                          .by_rollout = is_free && policy.settings.rollout_running()};
   if (policy.settings.shadow_version != 0 &&
       policy.settings.shadow_version != route.served->version) {
     const auto& shadow = policy.versions.at(policy.settings.shadow_version);

@@ -28,7 +28,7 @@ struct VersionChoice {
 };
 
 // The versions that a new session is given.
-struct Route {
+struct ChosenVersions {
   std::shared_ptr<const ServedPolicy> served;
   std::shared_ptr<const ServedPolicy> shadow;  // null if there is none or it equals `served`
   bool by_rollout = false;                     // a running roll-out has chosen `served`
@@ -66,7 +66,7 @@ class PolicyCatalog {
   // Returns the version that a new session is opened on, and the version that shadows it. Returns
   // INVALID_ARGUMENT if `choice` has both a version and a label, and NOT_FOUND, which lists the
   // known policies, versions or labels.
-  absl::StatusOr<Route> Choose(const VersionChoice& choice) const;
+  absl::StatusOr<ChosenVersions> Choose(const VersionChoice& choice) const;
 
   // Returns policy `name`. The pointer is valid as long as this catalog. Returns NOT_FOUND, which
   // lists the known policies.

@@ -76,7 +76,8 @@ absl::Status CheckStart(const CatalogPolicy& policy, const PolicySettings& setti
 }  // namespace
 
 RolloutManager::RolloutManager(PolicyRegistry* registry, Metrics* metrics, const Clock* clock,
-                               const Replicas* replicas, std::function<void(const Change&)> changed)
+                               const LiveServers* replicas,
+                               std::function<void(const Change&)> changed)
     : registry_(registry),
       metrics_(metrics),
       clock_(clock),

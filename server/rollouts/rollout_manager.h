@@ -20,7 +20,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "core/base/clock.h"
-#include "server/base/replicas.h"
+#include "server/base/live_servers.h"
 #include "server/metrics/metrics.h"
 #include "server/policies/policy_registry.h"
 #include "server/policies/rollout.h"
@@ -51,7 +51,7 @@ class RolloutManager {
   // outlive the manager, as must `replicas`. `changed` is called by Tick. Of several servers that
   // share their settings, one judges a roll-out, by its own sessions; if it dies, another goes on.
   RolloutManager(PolicyRegistry* registry, Metrics* metrics, const Clock* clock,
-                 const Replicas* replicas, std::function<void(const Change&)> changed);
+                 const LiveServers* replicas, std::function<void(const Change&)> changed);
 
   // Starts a roll-out. `plan` has the version, the steps, the hold time, the fewest episodes, the
   // conditions and the offline evaluation; its other fields are ignored. Returns the errors that
@@ -123,7 +123,7 @@ class RolloutManager {
   PolicyRegistry* const registry_;
   Metrics* const metrics_;
   const Clock* const clock_;
-  const Replicas* const replicas_;
+  const LiveServers* const replicas_;
   const std::function<void(const Change&)> changed_;
   mutable absl::Mutex mutex_;  // taken before the locks of the registry
   std::map<std::string, Running> running_ ABSL_GUARDED_BY(mutex_);  // by policy; judged here

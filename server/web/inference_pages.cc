@@ -26,23 +26,23 @@ constexpr char kPaths[] =
 enum class Page { kServer, kLive, kReady, kModel, kModelReady, kInfer };
 
 // What a path names.
-struct Route {
+struct PageRoute {
   Page page = Page::kServer;
   std::string model = "";
   std::string version = "";  // empty: the default
 };
 
 // Returns nothing if `path` names nothing.
-std::optional<Route> RouteOf(absl::string_view path) {
+std::optional<PageRoute> RouteOf(absl::string_view path) {
   std::vector<std::string> parts = absl::StrSplit(path, '/');  // of "/v2/x": "", "v2", "x"
   if (parts.size() == 3 && parts.back().empty()) parts.pop_back();
-  if (parts.size() == 2) return Route{};
+  if (parts.size() == 2) return PageRoute{};
   if (parts[2] == "health" && parts.size() == 4) {
-    if (parts[3] == "live") return Route{.page = Page::kLive};
-    if (parts[3] == "ready") return Route{.page = Page::kReady};
+    if (parts[3] == "live") return PageRoute{.page = Page::kLive};
+    if (parts[3] == "ready") return PageRoute{.page = Page::kReady};
   }
   if (parts[2] != "models" || parts.size() < 4 || parts[3].empty()) return std::nullopt;
-  Route route = {.page = Page::kModel, .model = parts[3]};
+  PageRoute route = {.page = Page::kModel, .model = parts[3]};
   size_t next = 4;
   if (parts.size() >= 6 && parts[4] == "versions" && !parts[5].empty()) {
     route.version = parts[5];
@@ -61,7 +61,7 @@ std::optional<Route> RouteOf(absl::string_view path) {
 }
 
 // Returns the method that answers the page.
-const Method& MethodOf(const Route& route) {
+const Method& MethodOf(const PageRoute& route) {
   switch (route.page) {
     case Page::kServer:
       return MethodNamed("ServerMetadata");
@@ -93,7 +93,7 @@ HttpResponse ErrorResponse(const absl::Status& status,
 HttpResponse UnknownPath() { return JsonError(404, absl::StrCat("path: expected ", kPaths)); }
 
 // Returns the serialized message of a request without a body.
-std::string MessageOf(const Route& route) {
+std::string MessageOf(const PageRoute& route) {
   switch (route.page) {
     case Page::kModelReady: {
       inference::ModelReadyRequest message;
@@ -112,7 +112,7 @@ std::string MessageOf(const Route& route) {
   }
 }
 
-absl::StatusOr<HttpInferRequest> ReadInfer(HttpRequest* request, const Route& route) {
+absl::StatusOr<HttpInferRequest> ReadInfer(HttpRequest* request, const PageRoute& route) {
   std::optional<size_t> json_bytes;
   if (!request->json_length.empty() &&
       !absl::SimpleAtoi(request->json_length, &json_bytes.emplace())) {
@@ -149,7 +149,7 @@ HttpResponse InferResponse(const std::string& bytes, const BinaryOutputs& output
 }
 
 // Returns the answer to a request without a body.
-HttpResponse ResponseOf(const Route& route, const std::string& bytes) {
+HttpResponse ResponseOf(const PageRoute& route, const std::string& bytes) {
   using Json = nlohmann::ordered_json;
   switch (route.page) {
     case Page::kLive: {
@@ -173,7 +173,7 @@ HttpResponse ResponseOf(const Route& route, const std::string& bytes) {
   }
 }
 
-void Infer(HttpCalls& calls, const Route& route, HttpRequest request, HttpServer::Done done) {
+void Infer(HttpCalls& calls, const PageRoute& route, HttpRequest request, HttpServer::Done done) {
   // What is known of the answer once a worker has read the body, before the call begins.
   struct Plan {
     BinaryOutputs outputs;

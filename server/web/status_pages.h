@@ -13,8 +13,8 @@
 #include "server/admin/admin_handler.h"
 #include "server/agent/policy_handler.h"
 #include "server/base/background_worker.h"
+#include "server/base/live_servers.h"
 #include "server/base/replica_reports.h"
-#include "server/base/replicas.h"
 #include "server/history/server_history.h"
 #include "server/metrics/metrics.h"
 #include "server/web/http_server.h"
@@ -38,7 +38,7 @@ class StatusPages {
     BackgroundWorker* worker;
     std::function<bool()> serving;
     std::string store_address;  // of the session store, without a password
-    const Replicas* replicas;
+    const LiveServers* replicas;
     const ReplicaReports* reports;  // of these replicas
     double unusual_deviations;      // of the metrics' observers
   };

@@ -35,7 +35,7 @@ std::string ElementsText(const ImitationError& error, const std::vector<std::str
 }
 
 void JudgeFit(const BaselineComparison& comparison, const std::vector<std::string>& names,
-              Verdict* verdict) {
+              PolicyVerdict* verdict) {
   const double share = comparison.policy.explained;
   const BaselineScore& best = BestOf(comparison);
   const double reachable = best.error.explained;
@@ -98,9 +98,9 @@ std::optional<double> LossFall(const std::vector<std::pair<int, double>>& losses
   return 1.0 - loss / *before;
 }
 
-Verdict Judge(const std::optional<BaselineComparison>& comparison,
-              const std::vector<std::string>& names, std::optional<double> loss_fall) {
-  Verdict verdict;
+PolicyVerdict Judge(const std::optional<BaselineComparison>& comparison,
+                    const std::vector<std::string>& names, std::optional<double> loss_fall) {
+  PolicyVerdict verdict;
   if (comparison.has_value()) {
     verdict.grade = Grade::kGood;
     JudgeFit(*comparison, names, &verdict);
@@ -118,14 +118,14 @@ Verdict Judge(const std::optional<BaselineComparison>& comparison,
   return verdict;
 }
 
-std::string ToText(const Verdict& verdict) {
+std::string ToText(const PolicyVerdict& verdict) {
   std::string text =
       absl::StrCat("verdict: ", std::string(ToString(verdict.grade)), ": ", verdict.reason, "\n");
   for (const std::string& advice : verdict.advice) absl::StrAppend(&text, "try: ", advice, "\n");
   return text;
 }
 
-nlohmann::ordered_json ToJson(const Verdict& verdict) {
+nlohmann::ordered_json ToJson(const PolicyVerdict& verdict) {
   nlohmann::ordered_json json = {{"grade", std::string(ToString(verdict.grade))}};
   json.update(verdict.figures);
   json["reason"] = verdict.reason;
@@ -133,7 +133,7 @@ nlohmann::ordered_json ToJson(const Verdict& verdict) {
   return json;
 }
 
-absl::Status CheckGrade(const Verdict& verdict, Grade least) {
+absl::Status CheckGrade(const PolicyVerdict& verdict, Grade least) {
   if (verdict.grade >= least) return absl::OkStatus();
   return absl::FailedPreconditionError(absl::StrCat(
       "--require: expected a verdict of ", std::string(ToString(least)), " or better, received ",

@@ -1,7 +1,7 @@
 // Says in words and numbers how good a policy is, and what to try, at the end of a command.
 //
 // Plain values and free functions without shared state. Example:
-//   const Verdict verdict = Judge(comparison, ActionNames(dataset), loss_fall);
+//   const PolicyVerdict verdict = Judge(comparison, ActionNames(dataset), loss_fall);
 //   std::fputs(ToText(verdict).c_str(), stdout);
 //   return CheckGrade(verdict, least);
 #pragma once
@@ -26,7 +26,7 @@ constexpr std::array<EnumName<Grade>, 3> EnumNames(Grade) {
   return {{{Grade::kBad, "bad"}, {Grade::kWeak, "weak"}, {Grade::kGood, "good"}}};
 }
 
-struct Verdict {
+struct PolicyVerdict {
   Grade grade = Grade::kWeak;
   std::string reason;               // one sentence, with the figures
   std::vector<std::string> advice;  // what to try, the most promising first; none if good
@@ -46,16 +46,16 @@ std::optional<double> LossFall(const std::vector<std::pair<int, double>>& losses
 // points less than the best baseline, and by two standard errors; or the loss still fell, by more
 // than 3 %
 // (`loss_fall`). Weak, too, without a comparison, because nothing was measured.
-Verdict Judge(const std::optional<BaselineComparison>& comparison,
-              const std::vector<std::string>& names, std::optional<double> loss_fall);
+PolicyVerdict Judge(const std::optional<BaselineComparison>& comparison,
+                    const std::vector<std::string>& names, std::optional<double> loss_fall);
 
 // Returns "verdict: ..." and a line "try: ..." for each advice.
-std::string ToText(const Verdict& verdict);
+std::string ToText(const PolicyVerdict& verdict);
 
 // Returns the grade, the figures, the reason and the advice.
-nlohmann::ordered_json ToJson(const Verdict& verdict);
+nlohmann::ordered_json ToJson(const PolicyVerdict& verdict);
 
 // Returns FAILED_PRECONDITION, which names --require, if the grade is below `least`.
-absl::Status CheckGrade(const Verdict& verdict, Grade least);
+absl::Status CheckGrade(const PolicyVerdict& verdict, Grade least);
 
 }  // namespace spikeserve

@@ -6,7 +6,7 @@
 
 namespace spikeserve::piloting {
 
-ActionStream::ActionStream(Connection* connection, const Route& route, Listener* listener)
+ActionStream::ActionStream(RenewableConnection* connection, const Route& route, Listener* listener)
     : connection_(connection),
       listener_(listener),
       watched_(connection, &context_, /*expects_answer=*/false) {

@@ -28,7 +28,7 @@ class ActionStream : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActRespo
   };
 
   // Opens the call. A fresh line of `connection` cancels it. The arguments must outlive the stream.
-  ActionStream(Connection* connection, const Route& route, Listener* listener);
+  ActionStream(RenewableConnection* connection, const Route& route, Listener* listener);
   // Cancels the call if it has not ended, and blocks until the last call of the listener.
   ~ActionStream() override;
 
@@ -42,10 +42,10 @@ class ActionStream : public grpc::ClientBidiReactor<v1::ActRequest, v1::ActRespo
   void OnDone(const grpc::Status& status) override ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:
-  Connection* const connection_;
+  RenewableConnection* const connection_;
   Listener* const listener_;
   grpc::ClientContext context_;
-  Connection::Watched watched_;
+  RenewableConnection::Watched watched_;
   v1::ActResponse incoming_;  // written by gRPC between StartRead and OnReadDone
 
   absl::Mutex mutex_;

@@ -60,7 +60,7 @@ class ServerCall {
   const std::function<void()> on_done_;
   Replica* const replica_;
   grpc::ClientContext context_;
-  Connection::Watched watched_;
+  RenewableConnection::Watched watched_;
   std::shared_ptr<void> request_;
   std::shared_ptr<void> response_;
   absl::Mutex mutex_;

@@ -167,7 +167,8 @@ BaselineComparison Comparison(double policy, double baseline) {
   return comparison;
 }
 
-Verdict JudgeShares(double policy, double baseline, std::optional<double> fall = std::nullopt) {
+PolicyVerdict JudgeShares(double policy, double baseline,
+                          std::optional<double> fall = std::nullopt) {
   return Judge(Comparison(policy, baseline), {"hip", "knee"}, fall);
 }
 
@@ -188,7 +189,7 @@ TEST(VerdictTest, ComparesTheShareExplainedWithWhatTheDataTeach) {
 }
 
 TEST(VerdictTest, ALossThatStillFallsIsUndertrained) {
-  const Verdict verdict = JudgeShares(0.9, 0.9, 0.07);
+  const PolicyVerdict verdict = JudgeShares(0.9, 0.9, 0.07);
   EXPECT_EQ(verdict.grade, Grade::kWeak);
   EXPECT_THAT(verdict.reason, HasSubstr("undertrained: the validation loss still fell by 7 %"));
   EXPECT_THAT(verdict.advice, ElementsAre("more iterations (--iterations)"));
@@ -204,7 +205,7 @@ TEST(VerdictTest, RequiresAGrade) {
   EXPECT_THAT(
       std::string(CheckGrade(JudgeShares(0.4, 0.4), Grade::kGood).message()),
       HasSubstr("--require: expected a verdict of good or better, received weak: it explains"));
-  const Verdict unmeasured = Judge(std::nullopt, {}, std::nullopt);
+  const PolicyVerdict unmeasured = Judge(std::nullopt, {}, std::nullopt);
   EXPECT_EQ(unmeasured.grade, Grade::kWeak);
   EXPECT_THAT(unmeasured.reason, HasSubstr("was not measured"));
 }

@@ -1,4 +1,4 @@
-#include "client/spikectl/every_server.h"
+#include "client/spikectl/admin_call.h"
 
 #include <iostream>
 #include <vector>
@@ -13,13 +13,13 @@ namespace {
 
 using nlohmann::ordered_json;
 
-void PrintOne(const ServerFlags& flags, const Answer& answer) {
+void PrintOne(const ServerFlags& flags, const ServerAnswer& answer) {
   std::cout << (flags.json ? answer.json.dump(2) : answer.text) << "\n";
 }
 
 // Returns the row of one server. `shared_by` is the server that has made the change for all, or
 // empty.
-ordered_json RowOf(const std::string& server, const absl::StatusOr<Answer>& answer,
+ordered_json RowOf(const std::string& server, const absl::StatusOr<ServerAnswer>& answer,
                    const std::string& shared_by) {
   ordered_json row = {{"server", server}};
   if (!shared_by.empty()) {
@@ -33,7 +33,7 @@ ordered_json RowOf(const std::string& server, const absl::StatusOr<Answer>& answ
   return row;
 }
 
-std::string TextOf(const absl::StatusOr<Answer>& answer, const std::string& shared_by) {
+std::string TextOf(const absl::StatusOr<ServerAnswer>& answer, const std::string& shared_by) {
   if (!shared_by.empty()) return absl::StrCat("shares what ", shared_by, " has changed");
   if (answer.ok()) return answer->text;
   return absl::StrCat("failed: ", answer.status().message(), " (",
@@ -42,8 +42,9 @@ std::string TextOf(const absl::StatusOr<Answer>& answer, const std::string& shar
 
 }  // namespace
 
-absl::Status OnEveryServer(const ServerFlags& flags,
-                           absl::FunctionRef<absl::StatusOr<Answer>(const ServerFlags&)> call) {
+absl::Status OnEveryServer(
+    const ServerFlags& flags,
+    absl::FunctionRef<absl::StatusOr<ServerAnswer>(const ServerFlags&)> call) {
   const std::vector<std::string> servers = absl::StrSplit(flags.server, ',');
   ServerFlags one = flags;
   if (servers.size() == 1) {
@@ -57,7 +58,7 @@ absl::Status OnEveryServer(const ServerFlags& flags,
   std::string shared_by;
   for (const std::string& address : servers) {
     one.server = std::string(absl::StripAsciiWhitespace(address));
-    absl::StatusOr<Answer> answer = Answer();
+    absl::StatusOr<ServerAnswer> answer = ServerAnswer();
     if (shared_by.empty()) answer = call(one);
     if (flags.json) {
       rows.push_back(RowOf(one.server, answer, shared_by));

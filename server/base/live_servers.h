@@ -1,6 +1,6 @@
 // The servers that share their settings and sessions, and which of them does what only one must do.
 //
-//   Replicas replicas("b7");
+//   LiveServers replicas("b7");
 //   replicas.SetAlive({"a1", "b7"});
 //   if (replicas.IsMine(rollout.replica)) Judge(rollout);
 //
@@ -18,10 +18,10 @@
 
 namespace spikeserve {
 
-class Replicas {
+class LiveServers {
  public:
   // `self` names this server; empty: it shares nothing.
-  explicit Replicas(std::string self = "") : self_(std::move(self)), alive_({self_}) {}
+  explicit LiveServers(std::string self = "") : self_(std::move(self)), alive_({self_}) {}
 
   const std::string& self() const { return self_; }
 
