@@ -55,29 +55,11 @@ def test_every_case_passes(request, tmp_path, fixture):
 GRPC_HEADERS = ["--header=content-type: application/grpc", "--header=te: trailers"]
 
 
-def test_a_get_is_answered(server):
-    fetched = run(require("nghttp"), "-v", "-n", f"http://{server.grpc}/{POLICY}/ListPolicies")
-    assert fetched.returncode == 0, fetched.stderr
-    (status,) = re.findall(r"recv \(stream_id=\d+\) :status: (\d+)", fetched.stdout)
-    assert status == "405"
-
-
 def test_a_get_over_tls_is_answered(tls_server):
     fetched = run(require("nghttp"), "-v", "-n", f"https://{tls_server.grpc}/{POLICY}/ListPolicies")
     assert fetched.returncode == 0, fetched.stderr
     assert "The negotiated protocol: h2" in fetched.stdout
     assert re.search(r"recv \(stream_id=\d+\) :status: \d+", fetched.stdout)
-
-
-def test_a_call_of_nghttp_has_its_trailers(server, tmp_path):
-    body = tmp_path / "request"
-    body.write_bytes(b"\0\0\0\0\0")
-    called = run(
-        *(require("nghttp"), "-v", "-n", *GRPC_HEADERS, f"--data={body}"),
-        f"http://{server.grpc}/{POLICY}/ListPolicies",
-    )
-    assert called.returncode == 0, called.stderr
-    assert "grpc-status: 0" in called.stdout
 
 
 @pytest.mark.parametrize("fixture", ["server", "tls_server"])

@@ -3,7 +3,6 @@
 import base64
 import contextlib
 import json
-import shutil
 import socket
 import ssl
 import struct
@@ -16,7 +15,7 @@ import pytest
 from contract import call, message_class, v1
 from http2_client import Http2Client, framed, headers
 from security import OBSERVATION, POLICY, SERVING, TOKENS, credentials, tls_flags
-from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, running_server
+from serving import DEADLINE_SECONDS, running_server
 
 LIST = f"/{POLICY}/ListPolicies"
 OPEN = f"/{POLICY}/OpenSession"
@@ -154,17 +153,6 @@ def test_binary_metadata_comes_padded_or_not(client, padded):
         client.call(LIST, EMPTY, x_bytes_bin=value if padded else value.rstrip("=")).grpc_status
         == OK
     )
-
-
-def test_a_status_message_is_percent_encoded(tmp_path):
-    policies = tmp_path / "π\n100%" / "policies"
-    shutil.copytree(SHIPPED_POLICIES / "cartpole", policies / "cartpole")
-    with running_server(policies=policies) as started, Http2Client(started.grpc) as client:
-        answer = client.call(
-            "/spikeserve.v1.PolicyAdmin/LoadPolicy",
-            v1("LoadPolicyRequest", policy="cartpole", version=9),
-        )
-    assert "%CF%80%0A100%25/policies/cartpole/9" in answer.grpc_message
 
 
 def test_a_message_in_frames_of_one_byte(client):

@@ -179,6 +179,8 @@ def test_options_reach_the_server(server):
         options = spikeserve.SessionOptions(
             version_label="old",
             routing_key="robot-7",
+            target_return=123.0,
+            labels={"robot": "a"},
             sample=True,
             record=True,
             learning=spikeserve.Learning(
@@ -186,7 +188,7 @@ def test_options_reach_the_server(server):
             ),
         )
         with client.open_session("cartpole", options) as session:
-            assert session.opening.version == 1
+            assert (session.opening.version, session.opening.target_return) == (1, 123.0)
             for _ in range(5):
                 session.act(np.zeros(4), 1.0)
             summary = session.end_episode(1.0, terminated=True)
@@ -194,6 +196,7 @@ def test_options_reach_the_server(server):
             state = session.state(include_head_delta=True)
             assert state.head_delta.any() and state.modulator_std > 0
             assert session.state().head_delta is None
+            assert state.labels == {"robot": "a"}
         learned = spikeserve.SessionOptions(version=1, head_delta=state.head_delta)
         with client.open_session("cartpole", learned) as session:
             assert session.state().head_drift == pytest.approx(state.head_drift)
@@ -233,6 +236,7 @@ def test_decisions_are_explained(server):
 
     async def explain():
         async with spikeserve.AsyncClient(server) as client:
+            assert "cartpole" in [policy.name for policy in await client.list_policies()]
             async with await client.open_session("cartpole") as session:
                 await session.act(np.zeros(4))
                 await session.act(np.zeros(4), 0.0)

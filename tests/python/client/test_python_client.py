@@ -1,7 +1,5 @@
 """The Python client against a real server with the shipped CartPole policy."""
 
-import asyncio
-
 import gymnasium
 import numpy as np
 import pytest
@@ -34,26 +32,6 @@ def test_a_decision_is_whole(session):
     assert decision.action_probabilities.sum() == pytest.approx(1)
     assert decision.return_to_go == session.opening.target_return
     assert decision.stats.spikes == sum(decision.stats.spikes_by_stage.values()) > 0
-
-
-def test_a_session_counts_its_steps_and_episodes(session):
-    for step in range(3):
-        assert session.act(OBSERVATION, reward=2.0).step == step
-    assert session.state().episode_return == 4.0
-    assert session.state().step == session.step == 3
-    summary = session.end_episode(reward=2.0, terminated=True)
-    assert (summary.episode_return, summary.steps) == (6.0, 3)
-    assert session.state().episode == 1
-    assert session.act(OBSERVATION).step == 0
-
-
-def test_options_reach_the_server(client):
-    options = spikeserve.SessionOptions(
-        version=1, target_return=123.0, sample=True, temperature=2.0, labels={"robot": "a"}
-    )
-    with client.open_session("cartpole", options) as session:
-        assert session.opening.target_return == session.act(OBSERVATION).return_to_go == 123.0
-        assert session.state().labels == {"robot": "a"}
 
 
 def test_seeds_decide_what_is_sampled(client):
@@ -104,44 +82,25 @@ def test_no_server():
         client.list_policies()
 
 
-def test_a_batch_has_a_result_for_each_session(client):
-    with client.open_session("cartpole") as good, client.open_session("cartpole") as bad:
-        decision, error = client.act_batch([good, bad], [OBSERVATION, [np.nan] * 4], [0.0, 0.0])
-        assert decision.step == 0
-        assert isinstance(error, spikeserve.InvalidArgumentError)
-        assert (good.step, bad.step) == (1, 0)
+def test_a_refused_request_does_not_end_the_stream(client):
+    with client.open_session("cartpole") as session, client.act_stream() as stream:
+        with pytest.raises(spikeserve.InvalidArgumentError, match="expected 4 numbers, received 1"):
+            stream.act(session, [0.5], timeout=30)
+        assert session.step == 0
+        assert stream.act(session, OBSERVATION, timeout=30).step == 0
+        assert session.step == 1
 
 
-def test_the_async_client_plays_many_agents_at_once(address, session):
-    expected = [session.act(OBSERVATION, reward=1.0).action_probabilities for _ in range(20)]
-
-    async def play(client):
-        async with await client.open_session("cartpole") as agent:
-            decisions = [await agent.act(OBSERVATION, reward=1.0) for _ in range(20)]
-            assert (await agent.state()).step == 20
-            summary = await agent.end_episode(1.0, truncated=True)
-            assert (summary.episode_return, summary.steps) == (20.0, 20)
-            return [decision.action_probabilities for decision in decisions]
-
-    async def play_all():
-        async with spikeserve.AsyncClient(address) as client:
-            assert "cartpole" in [policy.name for policy in await client.list_policies()]
-            return await asyncio.gather(*(play(client) for _ in range(8)))
-
-    for played in asyncio.run(play_all()):
-        np.testing.assert_array_equal(played, expected)
-
-
-def test_async_errors_and_batches(address):
-    async def scenario():
-        async with spikeserve.AsyncClient(address) as client:
-            with pytest.raises(spikeserve.NotFoundError, match='"nobody"'):
-                await client.open_session("nobody")
-            async with await client.open_session("cartpole") as agent:
-                (decision,) = await client.act_batch([agent], [OBSERVATION], [0.0])
-                assert (decision.step, agent.step) == (0, 1)
-
-    asyncio.run(scenario())
+def test_one_request_a_session_is_under_way(client):
+    with client.open_session("cartpole") as session, client.act_stream() as stream:
+        stream.send(session, OBSERVATION)
+        with pytest.raises(ValueError, match="expected no request under way"):
+            stream.send(session, OBSERVATION)
+        with pytest.raises(ValueError, match="expected no request under way"):
+            stream.act(session, OBSERVATION)
+        stream.receive(timeout=30)
+        with pytest.raises(spikeserve.DeadlineExceededError):
+            stream.receive(timeout=0.01)
 
 
 def test_evaluate_plays_unseen_seeds(address):

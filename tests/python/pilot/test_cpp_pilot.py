@@ -15,7 +15,6 @@ from test_pilot import (  # noqa: F401
     test_a_pilot_that_closes_fails_what_the_server_does_not_have,
     test_a_quick_link_gives_fresh_actions,
     test_a_server_that_loses_its_sessions_gets_a_new_one,
-    test_a_slow_link_is_used_with_requests_in_flight,
     test_an_answer_that_is_stale_is_never_executed,
     test_an_end_that_never_arrived_is_sent_again,
     test_each_beat_says_who_chose_its_action,

@@ -341,15 +341,6 @@ def test_an_answer_that_is_stale_is_never_executed(client, link, fly):
         flight.check_session(client)
 
 
-def test_a_slow_link_is_used_with_requests_in_flight(client, link, fly):
-    link.delay = 0.03  # a round trip takes six beats
-    with fly(client, local=False) as flight:
-        flight.until("fresh")
-        flight.fly(50)
-        flight.end()
-        flight.check_session(client)
-
-
 def test_the_newest_answer_that_could_arrive_is_executed(client, link, monkeypatch):
     """At 50 Hz, with a round trip of 50 ms, and 1 % of the segments lost."""
     arrived = [-1]  # steps of answers, in their order

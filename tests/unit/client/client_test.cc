@@ -54,14 +54,6 @@ TEST_F(ClientTest, AnUnreachableServerIsUnavailable) {
   EXPECT_THAT(client.status().message(), HasSubstr("/nonexistent/spikeserve.socket"));
 }
 
-TEST_F(ClientTest, RepeatsCallsThatChangeNothing) {
-  fake_.RefuseNext(2, kBusy);
-  const auto policies = client_->ListPolicies();
-  ASSERT_TRUE(policies.ok()) << policies.status();
-  EXPECT_EQ(policies->policies(0).name(), "fake");
-  EXPECT_EQ(fake_.calls(), 3);
-}
-
 TEST_F(ClientTest, KeepsTheServersMessageWhenGivingUp) {
   fake_.RefuseNext(100, kBusy);
   EXPECT_EQ(client_->ListPolicies().status(), absl::UnavailableError("draining"));
@@ -124,13 +116,6 @@ TEST_F(ClientTest, ABadItemDoesNotFailItsBatch) {
   EXPECT_EQ((*results)[1].status(),
             ForSession(absl::NotFoundError("session_id: no session \"nobody\"")));
   EXPECT_EQ((*results)[2]->session_id(), second);
-}
-
-TEST_F(ClientTest, ALostBatchIsNotDecidedAgain) {
-  const std::string id = OpenSession();
-  fake_.LoseNextReplies(1);
-  ASSERT_TRUE(client_->ActBatch({Request(id, 0)}).ok());
-  EXPECT_EQ(fake_.decisions(), 1);
 }
 
 TEST_F(ClientTest, ALostEndCountsOnceAndIsAnsweredAgain) {

@@ -13,7 +13,6 @@
 namespace spikeserve {
 namespace {
 
-using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
 class RemoteSessionTest : public ::testing::Test {
@@ -31,17 +30,6 @@ class RemoteSessionTest : public ::testing::Test {
   std::unique_ptr<Client> client_;
   const std::vector<float> observation_ = {0.5f, -1.0f};
 };
-
-TEST_F(RemoteSessionTest, CountsItsSteps) {
-  RemoteSession session = Open();
-  for (int step = 0; step < 3; ++step) {
-    EXPECT_EQ(session.step(), step);
-    const auto answer = session.Act(observation_, 1.0);
-    ASSERT_TRUE(answer.ok()) << answer.status();
-    EXPECT_EQ(answer->step(), step);
-  }
-  EXPECT_EQ(fake_.decisions(), 3);
-}
 
 TEST_F(RemoteSessionTest, TheStepMovesOnlyWithAnAnswer) {
   RemoteSession session = Open();
@@ -66,15 +54,6 @@ TEST_F(RemoteSessionTest, ARestartedAgentGetsItsLastAnswerAgain) {
   ASSERT_TRUE(again.ok()) << again.status();
   EXPECT_EQ(again->SerializeAsString(), last->SerializeAsString());
   EXPECT_EQ(after.Act(observation_, 1.0)->step(), 2);
-}
-
-TEST_F(RemoteSessionTest, MakesTheRequestOfItsStep) {
-  RemoteSession session(client_.get(), "mine", 4);
-  const v1::ActRequest request = session.MakeRequest(observation_, -0.25);
-  EXPECT_EQ(request.session_id(), "mine");
-  EXPECT_EQ(request.step(), 4);
-  EXPECT_THAT(request.observation(), ElementsAre(0.5f, -1.0f));
-  EXPECT_EQ(request.reward(), -0.25);
 }
 
 TEST_F(RemoteSessionTest, RefusesTheAnswerToSomethingElse) {
@@ -171,12 +150,6 @@ TEST_F(RemoteSessionTest, ALostSessionIsReplacedOnRequest) {
   ASSERT_TRUE(client_->CloseSession(other.session_id()).ok());
   EXPECT_TRUE(IsSessionLost(other.Act(observation_, 0.0).status()));
   EXPECT_TRUE(absl::IsFailedPrecondition(other.OpenAgain()));
-}
-
-TEST_F(RemoteSessionTest, CloseFreesTheSession) {
-  RemoteSession session = Open();
-  EXPECT_TRUE(session.Close().ok());
-  EXPECT_EQ(fake_.sessions(), 0);
 }
 
 }  // namespace

@@ -1,6 +1,5 @@
 #include "spikeserve/remote_stream.h"
 
-#include <map>
 #include <vector>
 
 #include "gtest/gtest.h"
@@ -21,30 +20,6 @@ class RemoteStreamTest : public ::testing::Test {
   FakePolicyService fake_;
   std::unique_ptr<Client> client_ = *Client::Create(fake_.channel());
 };
-
-TEST_F(RemoteStreamTest, ManySessionsShareAStreamInOrder) {
-  constexpr int kSessions = 50;
-  constexpr int kSteps = 20;
-  std::map<std::string, RemoteSession> sessions;
-  for (int i = 0; i < kSessions; ++i) {
-    RemoteSession session = Open();
-    sessions.emplace(session.session_id(), session);
-  }
-  const auto stream = client_->OpenStream();
-  for (int step = 0; step < kSteps; ++step) {
-    for (const auto& [id, session] : sessions) {
-      ASSERT_TRUE(stream->Send(RemoteSession(client_.get(), id, step).MakeRequest({}, 0.0)).ok());
-    }
-  }
-  for (int i = 0; i < kSessions * kSteps; ++i) {
-    const auto reply = stream->Receive(kPatience);
-    ASSERT_TRUE(reply.ok()) << reply.status();
-    ASSERT_TRUE(reply->response.ok()) << reply->response.status();
-    // Accept fails unless the steps of a session arrive in order.
-    ASSERT_TRUE(sessions.at(reply->session_id).Accept(*reply->response).ok());
-  }
-  EXPECT_EQ(fake_.decisions(), kSessions * kSteps);
-}
 
 TEST_F(RemoteStreamTest, ABadItemDoesNotEndTheStream) {
   RemoteSession session = Open();
@@ -102,27 +77,6 @@ TEST_F(RemoteStreamTest, ABrokenStreamStaysBrokenWithoutRetries) {
   ASSERT_TRUE(again.ok()) << again.status();
   EXPECT_EQ(again->response->SerializeAsString(), first->response->SerializeAsString());
   EXPECT_EQ(fake_.decisions(), 1);
-}
-
-TEST_F(RemoteStreamTest, AStreamThatBreaksGoesOnByItself) {
-  constexpr int kSessions = 10;
-  std::vector<RemoteSession> sessions;
-  for (int i = 0; i < kSessions; ++i) sessions.push_back(Open());
-  const auto stream = client_->OpenStream();
-  for (int step = 0; step < 5; ++step) {
-    fake_.BreakNextStream({step % 2 == 0 ? grpc::StatusCode::UNAVAILABLE
-                                         : grpc::StatusCode::CANCELLED,  // as proxies do
-                           "draining"});
-    for (RemoteSession& session : sessions) ASSERT_TRUE(stream->Send(&session, {}, 0.0).ok());
-    for (int i = 0; i < kSessions; ++i) {
-      const auto reply = stream->Receive(kPatience);
-      ASSERT_TRUE(reply.ok()) << reply.status();
-      ASSERT_TRUE(reply->response.ok()) << reply->response.status();
-      EXPECT_EQ(reply->session->session_id(), reply->session_id);
-      EXPECT_EQ(reply->session->step(), step + 1);
-    }
-  }
-  EXPECT_EQ(fake_.decisions(), 5 * kSessions);
 }
 
 TEST_F(RemoteStreamTest, AnIdleStreamThatBreaksIsOpenedByTheNextRequest) {

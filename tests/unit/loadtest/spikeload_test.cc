@@ -106,25 +106,6 @@ INSTANTIATE_TEST_SUITE_P(Modes, CallerTest,
 
 using CallTest = CallerTest;
 
-TEST_P(CallTest, AFailureThatPassesIsCountedAndRepeated) {
-  Caller caller = MakeCaller();
-  fake_.RefuseNext(1, {grpc::StatusCode::UNAVAILABLE, "overloaded"});
-  const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
-  EXPECT_GE(report.errors, 1);
-  EXPECT_EQ(report.first_error, absl::UnavailableError("overloaded"));
-  EXPECT_GE(report.decisions, 1);
-}
-
-TEST_P(CallTest, AFailureThatPassesIsNotCountedIfItsCallIsRepeated) {
-  RetryOptions retry;
-  retry.initial_backoff = absl::Milliseconds(1);
-  Caller caller = MakeCaller(retry);
-  fake_.RefuseNext(kAgents, {grpc::StatusCode::UNAVAILABLE, "overloaded"});
-  const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
-  EXPECT_EQ(report.errors, 0) << report.first_error;
-  EXPECT_GE(report.decisions, 1);
-}
-
 TEST_P(CallTest, AFailureIsCountedAfterTheLastTry) {
   RetryOptions retry;
   retry.max_attempts = 2;
@@ -146,18 +127,6 @@ TEST_P(CallTest, ALimitThatWasReachedRetiresNobody) {
 
 INSTANTIATE_TEST_SUITE_P(Modes, CallTest, ::testing::Values(LoadMode::kUnary, LoadMode::kBatch),
                          ModeName);
-
-using BrokenStreamTest = CallerTest;
-
-TEST_P(BrokenStreamTest, CountsEveryRequestUnderWayAndOpensAnotherStream) {
-  Caller caller = MakeCaller();
-  fake_.BreakNextStream({grpc::StatusCode::UNAVAILABLE, "draining"});
-  const LoadReport report = caller.RunClosedLoop(std::chrono::milliseconds(200));
-  EXPECT_GE(report.errors, kAgents - 1);
-  EXPECT_GE(report.decisions, kAgents);
-}
-
-INSTANTIATE_TEST_SUITE_P(Modes, BrokenStreamTest, ::testing::Values(LoadMode::kStream), ModeName);
 
 TEST(SimulatedAgentTest, ObservationsAreSeededAndWithinBounds) {
   static constexpr float kBound = 0.25f;

@@ -72,10 +72,6 @@ TEST_F(PolicyFileRefusalTest, Tensors) {
       {[](auto& c) { c.tensors["layers.2.coder.gain"] = Tensor::Zeros({16}); },
        "tensor \"layers.2.coder.gain\": not expected in a policy of mode full in float32"},
       {[](auto& c) {
-         c.tensors["head.weight"] = Tensor::Zeros({2, 17});
-       },
-       "tensor \"head.weight\": expected shape [2, 16], received [2, 17] with 34 values"},
-      {[](auto& c) {
          c.tensors["head.weight"] = Tensor::Zeros({16, 2});
        },
        "tensor \"head.weight\": expected shape [2, 16], received [16, 2] with 32 values"},
@@ -272,10 +268,7 @@ TEST_F(PolicyFileRefusalTest, Metadata) {
   set("modulator_mean", "inf",
       "modulator_mean: expected a finite number that fits float32, received \"inf\"");
   set("modulator_std", "0", "modulator_std: expected a positive finite number, received 0");
-  set("training", "", "training: expected valid JSON in UTF-8, received an error at byte 1");
   set("training", "[1, 2]", "training: expected a JSON object, received an array of 2");
-  set("training", R"({"seed": 1, "seed": 1})",
-      "training: expected every key once, received \"seed\" twice");
   ExpectRefused(refusals);
 }
 
@@ -290,12 +283,6 @@ TEST_F(PolicyFileRefusalTest, ActionSpace) {
   set(R"({"type": "MultiBinary", "n": 2})",
       "action_space.type: expected \"Discrete\" or \"Box\", received \"MultiBinary\"");
   set(R"({"type": "Discrete"})", "action_space: expected key \"n\", received none");
-  set(R"({"type": "Discrete", "n": "2"})",
-      "action_space.n: expected an integer from 0 to 2147483647, received \"2\"");
-  set(R"({"type": "Discrete", "n": 2.0})",
-      "action_space.n: expected an integer from 0 to 2147483647, received 2.0");
-  set(R"({"type": "Discrete", "n": -2})",
-      "action_space.n: expected an integer from 0 to 2147483647, received -2");
   set(R"({"type": "Discrete", "n": 4294967298})",
       "action_space.n: expected an integer from 0 to 2147483647, received 4294967298");
   set(R"({"type": "Discrete", "n": 0})", "action_space.n: expected at least 1, received 0");
@@ -349,9 +336,6 @@ TEST_F(PolicyFileRefusalTest, Config) {
   set("gate", 1, "config.gate: expected a string, received 1");
   set("hidden_size", "8",
       "config.hidden_size: expected an integer from 0 to 2147483647, received \"8\"");
-  set("heads", 2.5, "config.heads: expected an integer from 0 to 2147483647, received 2.5");
-  set("heads", nullptr, "config.heads: expected an integer from 0 to 2147483647, received null");
-  set("layers", -1, "config.layers: expected an integer from 0 to 2147483647, received -1");
   set("layers", 1000000000, "layers: expected 1 to 64, received 1000000000");
   set("hidden_size", 1 << 20, "hidden_size: expected 1 to 4096, received 1048576");
   set("hidden_size", 9, "hidden_size: expected a multiple of heads = 2, received 9");
@@ -360,8 +344,6 @@ TEST_F(PolicyFileRefusalTest, Config) {
   set("heads", 128, "heads: expected 1 to 64, received 128");
   set("routing_hidden_size", 0, "routing_hidden_size: expected 1 to 4096, received 0");
   set("ffn_size", 16385, "ffn_size: expected 1 to 16384, received 16385");
-  set("membrane_decay", "0.95",
-      "config.membrane_decay: expected a number that fits float32, received \"0.95\"");
   set("membrane_decay", 1e39,
       "config.membrane_decay: expected a number that fits float32, received 1e+39");
   set("membrane_decay", 2, "membrane_decay: expected 0 to 1, received 2");

@@ -126,29 +126,6 @@ class Robot {
   int64_t steps_ = 0;
 };
 
-TEST(StepLogTest, EveryBeatTravelsOnce) {
-  Robot robot(100);
-  for (const bool asks : {true, false, false, true, false, true}) {
-    robot.Step();
-    if (asks) {
-      EXPECT_TRUE(robot.Ask());
-    }
-  }
-  robot.Step();
-  robot.Step();
-  robot.log.End({.reward = 1.0});
-  EXPECT_FALSE(robot.log.is_complete());
-  EXPECT_FALSE(robot.Ask());
-  EXPECT_TRUE(robot.log.is_complete());
-  EXPECT_THAT(robot.session, ElementsAre(0, 1, 2, 3, 4, 5, 6, 7));
-  EXPECT_EQ(robot.log.oldest().steps, 8);
-  EXPECT_EQ(robot.log.oldest().last.back().executed.continuous[0], 7.0f);
-  robot.log.Settle(/*is_stored=*/false);
-  EXPECT_TRUE(robot.log.is_current());
-  EXPECT_EQ(robot.log.running().index, 1);
-  EXPECT_EQ(robot.log.running().first, 8);
-}
-
 TEST(StepLogTest, TheNextEpisodeIsAskedForWhileTheEndIsUnderWay) {
   Robot robot(100);
   for (int i = 0; i < 3; ++i) robot.Step();
@@ -171,49 +148,6 @@ TEST(StepLogTest, TheNextEpisodeIsAskedForWhileTheEndIsUnderWay) {
   EXPECT_TRUE(robot.log.is_complete());
 }
 
-TEST(StepLogTest, ALongHistoryTravelsInParts) {
-  Robot robot(1000);
-  for (int i = 0; i < 250; ++i) robot.Step();
-  EXPECT_FALSE(robot.Ask());
-  EXPECT_FALSE(robot.Ask());
-  EXPECT_TRUE(robot.Ask());
-  for (size_t i = 0; i < 250; ++i) EXPECT_EQ(robot.session[i], static_cast<float>(i));
-}
-
-TEST(StepLogTest, OfBeatsThatAreNotKeptTheRewardsTravel) {
-  Robot robot(10);
-  for (int i = 0; i < 30; ++i) robot.Step();
-  EXPECT_EQ(robot.log.dropped(), 19);
-  EXPECT_TRUE(robot.Ask());
-  EXPECT_EQ(robot.rewards, 435.0);
-  EXPECT_TRUE(std::isnan(robot.session[18]));
-  EXPECT_EQ(robot.session[19], 19.0f);
-}
-
-// Whatever the server expects, it is told what was executed before, or the context starts behind.
-TEST(StepLogTest, AServerThatLostBeatsIsToldWhatWasExecutedBeforeThem) {
-  for (const size_t kept : {2, 3, 5, 100}) {
-    for (size_t known = 0; known < 12; ++known) {
-      for (const bool ends : {false, true}) {
-        Robot robot(kept);
-        for (int i = 0; i < 12; ++i) {
-          robot.Step();
-          robot.Ask();
-        }
-        robot.session.resize(known);
-        EXPECT_TRUE(robot.log.Rewind(known, std::nullopt));
-        if (ends) robot.log.End({.reward = 1.0});
-        robot.Step();
-        EXPECT_EQ(robot.Ask(), !ends);
-        EXPECT_EQ(robot.session.size(), ends ? 12 : 13);
-        if (kept == 100) {
-          EXPECT_FALSE(std::isnan(robot.session[known]));
-        }
-      }
-    }
-  }
-}
-
 TEST(StepLogTest, TheLastBeatOfAnEpisodeOutlastsTheRing) {
   Robot robot(4);
   robot.Step();
@@ -224,44 +158,6 @@ TEST(StepLogTest, TheLastBeatOfAnEpisodeOutlastsTheRing) {
   EXPECT_TRUE(robot.log.is_complete());
   EXPECT_EQ(robot.rewards, 1.0);
   EXPECT_EQ(robot.session[1], 1.0f);
-}
-
-TEST(StepLogTest, AServerThatLostBeatsGetsThemAgain) {
-  Robot robot(100);
-  for (int i = 0; i < 20; ++i) {
-    robot.Step();
-    robot.Ask();
-  }
-  robot.session.resize(16);
-  EXPECT_TRUE(robot.log.Rewind(16, std::nullopt));
-  robot.Step();
-  EXPECT_TRUE(robot.Ask());
-  EXPECT_EQ(robot.session.size(), 21);
-  EXPECT_FALSE(robot.log.Rewind(22, std::nullopt));
-}
-
-// Its first answer may be that of a server that has died since.
-TEST(StepLogTest, ARequestSentAgainTellsWhatWasExecutedBefore) {
-  Robot robot(100);
-  for (int i = 0; i < 3; ++i) robot.Step();
-  EXPECT_TRUE(robot.Ask());
-  const Request request = robot.log.NextRequest();
-  EXPECT_EQ(request.step(), 2);
-  EXPECT_EQ(request.end - request.begin, 1);
-}
-
-TEST(StepLogTest, AStepWithoutAnObservationIsSentAsOne) {
-  Robot robot(100);
-  for (const bool sees : {true, true, false, false}) {
-    robot.Step(sees);
-    EXPECT_EQ(robot.Ask(), sees);
-  }
-  robot.log.End({.reward = 1.0});
-  EXPECT_FALSE(robot.Ask());
-  EXPECT_EQ(robot.session.size(), 4);
-  EXPECT_EQ(robot.session[1], 1.0f);
-  EXPECT_TRUE(std::isnan(robot.session[2]) && std::isnan(robot.session[3]));
-  EXPECT_EQ(robot.rewards, 6.0);
 }
 
 TEST(StepLogTest, MoreBlindStepsThanAHistoryHasCountAsRewards) {
@@ -324,31 +220,6 @@ TEST(StepLogTest, ASessionThatNoStoreHasKeepsNoEndedEpisode) {
   EXPECT_FALSE(robot.log.Rewind(2, 0));
 }
 
-// As far as its steps are kept; of older ones, their rewards. What is missing is counted.
-TEST(StepLogTest, ANewSessionHasTheWholeRunningEpisode) {
-  Robot robot(10);
-  for (int i = 0; i < 30; ++i) {
-    robot.Step();
-    robot.Ask();
-  }
-  EXPECT_EQ(robot.log.dropped(), 0);
-  robot.session.clear();
-  robot.rewards = 0.0;
-  robot.log.BeginAgain();
-  robot.Step();
-  EXPECT_TRUE(robot.Ask());
-  EXPECT_EQ(robot.session.size(), 31);
-  EXPECT_EQ(robot.rewards, 465.0);
-  EXPECT_EQ(robot.log.running().lost_steps, 0);
-  // Beats that the server has refused are not sent to the next session.
-  robot.log.BeginAgain(/*keeps_steps=*/false);
-  robot.session.clear();
-  robot.Step();
-  EXPECT_TRUE(robot.Ask());
-  EXPECT_THAT(robot.session, ElementsAre(31));
-  EXPECT_EQ(robot.log.running().lost_steps, 31);
-}
-
 TEST(ObservationTest, AnObservationHasItsSizeAndFiniteNumbers) {
   InvalidObservation why;
   std::array<float, 2> two = {1.0f, 2.0f};
@@ -358,29 +229,6 @@ TEST(ObservationTest, AnObservationHasItsSizeAndFiniteNumbers) {
   two[1] = NAN;
   EXPECT_FALSE(IsObservation(two, 2, &why));
   EXPECT_EQ(why.ToString(), "observation[1]: expected a finite number, received nan");
-}
-
-TEST(StepLogTest, ANewSessionGoesOnWithTheBeatsThatAreKept) {
-  Robot robot(100);
-  robot.Step();
-  robot.log.End({.reward = 1.0});
-  for (int i = 0; i < 5; ++i) robot.Step();
-  robot.log.BeginAgain();
-  EXPECT_TRUE(robot.Ask());
-  EXPECT_THAT(robot.session, ElementsAre(1, 2, 3, 4, 5));
-  EXPECT_EQ(robot.log.lost_episodes(), 1);
-  EXPECT_EQ(robot.log.running().index, 0);
-}
-
-TEST(StepLogTest, ManyEpisodesWithoutTheServerAreTooLong) {
-  Robot robot(100);
-  while (!robot.log.is_too_long()) {
-    robot.Step();
-    robot.log.End({.reward = 1.0});
-  }
-  robot.log.BeginAgain();
-  EXPECT_EQ(robot.log.lost_episodes(), 4096);
-  EXPECT_FALSE(robot.log.is_too_long());
 }
 
 TEST(AgesTest, PercentilesAreExactToTwoPercent) {
