@@ -46,17 +46,12 @@ def test_a_unary_call(server):
 
 
 def test_a_stream(server):
-    opened = grpcurl(
-        server.grpc, f"{POLICY}/OpenSession", flags=["-plaintext", "-d", '{"policy": "cartpole"}']
-    )
+    opened = grpcurl(server.grpc, f"{POLICY}/OpenSession", flags=["-plaintext", "-d", '{"policy": "cartpole"}'])
     session = answer_of(opened)["session_id"]
     requests = "".join(
-        json.dumps({"session_id": session, "step": step, "observation": OBSERVATION})
-        for step in range(20)
+        json.dumps({"session_id": session, "step": step, "observation": OBSERVATION}) for step in range(20)
     )
-    played = grpcurl(
-        server.grpc, f"{POLICY}/ActStream", flags=["-plaintext", "-d", "@"], input=requests
-    )
+    played = grpcurl(server.grpc, f"{POLICY}/ActStream", flags=["-plaintext", "-d", "@"], input=requests)
     assert played.returncode == 0, played.stderr
     assert played.stdout.count("session_id") == 20
     assert "error" not in played.stdout
@@ -81,6 +76,4 @@ def test_metadata_is_read(addresses):
 def test_tls(tls_server, certificates):
     flags = ["-cacert", certificates / "ca.pem"]
     assert answer_of(grpcurl(tls_server.grpc, f"{POLICY}/ListPolicies", flags=flags))["policies"]
-    assert (
-        grpcurl(tls_server.grpc, "list", flags=["-plaintext", "-connect-timeout=1"]).returncode != 0
-    )
+    assert grpcurl(tls_server.grpc, "list", flags=["-plaintext", "-connect-timeout=1"]).returncode != 0

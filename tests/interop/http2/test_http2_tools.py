@@ -64,9 +64,7 @@ def test_a_get_over_tls_is_answered(tls_server):
 
 @pytest.mark.parametrize("fixture", ["server", "tls_server"])
 def test_calls_of_h2load(request, tmp_path, fixture):
-    message = v1(
-        "ActBatchRequest", requests=[v1("ActRequest", session_id="x")] * 10
-    ).SerializeToString()
+    message = v1("ActBatchRequest", requests=[v1("ActRequest", session_id="x")] * 10).SerializeToString()
     body = tmp_path / "request"
     body.write_bytes(b"\0" + len(message).to_bytes(4) + message)
     scheme = "https" if fixture == "tls_server" else "http"

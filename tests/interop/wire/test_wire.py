@@ -149,10 +149,7 @@ def test_the_server_ends_a_watch_at_its_deadline(client):
 @pytest.mark.parametrize("padded", [True, False])
 def test_binary_metadata_comes_padded_or_not(client, padded):
     value = base64.b64encode(bytes(range(256))).decode()
-    assert (
-        client.call(LIST, EMPTY, x_bytes_bin=value if padded else value.rstrip("=")).grpc_status
-        == OK
-    )
+    assert client.call(LIST, EMPTY, x_bytes_bin=value if padded else value.rstrip("=")).grpc_status == OK
 
 
 def test_a_message_in_frames_of_one_byte(client):

@@ -104,9 +104,7 @@ def test_one_request_a_session_is_under_way(client):
 
 
 def test_evaluate_plays_unseen_seeds(address):
-    evaluation = spikeserve.evaluate(
-        "CartPole-v1", server=address, episodes=3, seed=FIRST_UNSEEN_SEED
-    )
+    evaluation = spikeserve.evaluate("CartPole-v1", server=address, episodes=3, seed=FIRST_UNSEEN_SEED)
     assert evaluation.policy == "cartpole"
     assert evaluation.mean_return >= 495, evaluation.returns
     assert evaluation.decisions == evaluation.returns.sum()

@@ -50,9 +50,7 @@ class FlakyServer:
         with concurrent.futures.ThreadPoolExecutor() as threads:
             server = grpc.server(threads)
             handlers = {name: self._handler(method) for name, method in METHODS.items()}
-            server.add_generic_rpc_handlers(
-                [grpc.method_handlers_generic_handler(SERVICE, handlers)]
-            )
+            server.add_generic_rpc_handlers([grpc.method_handlers_generic_handler(SERVICE, handlers)])
             port = server.add_insecure_port("127.0.0.1:0")
             server.start()
             yield f"127.0.0.1:{port}"
@@ -79,9 +77,7 @@ class FlakyServer:
                 cancelled.wait()
             return response
 
-        return grpc.unary_unary_rpc_method_handler(
-            handle, method.request.FromString, method.response.SerializeToString
-        )
+        return grpc.unary_unary_rpc_method_handler(handle, method.request.FromString, method.response.SerializeToString)
 
     def OpenSession(self, request, response, context):  # noqa: N802, as in the contract
         self.opened.append(request)
@@ -134,6 +130,8 @@ ATTEMPTS = 4
 RETRY = spikeserve.RetryOptions(max_attempts=ATTEMPTS, initial_backoff=0, max_backoff=0)
 PATIENT = spikeserve.ClientOptions(timeout=60, retry=RETRY)
 IMPATIENT = spikeserve.ClientOptions(timeout=0.5, retry=RETRY)
+QUICK = spikeserve.RetryOptions(initial_backoff=0.05, max_backoff=0.05, max_elapsed=1)
+LEARNING = spikeserve.Learning(scope="FLEET", rule="hebbian", clip=0.25)
 OBSERVATION = [0.0]
 
 
@@ -142,182 +140,159 @@ async def finish(result):
     return await result if inspect.isawaitable(result) else result
 
 
-@pytest.fixture
-def server():
-    return FlakyServer()
+def played(options=PATIENT, session_options=None):
+    """Makes a test of the coroutine function test(server, client, session, ...), with both clients of a FlakyServer.
+
+    `options` may be a function of the other arguments.
+    """
+
+    def decorate(test):
+        @pytest.mark.parametrize("client_class", [spikeserve.Client, spikeserve.AsyncClient])
+        def run(client_class, **arguments):
+            async def play(address):
+                client = client_class(address, options(**arguments) if callable(options) else options)
+                session = await finish(client.open_session("any", session_options))
+                await test(server, client, session, **arguments)
+                await finish(client.close())
+
+            server = FlakyServer()
+            with server.serving() as address:
+                asyncio.run(play(address))
+
+        more = list(inspect.signature(test).parameters.values())[3:]
+        parameter = inspect.Parameter("client_class", inspect.Parameter.KEYWORD_ONLY)
+        run.__signature__ = inspect.Signature([*more, parameter])
+        run.__doc__ = test.__doc__
+        run.pytestmark += getattr(test, "pytestmark", [])
+        return run
+
+    return decorate
 
 
-@pytest.fixture(params=[spikeserve.Client, spikeserve.AsyncClient])
-def play(server, request):
-    """Returns a function that runs scenario(client, session) with the server."""
-
-    def run(scenario, options=PATIENT, session_options=None):
-        async def run_scenario():
-            client = request.param(address, options)
-            session = await finish(client.open_session("any", session_options))
-            await scenario(client, session)
-            await finish(client.close())
-
-        with server.serving() as address:
-            asyncio.run(run_scenario())
-
-    return run
-
-
+@played(lambda fault: IMPATIENT if fault == "stuck" else PATIENT)
 @pytest.mark.parametrize("fault", ["unavailable", "lost", "stuck"])
-def test_a_repeated_step_is_taken_once(server, play, fault):
-    async def scenario(client, session):
-        for step in range(6):
-            server.faults["Act"] = [fault] if step == 2 else []
-            decision = await finish(session.act(OBSERVATION, reward=1.0))
-            assert (decision.step, decision.action) == (step, step % 2)
-        assert server.calls["Act"] >= 7
-        summary = await finish(session.end_episode(1.0))
-        assert (summary.steps, summary.episode_return) == (6, 6.0)
-
-    play(scenario, IMPATIENT if fault == "stuck" else PATIENT)
+async def test_a_repeated_step_is_taken_once(server, client, session, fault):
+    for step in range(6):
+        server.faults["Act"] = [fault] if step == 2 else []
+        decision = await finish(session.act(OBSERVATION, reward=1.0))
+        assert (decision.step, decision.action) == (step, step % 2)
+    assert server.calls["Act"] >= 7
+    summary = await finish(session.end_episode(1.0))
+    assert (summary.steps, summary.episode_return) == (6, 6.0)
 
 
-def test_the_last_attempt_raises_and_the_step_may_be_asked_again(server, play):
-    async def scenario(client, session):
+@played()
+async def test_the_last_attempt_raises_and_the_step_may_be_asked_again(server, client, session):
+    await finish(session.act(OBSERVATION))
+    server.faults["Act"] = ["lost"] * ATTEMPTS
+    with pytest.raises(spikeserve.UnavailableError, match="Act: UNAVAILABLE: connection reset"):
+        await finish(session.act(OBSERVATION, reward=1.0))
+    assert server.calls["Act"] == 1 + ATTEMPTS
+    assert session.step == 1
+    assert (await finish(session.act(OBSERVATION, reward=1.0))).step == 1
+    assert server.rewards == [0.0, 1.0]
+
+
+@played()
+async def test_the_last_deadline_raises(server, client, session):
+    server.faults["Act"] = ["stuck"] * ATTEMPTS
+    with pytest.raises(spikeserve.DeadlineExceededError, match="Act: DEADLINE_EXCEEDED"):
+        await finish(session.act(OBSERVATION, timeout=0.1))
+    assert session.step == 0
+
+
+@played()
+async def test_a_refused_call_waits_as_long_as_the_server_asks(server, client, session):
+    server.faults["Act"] = ["busy", "busy"]
+    assert (await finish(session.act(OBSERVATION))).step == 0
+    assert server.calls["Act"] == 3
+
+
+@played()
+async def test_a_pause_that_exceeds_the_timeout_is_not_begun(server, client, session):
+    for timeout in (30, None):  # of the call; the default of all retries is 30 s, too
+        server.faults["Act"] = ["full"]
+        with pytest.raises(spikeserve.ResourceExhaustedError, match="decisions_per_") as refused:
+            await finish(session.act(OBSERVATION, timeout=timeout))
+        assert refused.value.retry_after == 60
+    assert server.calls["Act"] == 2
+
+
+@played(spikeserve.ClientOptions(timeout=60, retry=QUICK))
+async def test_retries_end_after_max_elapsed(server, client, session):
+    server.faults["Act"] = ["unavailable"] * 1000
+    with pytest.raises(spikeserve.UnavailableError):
         await finish(session.act(OBSERVATION))
-        server.faults["Act"] = ["lost"] * ATTEMPTS
-        with pytest.raises(spikeserve.UnavailableError, match="Act: UNAVAILABLE: connection reset"):
-            await finish(session.act(OBSERVATION, reward=1.0))
-        assert server.calls["Act"] == 1 + ATTEMPTS
-        assert session.step == 1
-        assert (await finish(session.act(OBSERVATION, reward=1.0))).step == 1
-        assert server.rewards == [0.0, 1.0]
-
-    play(scenario)
+    assert 1 < server.calls["Act"] < 1000
 
 
-def test_the_last_deadline_raises(server, play):
-    async def scenario(client, session):
-        server.faults["Act"] = ["stuck"] * ATTEMPTS
-        with pytest.raises(spikeserve.DeadlineExceededError, match="Act: DEADLINE_EXCEEDED"):
-            await finish(session.act(OBSERVATION, timeout=0.1))
-        assert session.step == 0
-
-    play(scenario)
-
-
-def test_a_refused_call_waits_as_long_as_the_server_asks(server, play):
-    async def scenario(client, session):
-        server.faults["Act"] = ["busy", "busy"]
-        assert (await finish(session.act(OBSERVATION))).step == 0
-        assert server.calls["Act"] == 3
-
-    play(scenario)
+@played()
+async def test_each_attempt_has_its_deadline(server, client, session):
+    server.faults["Act"] = ["unavailable"]
+    await finish(session.act(OBSERVATION))
+    await finish(session.act(OBSERVATION, 0.0, timeout=7))
+    first, second, third = server.seconds_left["Act"]
+    assert third < 8 < min(first, second)
 
 
-def test_a_pause_that_exceeds_the_timeout_is_not_begun(server, play):
-    async def scenario(client, session):
-        for timeout in (30, None):  # of the call; the default of all retries is 30 s, too
-            server.faults["Act"] = ["full"]
-            with pytest.raises(spikeserve.ResourceExhaustedError, match="decisions_per_") as refused:
-                await finish(session.act(OBSERVATION, timeout=timeout))
-            assert refused.value.retry_after == 60
-        assert server.calls["Act"] == 2
-
-    play(scenario)
+@played()
+async def test_what_is_wrong_is_not_repeated(server, client, session):
+    session.cursor.step = 5
+    with pytest.raises(spikeserve.FailedPreconditionError, match="out of order"):
+        await finish(session.act(OBSERVATION, 0.0))
+    assert server.calls["Act"] == 1
 
 
-def test_retries_end_after_max_elapsed(server, play):
-    async def scenario(client, session):
-        server.faults["Act"] = ["unavailable"] * 1000
-        with pytest.raises(spikeserve.UnavailableError):
-            await finish(session.act(OBSERVATION))
-        assert 1 < server.calls["Act"] < 1000
-
-    patient = spikeserve.RetryOptions(initial_backoff=0.05, max_backoff=0.05, max_elapsed=1)
-    play(scenario, spikeserve.ClientOptions(timeout=60, retry=patient))
-
-
-def test_each_attempt_has_its_deadline(server, play):
-    async def scenario(client, session):
-        server.faults["Act"] = ["unavailable"]
-        await finish(session.act(OBSERVATION))
-        await finish(session.act(OBSERVATION, 0.0, timeout=7))
-        first, second, third = server.seconds_left["Act"]
-        assert third < 8 < min(first, second)
-
-    play(scenario)
-
-
-def test_what_is_wrong_is_not_repeated(server, play):
-    async def scenario(client, session):
-        session.cursor.step = 5
-        with pytest.raises(spikeserve.FailedPreconditionError, match="out of order"):
-            await finish(session.act(OBSERVATION, 0.0))
-        assert server.calls["Act"] == 1
-
-    play(scenario)
-
-
+@played(lambda faults: IMPATIENT if faults == ["stuck"] else PATIENT)
 @pytest.mark.parametrize("faults", [["unavailable"], ["lost"], ["lost", "unavailable"], ["stuck"]])
-def test_an_end_counts_once_and_its_summary_survives(server, play, faults):
-    async def scenario(client, session):
-        for _ in range(2):
-            server.faults["EndEpisode"] = list(faults)
-            for _ in range(3):
-                await finish(session.act(OBSERVATION, reward=2.0))
-            assert await finish(session.end_episode(2.0)) == spikeserve.EpisodeSummary(
-                episode_return=6.0, steps=3, spikes=33, energy_joules=1.5
-            )
-        assert server.episodes == 2
-
-    play(scenario, IMPATIENT if faults == ["stuck"] else PATIENT)
+async def test_an_end_counts_once_and_its_summary_survives(server, client, session, faults):
+    for _ in range(2):
+        server.faults["EndEpisode"] = list(faults)
+        for _ in range(3):
+            await finish(session.act(OBSERVATION, reward=2.0))
+        assert await finish(session.end_episode(2.0)) == spikeserve.EpisodeSummary(
+            episode_return=6.0, steps=3, spikes=33, energy_joules=1.5
+        )
+    assert server.episodes == 2
 
 
-def test_a_close_whose_answer_was_lost_is_a_close(server, play):
-    async def scenario(client, session):
-        server.faults["CloseSession"] = ["lost"]
-        await finish(session.close())
-        assert server.calls["CloseSession"] == 2
-        await finish(session.close())  # does nothing
-        assert server.calls["CloseSession"] == 2
-
-    play(scenario)
+@played()
+async def test_a_close_whose_answer_was_lost_is_a_close(server, client, session):
+    server.faults["CloseSession"] = ["lost"]
+    await finish(session.close())
+    assert server.calls["CloseSession"] == 2
+    await finish(session.close())  # does nothing
+    assert server.calls["CloseSession"] == 2
 
 
-def test_a_batch_is_repeated_as_a_whole(server, play):
-    async def scenario(client, session):
-        server.faults["ActBatch"] = ["lost", "unavailable"]
-        (decision,) = await finish(client.act_batch([session], [OBSERVATION], [0.0]))
-        assert decision.step == 0
-        assert server.calls["ActBatch"] == 3
-        assert len(server.answers) == 1
-
-    play(scenario)
+@played()
+async def test_a_batch_is_repeated_as_a_whole(server, client, session):
+    server.faults["ActBatch"] = ["lost", "unavailable"]
+    (decision,) = await finish(client.act_batch([session], [OBSERVATION], [0.0]))
+    assert decision.step == 0
+    assert server.calls["ActBatch"] == 3
+    assert len(server.answers) == 1
 
 
-def test_a_method_called_by_its_name_is_repeated_too(server, play):
-    async def scenario(client, session):
-        server.faults["ListPolicies"] = ["unavailable"]
-        method = METHODS["ListPolicies"]
-        assert await finish(client.call(method.name, method.request())) == method.response()
-        assert server.calls["ListPolicies"] == 2
-
-    play(scenario)
+@played()
+async def test_a_method_called_by_its_name_is_repeated_too(server, client, session):
+    server.faults["ListPolicies"] = ["unavailable"]
+    method = METHODS["ListPolicies"]
+    assert await finish(client.call(method.name, method.request())) == method.response()
+    assert server.calls["ListPolicies"] == 2
 
 
-def test_learning_is_asked_for(server, play):
-    async def scenario(client, session):
-        (request,) = server.opened
-        assert request.learning.scope == request.learning.FLEET
-        assert request.learning.rule == "hebbian"
-        assert request.learning.clip == 0.25
-        assert not request.learning.HasField("learning_rate")
-
-    learning = spikeserve.Learning(scope="FLEET", rule="hebbian", clip=0.25)
-    play(scenario, session_options=spikeserve.SessionOptions(learning=learning))
+@played(session_options=spikeserve.SessionOptions(learning=LEARNING))
+async def test_learning_is_asked_for(server, client, session):
+    (request,) = server.opened
+    assert request.learning.scope == request.learning.FLEET
+    assert request.learning.rule == "hebbian"
+    assert request.learning.clip == 0.25
+    assert not request.learning.HasField("learning_rate")
 
 
 def test_pauses_grow_to_their_limit():
-    options = spikeserve.RetryOptions(
-        max_attempts=6, initial_backoff=1, max_backoff=5, multiplier=2
-    )
+    options = spikeserve.RetryOptions(max_attempts=6, initial_backoff=1, max_backoff=5, multiplier=2)
     pauses = list(options.pauses())
     assert len(pauses) == 5
     for pause, full in zip(pauses, [1, 2, 4, 5, 5], strict=True):
