@@ -3,31 +3,25 @@
 
 #include <gtest/gtest.h>
 
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <string>
+
+#include "tests/support/temporary_directory.h"
 
 namespace spikeserve {
 
 // A fixture that gives each test an empty directory, which is removed when the test ends.
 class DirectoryTest : public testing::Test {
  protected:
-  DirectoryTest() {
-    std::string name = testing::TempDir() + "/spikeserve.XXXXXX";
-    directory_ = mkdtemp(name.data());
-  }
-  ~DirectoryTest() override { std::filesystem::remove_all(directory_); }
-
   std::string Path(const std::string& name = "policy.safetensors") const {
-    return directory_ / name;
+    return directory() / name;
   }
-
-  const std::filesystem::path& directory() const { return directory_; }
+  const std::filesystem::path& directory() const { return directory_.path(); }
 
  private:
-  std::filesystem::path directory_;
+  const TemporaryDirectory directory_;
 };
 
 inline void WriteBytes(const std::string& path, const std::string& bytes) {

@@ -1,13 +1,15 @@
-"""The generated pages of docs/reference are those of the programs. `make reference` writes them."""
+"""The generated pages of docs/reference are those of the programs (`make reference`), and its limits have tests."""
 
 import os
 import pathlib
+import re
 import subprocess
 import sys
 
 import pytest
 
 ROOT = pathlib.Path(__file__).parents[3]
+ROWS = [line for line in (ROOT / "docs/reference/limits.md").read_text().splitlines() if line.startswith("| ")][2:]
 PAGES = ("flags.md", "files.md", "metrics.md", "alerts.md", "errors.md", "policies.md")
 
 
@@ -19,6 +21,17 @@ def written(tmp_path_factory):
     return folder
 
 
+@pytest.mark.skipif("SPIKETRAIN_PROGRAM" not in os.environ, reason="without libtorch")
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_is_that_of_the_programs(written, page):
     assert (ROOT / "docs/reference" / page).read_text() == (written / page).read_text(), "run make reference"
+
+
+def names_of(row):
+    return re.findall(r"`(\w+)`", row.rsplit("|", 2)[1])
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.split("|")[1].strip())
+def test_a_limit_has_a_test(row, defined):
+    assert names_of(row)
+    assert set(names_of(row)) <= defined
