@@ -228,8 +228,6 @@ TORCH_LIBRARY_IMPL(aten, Meta, library) {
 }
 #endif
 
-constexpr int64_t kClips = 2, kSteps = 5;
-
 ClipTensors MetaClips(const Policy& policy) {
   const auto options = torch::TensorOptions(torch::kMeta).dtype(torch::kFloat);
   const auto numbers = options.dtype(torch::kLong);
