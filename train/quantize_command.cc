@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_format.h"
+#include "core/base/file.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/environment/environment.h"
@@ -23,10 +23,15 @@
 #include "train/evaluation/paired_evaluation.h"
 #include "train/evaluation/rounding_loss.h"
 #include "train/evaluation/training_record.h"
+#include "train/loss_gate.h"
 #include "train/record_flags.h"
 
 namespace spikeserve {
 namespace {
+
+constexpr char kAdvice[] =
+    "calibrate with more --data, keep more parts by --mode, train through the integers "
+    "(`spiketrain train --arithmetic=integer --init=POLICY`)";
 
 struct QuantizeFlags {
   std::string policy;
@@ -36,8 +41,8 @@ struct QuantizeFlags {
   std::vector<std::string> data;  // its calibration set; empty: episodes that the policy plays
   bool prune = false;
   EvaluationOptions options = {.episodes = 1000, .first_seed = 2'000'000};
-  double max_loss = 0.01;
-  bool allow_loss = false;
+  LossGate gate;
+  std::string returns;  // of both policies, that another program played; empty: play them
   Grade require = Grade::kBad;
   bool json = false;
 };
@@ -53,9 +58,7 @@ absl::Status CheckFlags(const QuantizeFlags& flags) {
   if (is_for_integer && flags.to != Arithmetic::kInteger) {
     return InvalidArgument("--mode, --data, --prune", "with --to=integer", "--to=float32");
   }
-  if (!(flags.max_loss >= 0.0 && flags.max_loss <= 1.0)) {
-    return InvalidArgument("--max_loss", "0 to 1", flags.max_loss);
-  }
+  RETURN_IF_ERROR(flags.gate.Validate());
   const absl::Status status = flags.options.Validate();
   return status.ok() ? status : NameFlag(status);
 }
@@ -123,26 +126,33 @@ absl::StatusOr<Policy> Round(const ConvertiblePolicy& parent, const QuantizeFlag
 // Plays both policies where their environment is ours and they differ; nothing otherwise.
 absl::StatusOr<std::optional<PairedEvaluation>> PlayBoth(const Policy& parent,
                                                          const Policy& integer,
-                                                         const EvaluationOptions& options) {
-  if (!integer.config.is_integer() || !MakeEnvironment(parent.environment).ok()) {
+                                                         const QuantizeFlags& flags) {
+  if (!integer.config.is_integer() || !flags.returns.empty() ||
+      !MakeEnvironment(parent.environment).ok()) {
     return std::optional<PairedEvaluation>();
   }
   ASSIGN_OR_RETURN(PairedEvaluation pair,
                    EvaluatePair(std::make_shared<const Policy>(parent),
-                                std::make_shared<const Policy>(integer), options));
+                                std::make_shared<const Policy>(integer), flags.options));
   return std::optional<PairedEvaluation>(std::move(pair));
 }
 
-// Measures what rounding cost, by returns or, where the environment is not ours, by the actions of
-// the recorded data.
+// Measures what rounding cost, by returns or, where nobody played, by the actions of the recorded
+// data.
 absl::StatusOr<std::optional<RoundingLoss>> MeasureLoss(
     const Policy& parent, const Policy& integer, const QuantizeFlags& flags,
     const std::optional<PairedEvaluation>& pair) {
+  if (!flags.returns.empty()) {
+    ASSIGN_OR_RETURN(const std::string json, ReadFile(flags.returns));
+    const absl::StatusOr<RoundingLoss> loss = ParseLostReturn(json);
+    if (!loss.ok()) return Annotate(loss.status(), "--returns");
+    return std::optional<RoundingLoss>(*loss);
+  }
   if (pair.has_value()) {
     ASSIGN_OR_RETURN(const RoundingLoss loss, LostReturn(parent, *pair));
     return std::optional<RoundingLoss>(loss);
   }
-  if (flags.data.empty() || flags.max_loss == 1.0) return std::optional<RoundingLoss>();
+  if (flags.data.empty() || flags.gate.max_loss == 1.0) return std::optional<RoundingLoss>();
   ASSIGN_OR_RETURN(const std::vector<Episode> episodes, CalibrationSet(parent, flags.data));
   return std::optional<RoundingLoss>(LostAgreement(parent, integer, episodes));
 }
@@ -174,12 +184,10 @@ PolicyVerdict VerdictOf(const std::optional<RoundingLoss>& loss, double most) {
     verdict.advice.push_back("--data with recorded episodes, which measures the agreement");
     return verdict;
   }
-  const bool kept = CheckLoss(*loss, most).ok();
+  const bool kept = !IsTooMuch(*loss, most);
   verdict.grade = kept ? Grade::kGood : Grade::kBad;
   verdict.figures = {{"rounding_loss", ToJson(*loss)}};
-  verdict.reason = absl::StrFormat(
-      "the integers lost %.2f %% of the range of the %s (95 %%: %.2f to %.2f %%)",
-      100.0 * loss->loss.mean, loss->measure, 100.0 * loss->loss.low, 100.0 * loss->loss.high);
+  verdict.reason = ToText(*loss);
   if (!kept) {
     verdict.advice.push_back("`spiketrain train --arithmetic=integer --init=POLICY`");
   }
@@ -192,15 +200,14 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
   const Policy& parent = source.policy;
   ASSIGN_OR_RETURN(const nlohmann::ordered_json sources, IdentifySources(flags.policy, flags.data));
   ASSIGN_OR_RETURN(Policy integer, Round(source, flags));
-  ASSIGN_OR_RETURN(const std::optional<PairedEvaluation> pair,
-                   PlayBoth(parent, integer, flags.options));
+  ASSIGN_OR_RETURN(const std::optional<PairedEvaluation> pair, PlayBoth(parent, integer, flags));
   ASSIGN_OR_RETURN(const std::optional<RoundingLoss> loss,
                    MeasureLoss(parent, integer, flags, pair));
-  if (loss.has_value() && !flags.allow_loss) RETURN_IF_ERROR(CheckLoss(*loss, flags.max_loss));
+  if (loss.has_value()) RETURN_IF_ERROR(flags.gate.Check(*loss, kAdvice));
   RETURN_IF_ERROR(MakeDirectoryOf(flags.out));
   integer.training = QuantizationRecord(command_line, sources, pair, loss, parent, integer.config);
   RETURN_IF_ERROR(WritePolicyFile(integer, flags.out));
-  const PolicyVerdict verdict = VerdictOf(loss, flags.max_loss);
+  const PolicyVerdict verdict = VerdictOf(loss, flags.gate.max_loss);
   nlohmann::ordered_json json = pair.has_value() ? ToJson(*pair) : nlohmann::ordered_json::object();
   json["verdict"] = ToJson(verdict);
   const std::string text = pair.has_value() ? ToText(*pair, "before", "after") : "";
@@ -214,17 +221,18 @@ void AddQuantizeCommand(Program& program) {
   const Command command =
       program.root().AddCommand("quantize", "Rounds a policy to integers, or converts one in int8");
   const auto flags = std::make_shared<QuantizeFlags>();
-  command.Flags("Rounding")
-      .Add("policy", "FILE", &flags->policy, "Policy file in float32, or in int8")
+  FlagGroup rounding = command.Flags("Rounding");
+  rounding.Add("policy", "FILE", &flags->policy, "Policy file in float32, or in int8")
       .Add("out", "FILE", &flags->out, "Policy file to write")
       .Add("to", EnumKind<Arithmetic>(), &flags->to,
            "Numbers of the new policy; float32 for one in int8")
       .Add("episodes", "N", &flags->options.episodes, "Episodes that both policies play")
       .Add("seed", "N", &flags->options.first_seed,
-           "Seed of the first start; later episodes count on")
-      .Add("max_loss", "SHARE", &flags->max_loss,
-           "Share of the return, or of agreement, that it may lose")
-      .AddSwitch("allow_loss", &flags->allow_loss, "Write a policy that lost more")
+           "Seed of the first start; later episodes count on");
+  flags->gate.AddTo(rounding);
+  rounding
+      .Add("returns", "FILE", &flags->returns,
+           "Returns of both policies from another program; default: play them")
       .Add("require", EnumKind<Grade>(), &flags->require,
            "Fail with a lower verdict; the policy is written all the same")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");

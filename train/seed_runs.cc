@@ -100,6 +100,9 @@ absl::Status Finish(const TrainFlags& flags, std::vector<SeedRun> runs) {
   const SeedSummary summary = Summarise(runs);
   TrainedPolicy& best = runs[summary.best].trained;
   const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
+  if (const auto& loss = best.summary.loss; loss.has_value()) {
+    RETURN_IF_ERROR(flags.gate.Check(*loss, kLossAdvice));
+  }
   ASSIGN_OR_RETURN(const std::string bytes, ReadFile(best.summary.path));
   RETURN_IF_ERROR(WriteFileAtomically(path, {bytes}));
   const nlohmann::ordered_json all = ToJson(runs, summary);
@@ -123,6 +126,7 @@ absl::Status TrainSeeds(const TrainFlags& flags, const std::string& command_line
   for (const uint64_t seed : seeds) {
     TrainFlags own = flags;
     own.trainer.options.seed = seed;
+    own.gate.allow_loss = true;  // the best one is checked
     own.out = absl::StrCat(flags.out, "/seed-", seed);
     // Without --data, every seed records its own.
     if (!source.has_value() || flags.data.empty()) {

@@ -29,7 +29,7 @@ absl::Status Train(const TrainFlags& flags, const std::string& command_line) {
        {MakeTrainOptions(flags.trainer).status(), CheckCount("episodes", flags.episodes),
         CheckCount("checkpoint_every", flags.checkpoint_every),
         CheckCount("validate_every", flags.validate_every),
-        CheckCount("data_memory", flags.data_memory)}) {
+        CheckCount("data_memory", flags.data_memory), flags.gate.Validate()}) {
     if (!status.ok()) return status;
   }
   if (!flags.seeds.empty()) return TrainSeeds(flags, command_line);
@@ -67,6 +67,8 @@ void AddFlags(Command command, TrainFlags* flags) {
       .Add("require", EnumKind<Grade>(), &flags->require,
            "Fail with a lower verdict; the policy is written all the same")
       .AddSwitch("json", &flags->json, "Print one JSON object instead of text");
+  FlagGroup integers = command.Flags("Integers (--arithmetic=integer with --init)");
+  flags->gate.AddTo(integers);
   FlagGroup shape = command.Flags("Shape");
   AddModeFlag(shape, &flags->shape);
   AddShapeFlags(shape, &flags->shape);

@@ -22,6 +22,7 @@
 #include "core/model/wiring_model.h"
 #include "train/baselines/comparison.h"
 #include "train/baselines/verdict.h"
+#include "train/data/clip_sampler.h"
 #include "train/evaluation/evaluation.h"
 #include "train/evaluation/training_record.h"
 #include "train/model/torch_model.h"
@@ -34,6 +35,9 @@
 #include "train/trainer/trainer.h"
 
 namespace spikeserve {
+
+const char kLossAdvice[] = "train on with more --iterations and --resume";
+
 namespace {
 
 absl::Status MakeDirectory(const std::string& path) {
@@ -135,12 +139,14 @@ absl::StatusOr<std::optional<Evaluation>> EvaluateIfPossible(const Policy& polic
 // `earlier` the record of the initial policy, or "{}" if there is none.
 std::string TrainingRecord(const std::string& command_line, const nlohmann::ordered_json& sources,
                            const TrainOptions& options, const Dataset& dataset, double validation,
-                           const std::optional<Evaluation>& evaluation, const ModelConfig& config,
+                           const std::optional<Evaluation>& evaluation,
+                           const std::optional<RoundingLoss>& loss, const ModelConfig& config,
                            const std::string& earlier) {
   nlohmann::ordered_json record = {{"command", command_line}};
   record.update(sources);
   record["seed"] = options.seed;
   record["data"] = dataset.recipe;
+  if (loss.has_value()) record["rounding_loss"] = ToJson(*loss);
   if (evaluation.has_value()) record["evaluation"] = ToJson(*evaluation, config);
   if (validation >= 0.0) record["validation_loss"] = validation;
   AddLineage(earlier, &record);
@@ -313,6 +319,25 @@ void Describe(const TrainOptions& options, const EpisodeSource& source, Policy* 
   if (episodes.ok()) AddWiringModel(*episodes, policy).IgnoreError();  // too few steps
 }
 
+// Measures what integers lost of what the float32 policy of --init returns on the same starts, or
+// agrees with in the episodes that are held out. Nothing in other trainings.
+absl::StatusOr<std::optional<RoundingLoss>> MeasureLoss(
+    const TrainOptions& options, const EpisodeSource& source, const Policy& initial,
+    const Policy& policy, const std::optional<Evaluation>& evaluation) {
+  if (evaluation.has_value()) {
+    ASSIGN_OR_RETURN(Evaluation before,
+                     Evaluate(std::make_shared<const Policy>(initial), evaluation->options));
+    ASSIGN_OR_RETURN(const RoundingLoss loss,
+                     LostReturn(initial, {.first = std::move(before), .second = *evaluation}));
+    return std::optional<RoundingLoss>(loss);
+  }
+  const std::vector<int> held_out = SplitEpisodes(source.entries(), options.validation).validation;
+  if (held_out.empty()) return std::optional<RoundingLoss>();
+  ASSIGN_OR_RETURN(std::vector<Episode> episodes, source.Read(held_out));
+  for (Episode& episode : episodes) episode.target_return = policy.target_return;
+  return std::optional<RoundingLoss>(LostAgreement(initial, policy, episodes));
+}
+
 // Writes the policy to --out, evaluates it, and writes it again with the result in its record.
 absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string& command_line,
                                      const nlohmann::ordered_json& sources,
@@ -322,16 +347,24 @@ absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string&
   const double validation = losses.empty() ? -1.0 : losses.back().second;
   const std::string path = absl::StrCat(flags.out, "/policy.safetensors");
   Describe(options, source, &policy);
-  // Whatever fails below only reports.
-  policy.training = TrainingRecord(command_line, sources, options, source.dataset(), validation,
-                                   std::nullopt, policy.config, initial.training);
-  RETURN_IF_ERROR(WritePolicyFile(policy, path));
+  const auto record = [&](const std::optional<Evaluation>& evaluation,
+                          const std::optional<RoundingLoss>& loss) {
+    policy.training = TrainingRecord(command_line, sources, options, source.dataset(), validation,
+                                     evaluation, loss, policy.config, initial.training);
+    return WritePolicyFile(policy, path);
+  };
+  const bool may_lose = policy.config.is_integer() && !flags.init.empty();
+  // Whatever fails below only reports, except a loss that is too large.
+  if (!may_lose) RETURN_IF_ERROR(record(std::nullopt, std::nullopt));
   ASSIGN_OR_RETURN(
       const std::optional<Evaluation> evaluation,
       EvaluateIfPossible(policy, {.episodes = flags.episodes, .delay = options.delay}));
-  policy.training = TrainingRecord(command_line, sources, options, source.dataset(), validation,
-                                   evaluation, policy.config, initial.training);
-  RETURN_IF_ERROR(WritePolicyFile(policy, path));
+  std::optional<RoundingLoss> loss;
+  if (may_lose) {
+    ASSIGN_OR_RETURN(loss, MeasureLoss(options, source, initial, policy, evaluation));
+    if (loss.has_value()) RETURN_IF_ERROR(flags.gate.Check(*loss, kLossAdvice));
+  }
+  RETURN_IF_ERROR(record(evaluation, loss));
   absl::StatusOr<std::optional<BaselineComparison>> comparison =
       std::optional<BaselineComparison>();
   // With a delay a baseline would imitate other labels and play another task.
@@ -344,6 +377,7 @@ absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string&
       .target_source = TargetSourceOf(flags, initial),
       .validation_loss = validation,
       .evaluation = evaluation,
+      .loss = loss,
       .spikes_on_data = spikes_on_data,
       .verdict = Judge(*comparison, ActionNames(source.dataset()), LossFall(losses)),
       .comparison = *std::move(comparison)};

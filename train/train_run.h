@@ -11,6 +11,7 @@
 #include "absl/status/statusor.h"
 #include "core/model/policy.h"
 #include "train/data/episode_source.h"
+#include "train/loss_gate.h"
 #include "train/record_flags.h"
 #include "train/train_flags.h"
 #include "train/train_summary.h"
@@ -39,6 +40,7 @@ struct TrainFlags {
   RecordFlags record;
   int episodes = 100;           // of the evaluation at the end
   bool no_baselines = false;    // do not compare the policy with baselines
+  LossGate gate;                // of --arithmetic=integer with --init
   Grade require = Grade::kBad;  // least verdict with which the command succeeds
   bool resume = false;
   bool overwrite = false;
@@ -54,6 +56,9 @@ absl::Status CheckOut(const TrainFlags& flags);
 // Reads the files of --data, or without that flag records data with the default recipe into --out.
 absl::StatusOr<EpisodeSource> MakeSource(const TrainFlags& flags);
 
+// What to do if the integers lost too much.
+extern const char kLossAdvice[];
+
 // The outcome of a training.
 struct TrainedPolicy {
   Policy policy;
@@ -61,7 +66,9 @@ struct TrainedPolicy {
 };
 
 // Trains a policy on `source`, evaluates it, and writes policy.safetensors and checkpoint.pt to
-// --out, a directory that it makes. `command_line` becomes a part of the policy's record.
+// --out, a directory that it makes. `command_line` becomes a part of the policy's record. A policy
+// in integers that lost too much of what the float32 one of --init returns is not written: the
+// checkpoint is, so that --resume continues.
 absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const EpisodeSource& source,
                                           const std::string& command_line);
 

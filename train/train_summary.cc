@@ -87,6 +87,7 @@ std::string ToText(const TrainSummary& summary, const Policy& policy) {
   if (summary.validation_loss >= 0.0) {
     absl::StrAppendFormat(&text, "validation loss: %.4f\n", summary.validation_loss);
   }
+  if (summary.loss.has_value()) absl::StrAppend(&text, ToText(*summary.loss), "\n");
   if (summary.comparison.has_value()) text += ToText(*summary.comparison);
   if (summary.evaluation.has_value()) {
     return absl::StrCat(text, "closed-loop play: ", ToText(*summary.evaluation, policy.config),
@@ -106,6 +107,7 @@ nlohmann::ordered_json ToJson(const TrainSummary& summary, const Policy& policy)
   json["target_return"] = policy.target_return;
   json["target_return_source"] = std::string(ToString(summary.target_source));
   if (summary.validation_loss >= 0.0) json["validation_loss"] = summary.validation_loss;
+  if (summary.loss.has_value()) json["rounding_loss"] = ToJson(*summary.loss);
   if (summary.comparison.has_value()) {
     json["baselines"] = ToJson(*summary.comparison, /*with_weights=*/false);
   }

@@ -15,6 +15,7 @@
 #include "train/baselines/verdict.h"
 #include "train/data/episode_source.h"
 #include "train/evaluation/evaluation.h"
+#include "train/evaluation/rounding_loss.h"
 
 namespace spikeserve {
 
@@ -33,6 +34,7 @@ struct TrainSummary {
   TargetSource target_source;
   double validation_loss;                // below 0: no episodes were held out
   std::optional<Evaluation> evaluation;  // absent: the environment cannot be played here
+  std::optional<RoundingLoss> loss;      // absent: not in integers, or of no float32 policy
   double spikes_on_data;                 // per decision; see SpikesOnData
   PolicyVerdict verdict;
   // Absent with --no_baselines, and for observations that are too large.

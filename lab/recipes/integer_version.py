@@ -93,7 +93,7 @@ def main():
     stage = pathlib.Path("stages/integer/policy.safetensors")
     # Paths are relative, so that the record does not depend on the machine.
     if arguments.train is not None:
-        command = ["train", "--arithmetic=integer", "--no_baselines", *shlex.split(arguments.train)]
+        command = ["train", "--arithmetic=integer", "--allow_loss", "--no_baselines", *shlex.split(arguments.train)]
         command += [f"--init={first}", "--data=data/expert-v0", f"--out={stage.parent}"]
     else:
         data = pathlib.Path("data/calibration-v0")

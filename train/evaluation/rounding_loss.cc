@@ -5,10 +5,13 @@
 #include <limits>
 #include <memory>
 #include <numeric>
+#include <utility>
 #include <vector>
 
+#include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "core/action/action_head.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/engine/factory/engine_factory.h"
@@ -80,17 +83,46 @@ std::vector<double> Agreements(const Policy& policy, absl::Span<const Episode> e
   return agreements;
 }
 
+// Returns the loss whose range ends at the return of random actions.
+RoundingLoss LossOf(double before, double random, std::vector<double> gains) {
+  // A policy that is no better than chance has nothing to lose.
+  const double range = std::max(before - random, 0.0);
+  for (double& gain : gains) gain = range > 0.0 ? -gain / range : 0.0;
+  return {.measure = "return", .range = range, .loss = MeanWithInterval(gains)};
+}
+
 }  // namespace
 
 absl::StatusOr<RoundingLoss> LostReturn(const Policy& parent, const PairedEvaluation& pair) {
   ASSIGN_OR_RETURN(const std::unique_ptr<Environment> environment,
                    MakeEnvironment(parent.environment));
-  // A policy that is no better than chance has nothing to lose.
-  const double range =
-      std::max(pair.first.mean_return() - RandomReturn(*environment, pair.first.options), 0.0);
-  std::vector<double> losses = pair.differences();
-  for (double& loss : losses) loss = range > 0.0 ? -loss / range : 0.0;
-  return RoundingLoss{.measure = "return", .range = range, .loss = MeanWithInterval(losses)};
+  return LossOf(pair.first.mean_return(), RandomReturn(*environment, pair.first.options),
+                pair.differences());
+}
+
+absl::StatusOr<RoundingLoss> ParseLostReturn(absl::string_view json) {
+  const auto object = nlohmann::json::parse(json, nullptr, /*allow_exceptions=*/false);
+  const auto numbers = [&](const char* key) {
+    std::vector<double> values;
+    if (!object.is_object() || !object.contains(key)) return values;
+    for (const auto& value : object[key]) {
+      values.push_back(value.is_number() ? value.get<double>() : std::nan(""));
+    }
+    return values;
+  };
+  const std::vector<double> before = numbers("before");
+  const std::vector<double> random = numbers("random");
+  std::vector<double> gains = numbers("after");
+  if (before.empty() || before.size() != gains.size() || random.size() != 1) {
+    return InvalidArgument("returns", "before and after, of as many episodes, and random",
+                           absl::StrCat(before.size(), ", ", gains.size(), " and ", random.size()));
+  }
+  for (size_t i = 0; i < gains.size(); ++i) gains[i] -= before[i];
+  const RoundingLoss loss = LossOf(
+      std::accumulate(before.begin(), before.end(), 0.0) / static_cast<double>(before.size()),
+      random[0], std::move(gains));
+  if (std::isfinite(loss.loss.mean)) return loss;
+  return InvalidArgument("returns", "finite numbers", "others");
 }
 
 RoundingLoss LostAgreement(const Policy& parent, const Policy& rounded,
@@ -102,14 +134,22 @@ RoundingLoss LostAgreement(const Policy& parent, const Policy& rounded,
   return {.measure = "agreement", .range = 1.0, .loss = MeanWithInterval(losses)};
 }
 
-absl::Status CheckLoss(const RoundingLoss& loss, double largest) {
-  if (loss.loss.mean <= largest || loss.loss.low <= 0.0) return absl::OkStatus();
-  return absl::FailedPreconditionError(absl::StrFormat(
-      "--max_loss: expected a loss of at most %.3g of the range of the %s, received %.3g: "
-      "calibrate "
-      "with more --data, keep more parts by --mode, train through the integers (`spiketrain train "
-      "--arithmetic=integer --init=POLICY`), or accept the loss by --allow_loss",
-      largest, loss.measure, loss.loss.mean));
+bool IsTooMuch(const RoundingLoss& loss, double largest) {
+  return loss.loss.mean > largest && loss.loss.low > 0.0;
+}
+
+absl::Status CheckLoss(const RoundingLoss& loss, double largest, absl::string_view advice) {
+  if (!IsTooMuch(loss, largest)) return absl::OkStatus();
+  return absl::FailedPreconditionError(
+      absl::StrFormat("--max_loss: expected a loss of at most %.3g of the range of the %s, "
+                      "received %.3g: %s, or accept the loss by --allow_loss",
+                      largest, loss.measure, loss.loss.mean, advice));
+}
+
+std::string ToText(const RoundingLoss& loss) {
+  return absl::StrFormat(
+      "the integers lost %.2f %% of the range of the %s (95 %%: %.2f to %.2f %%)",
+      100.0 * loss.loss.mean, loss.measure, 100.0 * loss.loss.low, 100.0 * loss.loss.high);
 }
 
 nlohmann::ordered_json ToJson(const RoundingLoss& loss) {

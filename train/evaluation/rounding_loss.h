@@ -3,6 +3,8 @@
 // All functions are thread-safe.
 #pragma once
 
+#include <string>
+
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
@@ -26,6 +28,11 @@ struct RoundingLoss {
 // Errors are those of MakeEnvironment.
 absl::StatusOr<RoundingLoss> LostReturn(const Policy& parent, const PairedEvaluation& pair);
 
+// The same for returns that another program played: a JSON object with the returns of both on equal
+// starts, `before` and `after`, and the mean one of random actions, `random`. INVALID_ARGUMENT if
+// the text is none.
+absl::StatusOr<RoundingLoss> ParseLostReturn(absl::string_view json);
+
 // Measures how much less the rounded policy agrees with the recorded actions. Both policies observe
 // the episodes without acting. A discrete action agrees or not; continuous ones agree by 1 minus
 // their mean distance, as a share of the bounds' distance. REQUIRES: at least one episode, of the
@@ -33,10 +40,15 @@ absl::StatusOr<RoundingLoss> LostReturn(const Policy& parent, const PairedEvalua
 RoundingLoss LostAgreement(const Policy& parent, const Policy& rounded,
                            absl::Span<const Episode> episodes);
 
-// Returns FAILED_PRECONDITION, with what to do, if the mean loss is larger than `largest` and
-// larger than chance explains at 95%.
-absl::Status CheckLoss(const RoundingLoss& loss, double largest);
+// Returns whether the mean loss is larger than `largest`, and larger than chance explains at 95 %.
+bool IsTooMuch(const RoundingLoss& loss, double largest);
+
+// Returns FAILED_PRECONDITION, with `advice`, if IsTooMuch().
+absl::Status CheckLoss(const RoundingLoss& loss, double largest, absl::string_view advice);
 
 nlohmann::ordered_json ToJson(const RoundingLoss& loss);
+
+// Returns, for example, "the integers lost 0.30 % of the range of the return (95 %: ...)".
+std::string ToText(const RoundingLoss& loss);
 
 }  // namespace spikeserve

@@ -93,13 +93,13 @@ def test_energy_stands_beside_that_of_a_dense_policy(page, server):
     [row, _] = status_of(addresses, "?metrics=false")["versions"]
     dense = row["dense_energy_joules_per_decision"]["int_sram_45nm"]
     energy, note, _ = page.tiles()["Energy / decision"]
-    assert energy.endswith(" µJ") and note == f"dense: {dense * 1e6:.3g} µJ"
+    assert energy.endswith(" nJ") and note == f"dense: {dense * 1e6:.3g} µJ"
     cell = page.evaluate("""(() => {
         const cell = document.querySelector("#policies-table td[data-label='Energy per decision']");
         return [cell.title, parseFloat(cell.style.getPropertyValue('--share'))];
     })()""")
     assert cell[0] == f"dense baseline: {dense * 1e6:.3g} µJ"
-    assert cell[1] == pytest.approx(100 * float(energy.removesuffix(" µJ")) * 1e-6 / dense, rel=0.2)
+    assert cell[1] == pytest.approx(100 * float(energy.removesuffix(" nJ")) * 1e-9 / dense, rel=0.2)
 
 
 def test_the_energy_model_is_chosen_among_those_of_the_server(page):

@@ -167,27 +167,39 @@ TEST(LostReturnTest, IsAShareOfTheDistanceFromRandomActions) {
   EXPECT_GT(loss->range, 450.0);
   EXPECT_LT(loss->range, 490.0);
   EXPECT_NEAR(loss->loss.mean, 330.0 / loss->range, 1e-9);
-  const absl::Status refused = CheckLoss(*loss, 0.01);
+  const absl::Status refused = CheckLoss(*loss, 0.01, "train");
   EXPECT_EQ(refused.code(), absl::StatusCode::kFailedPrecondition);
   EXPECT_THAT(refused.message(),
               HasSubstr("--max_loss: expected a loss of at most 0.01 of the range "
                         "of the return, received "));
-  EXPECT_THAT(refused.message(), HasSubstr("--arithmetic=integer"));
-  EXPECT_TRUE(CheckLoss(*loss, 0.9).ok());
+  EXPECT_THAT(refused.message(), HasSubstr(": train, or accept the loss by --allow_loss"));
+  EXPECT_FALSE(IsTooMuch(*loss, 0.9));
   EXPECT_EQ(ToJson(*loss)["measure"], "return");
 }
 
 TEST(LostReturnTest, ASmallLossAndOneThatChanceExplainsAreAccepted) {
   const Policy policy = CartPolePolicy(1);
-  EXPECT_TRUE(CheckLoss(*LostReturn(policy, Returning({500, 500}, {499, 498})), 0.01).ok());
+  EXPECT_FALSE(IsTooMuch(*LostReturn(policy, Returning({500, 500}, {499, 498})), 0.01));
   const PairedEvaluation noise = Returning({500, 400, 500, 450}, {400, 500, 450, 420});
   EXPECT_GT(LostReturn(policy, noise)->loss.mean, 0.01);
-  EXPECT_TRUE(CheckLoss(*LostReturn(policy, noise), 0.01).ok());
+  EXPECT_FALSE(IsTooMuch(*LostReturn(policy, noise), 0.01));
 }
 
 TEST(LostReturnTest, APolicyThatIsNoBetterThanChanceHasNothingToLose) {
   const auto loss = LostReturn(CartPolePolicy(1), Returning({9, 9}, {8, 8}));
   EXPECT_EQ(loss->loss.mean, 0.0);
+}
+
+TEST(LostReturnTest, ReturnsOfAnotherProgramAreJudgedAlike) {
+  const auto loss = ParseLostReturn(R"({"before": [110, 90], "after": [60, 40], "random": [0]})");
+  ASSERT_TRUE(loss.ok()) << loss.status();
+  EXPECT_EQ(loss->range, 100.0);
+  EXPECT_EQ(loss->loss.mean, 0.5);
+  for (const char* text :
+       {"", "[]", R"({"before": [1], "after": [], "random": [0]})",
+        R"({"before": [1], "after": ["x"], "random": [0]})", R"({"before": [1], "after": [1]})"}) {
+    EXPECT_EQ(ParseLostReturn(text).status().code(), absl::StatusCode::kInvalidArgument) << text;
+  }
 }
 
 TEST(LostAgreementTest, ComparesTheDecisionsWithTheRecordedActions) {

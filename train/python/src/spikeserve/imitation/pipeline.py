@@ -44,9 +44,6 @@ from spikeserve.printing import say
 # Every round of data has environment seeds of its own.
 _SEEDS_OF_A_ROUND = 50_000
 _BASELINE_EPISODES = 100
-_NORMAL_95 = 1.96
-# The largest share of the way from random actions to the policy that integers may lose.
-_LARGEST_LOSS = 0.01
 
 
 @dataclass(frozen=True)
@@ -336,14 +333,14 @@ class _Run:
         second_figures: Figures | None = None
         lost: list[str] = []
         if not self._is_dense:
-            stage = folder / "stages/quantized/policy.safetensors"
             # From the published file, so that its record names a parent that exists for others.
+            stage = folder / "stages/quantized/policy.safetensors"
             quantized = self._trainer.quantize(first, self._data, stage)
             second_figures = self._play_version(2, quantized)
-            lost = self._lost_return(first_figures, second_figures)
+            judged = folder / "stages/judged/policy.safetensors"
+            lost = self._lost_return(first, judged, first_figures, second_figures)
             if not lost:
-                loss = self._rounding_loss(first_figures, second_figures)
-                second = self._publish_version(2, quantized, second_figures, **loss)
+                second = self._publish_version(2, judged, second_figures)
         insight, baselines = self._explain(first, first_figures)
         comparison = insight.comparison
         compared = comparison.warnings if comparison else []
@@ -385,26 +382,26 @@ class _Run:
             ),
         )
 
-    def _lost_return(self, before: Figures, after: Figures) -> list[str]:
-        """Returns a warning if integers lost more than they may, and more than chance explains."""
-        fall, error = after.falls_by(before)
-        span = before.mean - self._chance().mean
-        if span <= 0 or fall <= _LARGEST_LOSS * span or fall <= _NORMAL_95 * error:
+    def _lost_return(
+        self, policy: pathlib.Path, judged: pathlib.Path, before: Figures, after: Figures
+    ) -> list[str]:
+        """Writes the integers and what they lost to `judged`. Returns a warning if too much."""
+        returns = {
+            "before": before.returns,
+            "after": after.returns,
+            "random": [self._chance().mean],
+        }
+        verdict = self._trainer.judge(policy, self._data, judged, returns)
+        if verdict["grade"] != "bad":
             return []
+        advice = " or ".join(verdict["advice"])
         return [
-            f"in integers the policy returns {after.mean:.4g} instead of {before.mean:.4g}, "
-            f"{fall / span:.1%} of the way from random actions less, so there is no version 2: "
-            "train it through the integers (spiketrain train --arithmetic=integer --init=FILE)"
+            f"in integers the policy returns {after.mean:.4g} instead of {before.mean:.4g}: "
+            f"{verdict['reason']}, so there is no version 2: try {advice}"
         ]
 
-    def _rounding_loss(self, before: Figures, after: Figures) -> dict[str, Any]:
-        """Returns the record of what integers lost, as `spiketrain quantize` writes it."""
-        span = max(before.mean - self._chance().mean, 0.0)
-        share = after.falls_by(before)[0] / span if span > 0 else 0.0
-        return {"rounding_loss": {"measure": "return", "range": span, "share": share}}
-
     def _publish_version(
-        self, version: int, source: pathlib.Path, figures: Figures, **record: Any
+        self, version: int, source: pathlib.Path, figures: Figures
     ) -> pathlib.Path:
         """Writes a policy with its evaluation as a version that can be served."""
         name = self._factory.policy_name
@@ -413,7 +410,7 @@ class _Run:
         settings = {"environment": self._factory.name, **self._settings()}
         target = folder / "policy.safetensors"
         if not target.is_file():  # a second writing would order the metadata differently
-            record |= {"evaluation": evaluation, "imitation": settings}
+            record = {"evaluation": evaluation, "imitation": settings}
             write_with_record(source, target, record)
         return target
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pathlib
 import shlex
@@ -10,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from spikeserve.check import check
 
@@ -76,11 +78,30 @@ class Spiketrain:
     ) -> pathlib.Path:
         """Writes the policy in integers, calibrated on the data, to the file `out`."""
         if not out.is_file():
-            source, target = self._relative(policy), self._relative(out)
-            files = f"--policy={source}", f"--out={target}", f"--data={self._datasets(data)}"
-            # What it lost is measured afterwards, on the starts of the evaluation.
-            self._run("quantize", "--prune", *files, "--episodes=1", "--max_loss=1")
+            # What it lost is judged afterwards, on the starts of the evaluation.
+            self._quantize(policy, data, out, "--episodes=1", "--max_loss=1")
         return out
+
+    def judge(
+        self, policy: pathlib.Path, data: Sequence[pathlib.Path], out: pathlib.Path, returns: Any
+    ) -> dict[str, Any]:
+        """Writes what quantize() does again, with what it lost in its record. Returns the verdict.
+
+        `returns` has those `before` and `after`, on equal starts, and the mean `random` one.
+        """
+        played = out.with_name("returns.json")
+        played.parent.mkdir(parents=True, exist_ok=True)
+        played.write_text(json.dumps(returns))
+        flags = f"--returns={self._relative(played)}", "--allow_loss", "--json"
+        verdict: dict[str, Any] = json.loads(self._quantize(policy, data, out, *flags))["verdict"]
+        return verdict
+
+    def _quantize(
+        self, policy: pathlib.Path, data: Sequence[pathlib.Path], out: pathlib.Path, *flags: str
+    ) -> str:
+        source, target = self._relative(policy), self._relative(out)
+        files = f"--policy={source}", f"--out={target}", f"--data={self._datasets(data)}"
+        return self._run("quantize", "--prune", *files, *flags)
 
     def compare(
         self, policy: pathlib.Path, data: Sequence[pathlib.Path], out: pathlib.Path
@@ -97,7 +118,7 @@ class Spiketrain:
     def _relative(self, path: pathlib.Path) -> pathlib.Path:
         return path.relative_to(self.folder)
 
-    def _run(self, *arguments: str) -> None:
+    def _run(self, *arguments: str) -> str:
         command = [self.program, *arguments]
         self.commands.append(shlex.join(command))
         environment = os.environ | {"OMP_NUM_THREADS": str(self.threads)}  # of `compare`
@@ -113,3 +134,4 @@ class Spiketrain:
             raise RuntimeError(
                 f"{shlex.join(command)}: status {finished.returncode}\n{finished.stdout}"
             )
+        return finished.stdout
