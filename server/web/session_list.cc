@@ -19,6 +19,7 @@
 #include "core/base/cbor.h"
 #include "core/base/json.h"
 #include "core/base/status_macros.h"
+#include "core/engine/energy.h"
 #include "core/session/session_id.h"
 #include "proto/json.h"
 #include "server/admin/session_info.h"
@@ -63,6 +64,19 @@ uint32_t UnusualOf(const Session& session) {
   return session.last_answer.has_value() ? session.last_answer->unusual_observations : 0;
 }
 
+// Returns the energy of the last decision, if the model applies to it.
+std::optional<double> LastEnergy(EnergyModel model, const AgentSession& agent) {
+  const auto& answer = agent.session().last_answer;
+  if (!answer.has_value()) return std::nullopt;
+  return EstimateEnergy(model, answer->counts, agent.policy().config);
+}
+
+// Orders by the model that leads. Figures of other models cannot be compared with its own.
+SortKey EnergyKey(absl::Duration /*idle*/, const AgentSession& agent) {
+  const std::optional<double> joules = LastEnergy(EnumNames(EnergyModel())[0].value, agent);
+  return {.number = joules.value_or(0.0), .missing = !joules.has_value()};
+}
+
 const std::map<std::string, ColumnKey>& Columns() {
   using Idle = absl::Duration;
   using Agent = const AgentSession&;
@@ -82,6 +96,7 @@ const std::map<std::string, ColumnKey>& Columns() {
       {"spikes_per_decision",
        [](Idle, Agent agent) { return SortKey{.number = SpikesPerDecision(agent.session())}; }},
       {"energy_joules", Number<&Session::energy_joules>},
+      {"energy_joules_per_decision", EnergyKey},
       {"unusual_observations",
        [](Idle, Agent agent) {
          return SortKey{.number = static_cast<double>(UnusualOf(agent.session()))};
@@ -315,6 +330,11 @@ ordered_json InfoJson(const ListedSession& listed) {
   json["mean_return"] = ended ? ordered_json(life.mean_return()) : ordered_json();
   json["last_return"] = ended ? ordered_json(life.last_return()) : ordered_json();
   json["unusual_observations"] = UnusualOf(listed.entry->agent.session());
+  ordered_json& energies = json["energy_joules_per_decision"] = ordered_json::object();
+  for (const auto& [model, name] : EnumNames(EnergyModel())) {
+    const auto joules = LastEnergy(model, listed.entry->agent);
+    if (joules.has_value()) energies[std::string(name)] = *joules;
+  }
   return json;
 }
 

@@ -62,6 +62,12 @@ export function needOf({needs_help: need}) {
     .sort(([, a], [, b]) => b - a).map(([name, share]) => `${name} ${fixed(share, 2)}`).join(', ')];
 }
 
+/** Returns the energy of a session's last decision by the first model that applies to it, and the name of the model. */
+export function energyOf({energy_joules_per_decision: energies}) {
+  const [model, joules] = Object.entries(energies)[0] ?? ['', undefined];
+  return [si(joules, 'J'), model];
+}
+
 /** Says whether the server is healthy, in the words of its alerts: {good, word, alerts}. */
 export function healthOf({serving, alerts}) {
   const of = (state) => alerts.filter((alert) => alert.state === state).length;

@@ -2,7 +2,7 @@
 import {makeChart} from './charts.js';
 import {drawDecision, rangeRow} from './explain.js';
 import {fetchJson} from './fetch.js';
-import {NOTHING, count, duration, element, fixed, nameOf, needOf, setText, si} from './format.js';
+import {NOTHING, count, duration, element, energyOf, fixed, nameOf, needOf, setText, si} from './format.js';
 import {Scene} from './scene.js';
 import {Seat} from './seat.js';
 import {TileGrid} from './tiles.js';
@@ -163,6 +163,7 @@ export class SessionView {
     const labels = Object.entries(session.labels).map(([key, value]) => `${key}=${value}`).join(' ');
     const {history} = session;
     const seconds = history.decisions.reduce((sum, point) => sum + point.count * point.mean_seconds, 0);
+    const [energy, model] = energyOf(session);
     const counted = history.decisions.reduce((sum, point) => sum + point.count, 0);
     this.tiles.show([
       {label: nameOf(session), value: `${session.policy}/${session.version}`,
@@ -178,7 +179,7 @@ export class SessionView {
       {label: 'Spikes / decision', value: decisions ? fixed(Number(session.spikes) / decisions) : NOTHING,
        note: `${count(Number(session.spikes))} spikes`},
       {label: 'Time of a decision', value: si(counted ? seconds / counted : undefined, 's'), note: 'mean'},
-      {label: 'Energy', value: si(session.energy_joules, 'J'), note: 'horowitz_45nm, no memory'},
+      {label: 'Energy of a decision', value: energy, note: model},
       ...helpTiles(session),
     ]);
     if (!this.plots) {

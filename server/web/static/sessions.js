@@ -1,13 +1,13 @@
 // The table of sessions. The server filters, sorts and pages it, so the page stays fast with 100,000 sessions.
 import {fetchJson} from './fetch.js';
-import {NOTHING, count, duration, element, fixed, nameOf, needOf, sessionLink, setText, si} from './format.js';
+import {NOTHING, count, duration, element, energyOf, fixed, nameOf, needOf, sessionLink, setText, si} from './format.js';
 import {Table} from './table.js';
 
 const PAGE_SIZE = 50;
 // The questions of operators: [text, column, descending].
 const ORDERS = [
   ['Needs help', 'needs_help', true],
-  ['Most energy', 'energy_joules', true],
+  ['Most energy', 'energy_joules_per_decision', true],
   ['Lowest return', 'mean_return', false],
   ['Most spikes', 'spikes_per_decision', true],
   ['Unusual observations', 'unusual_observations', true],
@@ -52,7 +52,10 @@ export class Sessions {
       number('decisions', 'Decisions', count),
       {key: 'spikes_per_decision', label: 'Spikes per decision', value: (row) => row.spikes,
        text: (row) => fixed(row.decisions > 0 ? row.spikes / row.decisions : undefined)},
-      number('energy_joules', 'Energy so far', (x) => si(x, 'J')),
+      {key: 'energy_joules_per_decision', label: 'Energy of a decision',
+       value: (row) => row.energy_joules_per_decision.int_sram_45nm, text: (row) => energyOf(row).join(' '), update: (cell, row) => {
+        [cell.textContent, cell.title] = energyOf(row);
+      }},
       number('unusual_observations', 'Unusual now', count),
       {key: 'needs_help', label: 'Needs help', value: (row) => row.needs_help?.score,
        text: (row) => needOf(row).join(' '), update: (cell, row) => {
@@ -61,7 +64,7 @@ export class Sessions {
       number('head_drift', 'Head drift', (x) => fixed(x, 4)),
       {key: 'beats', label: 'Beats not fresh', text: notFresh},
       number('idle_seconds', 'Idle', duration),
-    ], {sort: 'energy_joules', descending: true, key: (row) => row.session_id, onSort: () => this.restart()});
+    ], {sort: 'energy_joules_per_decision', descending: true, key: (row) => row.session_id, onSort: () => this.restart()});
     this.filter.addEventListener('input', () => this.restart());
     this.previous.addEventListener('click', () => {
       this.tokens.pop();

@@ -110,6 +110,9 @@ def test_evaluate_plays_unseen_seeds(address):
     assert evaluation.decisions == evaluation.returns.sum()
     assert 0 < evaluation.spikes_per_decision < 1000
     assert str(evaluation).startswith("cartpole/2 plays CartPole-v1: return ")
+    assert str(evaluation).endswith(" nJ (estimated by int_sram_45nm) a decision")
+    default = sum(episode.energy_joules for episode in evaluation.episodes) / evaluation.decisions
+    assert evaluation.energy_joules_per_decision > default > 0  # which has no memory
 
 
 def test_evaluate_refuses_what_does_not_fit(address):

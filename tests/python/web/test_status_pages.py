@@ -10,7 +10,7 @@ from serving import SHIPPED_POLICIES, add_version, http_call, page_of, running_s
 OBSERVATIONS = {"robot": [0.01, -0.02, 0.03, 0.1], "pendulum": [0.1, 0.2, 0.3]}
 COLUMNS = (
     *("session_id", "policy", "episode", "step", "episode_return", "decisions"),
-    *("mean_return", "last_return", "spikes_per_decision", "energy_joules", "head_drift", "idle_seconds"),
+    *("mean_return", "last_return", "spikes_per_decision", "energy_joules", "energy_joules_per_decision", "head_drift", "idle_seconds"),
 )
 
 
@@ -103,6 +103,7 @@ def test_sessions_are_filtered_sorted_and_paged(server):
     assert (session["policy"], session["version"], session["step"]) == ("pendulum", "1", "1")
     assert session["labels"] == {"robot": "C-3PO"}
     assert session["energy_joules"] > 0
+    assert list(session["energy_joules_per_decision"]) == ["int_sram_45nm", "int_45nm", "horowitz_45nm", "spike_5pj"]
 
 
 def test_a_row_has_every_field_of_its_session(server):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import grpc
@@ -18,9 +18,25 @@ from spikeserve.distance import Arrivals, Distance
 from spikeserve.errors import SessionLostError, SpikeserveError
 from spikeserve.session import Session
 from spikeserve.spaces import as_action_space, check_observation_space
-from spikeserve.values import EpisodeSummary, Policy, SessionOptions
+from spikeserve.values import Decision, EpisodeSummary, Policy, SessionOptions
 
 _TRIES = 3  # of an episode whose session is lost
+
+
+@dataclass
+class EnergyMeter:
+    """The estimated energy of decisions, by the model that leads for their policy."""
+
+    model: str = ""
+    joules: float = 0.0
+    decisions: int = 0
+
+    def add(self, decision: Decision) -> Decision:
+        """Counts a decision, and returns it."""
+        self.model, joules = decision.stats.leading_energy
+        self.joules += joules
+        self.decisions += 1
+        return decision
 
 
 @dataclass(frozen=True)
@@ -31,6 +47,7 @@ class Evaluation:
     policy: str
     version: int
     episodes: list[EpisodeSummary]
+    energy: EnergyMeter = field(default_factory=EnergyMeter)  # also of episodes played again
 
     @property
     def returns(self) -> NDArray[np.float64]:
@@ -59,15 +76,16 @@ class Evaluation:
 
     @property
     def energy_joules_per_decision(self) -> float:
-        """Returns the mean energy of a decision over all episodes, an estimate."""
-        return sum(episode.energy_joules for episode in self.episodes) / self.decisions
+        """Returns the mean energy of a decision, an estimate by `energy.model`."""
+        return self.energy.joules / self.energy.decisions
 
     def __str__(self) -> str:
         return (
             f"{self.policy}/{self.version} plays {self.env_id}: return {self.mean_return:.1f} "
             f"± {self.std_return:.1f} over {len(self.episodes)} episodes, "
             f"{self.spikes_per_decision:.0f} spikes and "
-            f"{self.energy_joules_per_decision * 1e9:.2f} nJ (estimated) a decision"
+            f"{self.energy_joules_per_decision * 1e9:.2f} nJ (estimated by {self.energy.model}) "
+            "a decision"
         )
 
 
@@ -139,7 +157,7 @@ def evaluate(
         opening.check_action_space(as_action_space(environment.action_space))
         check_observation_space(environment.observation_space, opening.observation_size, name)
         result = Evaluation(env_id, name, opening.version, [])
-        play = functools.partial(_play, environment, session, distance=distance)
+        play = functools.partial(_play, environment, session, distance, result.energy)
         _play_all(result, play, range(seed, seed + episodes))
         return result
 
@@ -170,12 +188,14 @@ def _make_environment(
     return environment
 
 
-def _play(environment: Any, session: Session, seed: int, distance: Distance) -> EpisodeSummary:
+def _play(
+    environment: Any, session: Session, distance: Distance, meter: EnergyMeter, seed: int
+) -> EpisodeSummary:
     """Plays an episode, again from its start if its session was lost and reopened on the way."""
     for _ in range(_TRIES):
         before = session.reopened
         try:
-            summary = play_episode(environment, session, seed, distance)
+            summary = play_episode(environment, session, seed, distance, meter)
         except SessionLostError:
             if not session.reopens:
                 raise
@@ -199,27 +219,32 @@ def choose_policy(policies: list[Policy], env_id: str) -> Policy:
 
 
 def play_episode(
-    environment: Any, session: Session, seed: int, distance: Distance | None = None
+    environment: Any,
+    session: Session,
+    seed: int,
+    distance: Distance | None = None,
+    meter: EnergyMeter | None = None,
 ) -> EpisodeSummary:
-    """Plays one episode of a Gymnasium environment."""
+    """Plays one episode of a Gymnasium environment. Adds its energy to `meter`."""
+    meter = meter or EnergyMeter()
     if distance is not None and not distance.is_none:
-        return _play_far_away(environment, session, seed, distance)
+        return _play_far_away(environment, session, seed, distance, meter)
     observation, _ = environment.reset(seed=seed)
     reward, terminated, truncated = 0.0, False, False
     while not (terminated or truncated):
-        action = session.act(observation, reward).action
+        action = meter.add(session.act(observation, reward)).action
         observation, reward, terminated, truncated, _ = environment.step(action)
     return session.end_episode(float(reward), terminated, truncated, observation=observation)
 
 
 def _play_far_away(
-    environment: Any, session: Session, seed: int, distance: Distance
+    environment: Any, session: Session, seed: int, distance: Distance, meter: EnergyMeter
 ) -> EpisodeSummary:
     arrivals = Arrivals(distance, as_action_space(environment.action_space), seed)
     observation, _ = environment.reset(seed=seed)
     reward, terminated, truncated, step, executed = 0.0, False, False, 0, None
     while not (terminated or truncated):
-        decided = session.act(observation, reward, executed_action=executed).action
+        decided = meter.add(session.act(observation, reward, executed_action=executed)).action
         executed = arrivals.executed(step, decided)
         observation, reward, terminated, truncated, _ = environment.step(executed)
         step += 1

@@ -204,6 +204,13 @@ class Stats(FromMessage, message="DecisionStats"):
     int_energy_joules: float | None  # by int_45nm; None for a policy in float32
     int_sram_energy_joules: float | None  # by int_sram_45nm; None for a policy in float32
 
+    @property
+    def leading_energy(self) -> tuple[str, float]:
+        """Returns the energy model that leads and its joules: with memory, where it applies."""
+        if self.int_sram_energy_joules is None:
+            return "horowitz_45nm", self.energy_joules
+        return "int_sram_45nm", self.int_sram_energy_joules
+
 
 @dataclass(frozen=True)
 class Hold(FromMessage):
