@@ -3,7 +3,7 @@ LAB := build/release
 LAB_PYTHON = PYTHONPATH=$$(ls -td $(LAB)/tests/python_client-* | head -1):$(LAB)/python:lab/recipes build/venv/bin/python
 LAB_CLIENT = ctest --test-dir $(LAB) --output-on-failure --tests-regex '^python_client_install$$'
 
-.PHONY: lab lab-test lab-study lab-train lab-bench lab-beats lab-parts lab-chips lab-ope
+.PHONY: lab lab-test lab-study lab-train lab-bench lab-beats lab-parts lab-chips lab-ope lab-frontier
 
 lab:
 	$(SETUP) server build
@@ -67,3 +67,10 @@ lab-ope:
 	cmake --preset lab $(if $(VERBOSE),,--log-level=WARNING)
 	cmake --build $(LAB) --target ope_coverage
 	$(LAB)/bin/ope_coverage --out=lab/evidence/ope.csv
+
+# Trains spiking policies and event-driven rivals on a task with sparse observations: lab/evidence/frontier.md. Continues a run that
+# was interrupted. FRONTIER_FLAGS="--seeds=10 --widths=16,32,64 --iterations=10000" compares more, for longer.
+lab-frontier: lab
+	$(LAB_CLIENT)
+	$(LAB_PYTHON) lab/frontier/frontier.py --work=build/frontier --out=build/frontier/runs.csv --spiketrain=$(LAB)/bin/spiketrain \
+	  $(FRONTIER_FLAGS)

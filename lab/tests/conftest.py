@@ -8,7 +8,7 @@ import pytest
 
 LAB = pathlib.Path(__file__).parents[1]
 ROOT = LAB.parent
-sys.path[:0] = [str(LAB / folder) for folder in ("study", "report", "recipes", "bench")] + [
+sys.path[:0] = [str(LAB / folder) for folder in ("study", "report", "recipes", "bench", "frontier")] + [
     str(ROOT / "tests" / folder) for folder in ("python", "python/train", "microcontroller")
 ]
 
