@@ -5,7 +5,8 @@ usage: lab/bench/corrections.py [--seeds=10] [--starts=20] [TASK...]
 
 Needs spikeserve_engine, whose sessions learn as the server's do, bit for bit. In each seed, an operator plays whole episodes
 until STEPS steps are corrected. Then the head plays from starts that no operator has seen, in a frozen session; from the same
-starts, the operator and the policy play alone.
+starts, the operator and the policy play alone. The last columns have what rewards alone teach in as many steps, with the settings
+of lab/evidence/online-learning.md.
 """
 
 import argparse
@@ -20,7 +21,12 @@ import gymnasium
 import numpy as np
 from spikeserve_engine import Engine, Learning
 
-POLICIES = pathlib.Path(__file__).parents[2] / "deploy/policies"
+ROOT = pathlib.Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "lab/recipes"))
+
+from experts import land
+
+POLICIES = ROOT / "deploy/policies"
 STEPS = (25, 100, 1000)
 UNSEEN = 2_000_000
 
@@ -154,6 +160,25 @@ class WeakAcrobot:
         return np.array([speed1, speed2, -(d2 * turn2 + phi1) / d1, turn2])
 
 
+class WeakLander:
+    """The main engine has 0.7 of its power. The operator follows the expert's rule with constants for that, found by random search."""
+
+    policy = "lunar-lander"
+    power = 0.7
+
+    def make(self):
+        from gymnasium.envs.box2d import lunar_lander  # only this task needs Box2D
+
+        lunar_lander.MAIN_ENGINE_POWER = 13.0 * self.power
+        return gymnasium.make("LunarLander-v3")
+
+    def execute(self, action):
+        return action
+
+    def operator(self, observation, _):
+        return land(observation, lean=(0.48, 0.75, 0.155), turning=(0.68, 1.06), lifting=(0.19, 0.22, 0.59), touching=0.3)
+
+
 class Spoiled:
     """A task as the policy knows it, with an operator who spoils it."""
 
@@ -194,7 +219,7 @@ class RandomPendulum(Spoiled):
         return self.random.uniform(-2, 2, 1).astype(np.float32)
 
 
-CHANGED = (ReversedCartPole, ReversedPendulum, HeavyPendulum, WeakAcrobot)
+CHANGED = (ReversedCartPole, ReversedPendulum, HeavyPendulum, WeakLander, WeakAcrobot)
 SPOILED = (OppositeCartPole, OppositePendulum, RandomCartPole, RandomPendulum)
 TASKS = {kind.__name__: kind for kind in CHANGED + SPOILED}
 
@@ -233,14 +258,20 @@ def mean_return(task, engine, starts, delta=None, corrects=0):
     return statistics.fmean(returns)
 
 
-def learn(task, engine, seed, starts):
-    """Returns the return of the head after each number of STEPS."""
-    session = engine.session(learning=Learning(rule="corrections"))
-    corrected, episode, after = 0, 0, {}
+def learn(task, engine, seed, starts, by_rewards=False):
+    """Returns the return of the head after each number of STEPS, which are corrected, or played in whole episodes for rewards alone."""
+    learning, settings = Learning(rule="corrections"), {}
+    if by_rewards:
+        is_box = task.policy == "pendulum"
+        learning = Learning(learning_rate=0.03 if is_box else None)
+        settings = {"seed": seed, "sample": True, "temperature": 1.0 if is_box else 4.0}
+    session = engine.session(learning=learning, **settings)
+    done, episode, after = 0, 0, {}
     for steps in STEPS:
-        while corrected < steps:
-            _, taken, _ = play(task, engine, session, 1000 * seed + episode, corrects=steps - corrected)
-            corrected, episode = corrected + taken, episode + 1
+        while done < steps:
+            _, corrected, summary = play(task, engine, session, 1000 * seed + episode, corrects=0 if by_rewards else steps - done)
+            done += summary.steps if by_rewards else corrected
+            episode += 1
         after[steps] = mean_return(task, engine, starts, session.state().head_delta)
     return after
 
@@ -251,18 +282,21 @@ def main():
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--starts", type=int, default=20, help="unseen ones of each evaluation")
     arguments = parser.parse_args()
-    print(f"| task | the operator | the policy | {' | '.join(f'after {steps} steps' for steps in STEPS)} |")
-    print("| --- | ---: | ---: | " + " | ".join(["---"] * len(STEPS)) + " |")
+    columns = [f"after {steps} steps" for steps in STEPS] + [f"{steps} steps, rewards alone" for steps in STEPS[1:]]
+    print(f"| task | the operator | the policy | {' | '.join(columns)} |")
+    print("| --- | ---: | ---: | " + " | ".join(["---"] * len(columns)) + " |")
     for name in arguments.tasks:
         task = TASKS[name]()
         engine = shipped(task.policy)
         operated = mean_return(task, engine, arguments.starts, corrects=sys.maxsize)
         frozen = mean_return(task, engine, arguments.starts)
-        runs = [learn(task, engine, seed, arguments.starts) for seed in range(1, arguments.seeds + 1)]
+        seeds = range(1, arguments.seeds + 1)
         cells = []
-        for steps in STEPS:
-            returns = sorted(run[steps] for run in runs)
-            cells.append(f"{statistics.median(returns):.1f} ({returns[0]:.1f} to {returns[-1]:.1f})")
+        for by_rewards in (False, True):
+            runs = [learn(task, engine, seed, arguments.starts, by_rewards) for seed in seeds]
+            for steps in STEPS[by_rewards:]:
+                returns = sorted(run[steps] for run in runs)
+                cells.append(f"{statistics.median(returns):.1f} ({returns[0]:.1f} to {returns[-1]:.1f})")
         print(f"| {name} | {operated:.1f} | {frozen:.1f} | {' | '.join(cells)} |", flush=True)
 
 

@@ -72,7 +72,7 @@ def walk_to_goal(environment, observation):
     return int(environment.actions.right if sideways > 0 else environment.actions.left)
 
 
-def land(observation):
+def land(observation, lean=(0.44, 0.75, 0.39), turning=(0.5, 0.96), lifting=(0.5, 0.7, 0.58), touching=0.5):
     """The expert of LunarLander-v3: Gymnasium's heuristic with other constants.
 
     The heuristic reaches the pad too fast and slides off it in one of ten episodes, because the legs
@@ -80,11 +80,11 @@ def land(observation):
     descends later. The constants are those of a random search on the environment seeds 0 to 59.
     """
     x, y, x_speed, y_speed, angle, angular_speed, left_leg, right_leg = observation
-    wanted_angle = np.clip(0.44 * x + 0.75 * x_speed, -0.39, 0.39)
-    turn = 0.5 * (wanted_angle - angle) - 0.96 * angular_speed
-    lift = 0.5 * (0.7 * abs(x) - y) - 0.58 * y_speed
+    wanted_angle = np.clip(lean[0] * x + lean[1] * x_speed, -lean[2], lean[2])
+    turn = turning[0] * (wanted_angle - angle) - turning[1] * angular_speed
+    lift = lifting[0] * (lifting[1] * abs(x) - y) - lifting[2] * y_speed
     if left_leg or right_leg:
-        turn, lift = 0.0, -0.5 * y_speed
+        turn, lift = 0.0, -touching * y_speed
     if lift > max(abs(turn), 0.05):
         return MAIN_ENGINE
     if abs(turn) <= 0.05:
