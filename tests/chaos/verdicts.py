@@ -4,14 +4,15 @@ usage: python -m tests.chaos.verdicts [--episodes=N] [--heads=N] [--latest=SECON
 
 Three servers share a Redis. Two fleets of four robots play the same episodes on two policies of equal weights. One fleet sends its
 rewards with the ends; the other gets them as verdicts in the same order, 1 to --latest seconds after the ends (half of them within
-3 s), each twice. Servers are killed during these calls. Nothing is played between an end and its verdict: the heads are equal, bit
+2 s), each twice. Servers are killed during these calls. Nothing is played between an end and its verdict: the heads are equal, bit
 for bit, or the exit status is 1. There are --heads such pairs, because one would wait for a day. With a lag the verdicts come
 --lag rounds later, and the decisions of these rounds are made with an older head; the difference is printed. A round takes at
 least half a second, because of the limit for one contributor. Needs the variable SPIKESERVE_PROGRAM.
 """
 
 import argparse
-import heapq
+import concurrent.futures
+import contextlib
 import itertools
 import pathlib
 import random
@@ -33,8 +34,9 @@ from serving import SHIPPED_POLICIES
 
 PATIENT = spikeserve.ClientOptions(connect_timeout=60.0, retry=spikeserve.RetryOptions(max_elapsed=60.0))
 ROBOTS = 4  # with five, some would be held out
-STEPS = 5
+STEPS = 3
 WINDOW = 20  # episodes that the guard judges together; it may begin to count anew behind them
+MOMENTS = 3  # of a round, at which a replica may be killed
 ROUND_SECONDS = 0.55  # 120 contributions a minute are accepted of a session
 
 
@@ -50,12 +52,6 @@ class FleetOfRobots:
             )
             for i in range(ROBOTS)
         ]
-
-    def play(self, number):
-        for t in range(STEPS):
-            noise = np.random.default_rng((number, t)).uniform(-0.2, 0.2, (ROBOTS, 4))
-            for decision in self.client.act_batch(self.sessions, noise, [0.0] * ROBOTS):
-                assert decision.step == t, decision
 
     def end(self, rewards):
         for session, reward in zip(self.sessions, rewards, strict=True):
@@ -83,37 +79,64 @@ class FleetOfRobots:
 
 
 class Killer:
-    """Kills a replica at some of so many moments, and starts the one before it again."""
+    """Kills a replica at some of the moments of the rounds, and starts the one before it again. Thread-safe."""
 
-    def __init__(self, replicas, moments, kills, seed):
+    def __init__(self, replicas, rounds, kills, seed):
         self.replicas, self.chance, self.killed = replicas, random.Random(seed), None
         self.admins = {replica: spikeserve.AdminClient(replica.address, PATIENT) for replica in replicas}
+        moments = MOMENTS * rounds
         self.moments, self.moment = set(self.chance.sample(range(moments), min(kills, moments))), 0
+        self.rounds = rounds  # that are left
         self.blow = threading.Thread()
         self.blow.start()
+        self.changed = threading.Condition()
+        self.players, self.is_starting = 0, False
 
-    def running(self):
-        self.blow.join()
-        return [replica for replica in self.replicas if replica is not self.killed]
+    def take_round(self):
+        """Returns whether another round is to be played."""
+        with self.changed:
+            self.rounds -= 1
+            return self.rounds >= 0
+
+    @contextlib.contextmanager
+    def playing(self):
+        """Keeps a killed replica, whose heads would have to settle first, from starting. Yields the operators of the others."""
+        with self.changed:
+            self.changed.wait_for(lambda: not self.is_starting)
+            self.blow.join()
+            self.players += 1
+            admins = [self.admins[replica] for replica in self.replicas if replica is not self.killed]
+        try:
+            yield admins
+        finally:
+            with self.changed:
+                self.players -= 1
+                self.changed.notify_all()
 
     def strike(self):
         """Kills during the calls that follow, if it is the moment."""
-        self.moment += 1
-        if self.moment - 1 not in self.moments:
-            return
-        running = self.running()
-        if self.killed is not None:
-            self.killed.start()
-        self.killed = self.chance.choice(running)
-        self.blow = threading.Timer(self.chance.uniform(0.0, 0.02), self.killed.kill)
-        self.blow.start()
+        with self.changed:
+            self.moment += 1
+            if self.moment - 1 not in self.moments:
+                return
+            self.is_starting = True
+            self.changed.wait_for(lambda: self.players == 0)
+            self.blow.join()
+            running = [replica for replica in self.replicas if replica is not self.killed]
+            if self.killed is not None:
+                self.killed.start()
+            self.killed = self.chance.choice(running)
+            self.blow = threading.Timer(self.chance.uniform(0.0, 0.02), self.killed.kill)
+            self.blow.start()
+            self.is_starting = False
+            self.changed.notify_all()
 
 
 class Pair:
     """Two fleets that play the same episodes, of which one gets its rewards late."""
 
     def __init__(self, client, number):
-        self.number = number
+        self.client, self.number = client, number
         self.timely = FleetOfRobots(client, f"timely-{number}")
         self.late = FleetOfRobots(client, f"late-{number}", verdict_seconds=3600.0)
         self.ended = []  # when the episodes of each round ended
@@ -124,11 +147,14 @@ class Pair:
 
     def play(self, killer):
         number = len(self.ended)
-        admins = [killer.admins[replica] for replica in killer.running()]
-        self.timely.settle(admins, number)
-        self.late.settle(admins, self.judged)
-        for robots in (self.timely, self.late):
-            robots.play(number)
+        both = self.timely.sessions + self.late.sessions
+        with killer.playing() as admins:
+            self.timely.settle(admins, number)
+            self.late.settle(admins, self.judged)
+            for t in range(STEPS):
+                noise = np.random.default_rng((self.number, number, t)).uniform(-0.2, 0.2, (ROBOTS, 4))
+                for decision in self.client.act_batch(both, np.concatenate([noise, noise]), [0.0] * len(both)):
+                    assert decision.step == t, decision
         killer.strike()
         self.timely.end(self.rewards(number))
         killer.strike()
@@ -144,28 +170,16 @@ class Pair:
         return seconds
 
 
-def play(pairs, killer, arguments):
-    """Plays all rounds. Returns how many seconds late the verdicts were."""
-    chance, late = random.Random(arguments.seed), []
-    left = arguments.episodes // ROBOTS
-    order = itertools.count()  # of what is due at one time
-    due = [(0.0, next(order), pair, Pair.play) for pair in pairs]
-    while due:
-        at, _, pair, work = heapq.heappop(due)
-        time.sleep(max(0.0, at - time.monotonic()))
-        if work is Pair.play and left == 0:
-            late += [pair.judge(killer) for _ in range(len(pair.ended) - pair.judged)]
-            continue
-        if work is Pair.judge:
-            if len(pair.ended) - pair.judged > arguments.lag:
-                late.append(pair.judge(killer))
-            heapq.heappush(due, (pair.ended[-1] + ROUND_SECONDS, next(order), pair, Pair.play))
-        else:
-            left -= 1
-            pair.play(killer)
-            wait = arguments.latest ** chance.random() ** 3 if arguments.latest else 0.0
-            heapq.heappush(due, (pair.ended[-1] + wait, next(order), pair, Pair.judge))
-    return late
+def play(pair, killer, arguments):
+    """Plays rounds while there are some left. Returns how many seconds late the verdicts were."""
+    chance, late = random.Random(1000 * arguments.seed + pair.number), []
+    while killer.take_round():
+        pair.play(killer)
+        time.sleep(arguments.latest ** chance.random() ** 4 if arguments.latest else 0.0)
+        if len(pair.ended) - pair.judged > arguments.lag:
+            late.append(pair.judge(killer))
+        time.sleep(max(0.0, pair.ended[-1] + ROUND_SECONDS - time.monotonic()))
+    return late + [pair.judge(killer) for _ in range(len(pair.ended) - pair.judged)]
 
 
 def main():
@@ -187,11 +201,13 @@ def main():
             running_fleet(f"--policies={folder}") as fleet,
             spikeserve.Client(fleet.addresses, PATIENT) as client,
         ):
-            killer = Killer(fleet.replicas, arguments.episodes // ROBOTS * 3, arguments.kills, arguments.seed)
+            killer = Killer(fleet.replicas, arguments.episodes // ROBOTS, arguments.kills, arguments.seed)
             pairs = [Pair(client, number) for number in range(arguments.heads)]
-            late = play(pairs, killer, arguments)
-            admin = killer.admins[killer.running()[0]]
-            heads = [(pair.timely.head(admin), pair.late.head(admin)) for pair in pairs]
+            with concurrent.futures.ThreadPoolExecutor(len(pairs)) as threads:
+                waits = threads.map(lambda pair: play(pair, killer, arguments), pairs)
+                late = list(itertools.chain.from_iterable(waits))
+            with killer.playing() as admins:
+                heads = [(pair.timely.head(admins[0]), pair.late.head(admins[0])) for pair in pairs]
     print(f"{arguments.episodes} episodes of {arguments.heads} fleets of each kind, {arguments.kills} kills")
     print(f"verdicts {min(late):.2f} to {max(late):.2f} s late, median {statistics.median(late):.2f} s")
     counts = [[head[1] for head in heads_of] for heads_of in zip(*heads, strict=True)]
