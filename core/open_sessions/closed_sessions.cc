@@ -1,12 +1,16 @@
 #include "core/open_sessions/closed_sessions.h"
 
-#include <vector>
+#include <algorithm>
+#include <utility>
 
 #include "absl/time/clock.h"
 #include "core/open_sessions/session_entry.h"
 
 namespace spikeserve {
 namespace {
+
+// How long the last verdict gets its answer again.
+constexpr absl::Duration kRepeated = absl::Minutes(1);
 
 bool IsLost(const SessionEntry& entry) { return entry.journal != nullptr && entry.journal->lost(); }
 
@@ -25,37 +29,50 @@ bool ClosedSessions::Keep(const std::string& id, const std::shared_ptr<SessionEn
     entry->agent.Compact();
   }
   absl::MutexLock lock(&mutex_);
-  if (closed_.size() >= kMost) return false;
-  closed_[{entry->tenant, id}] = {.entry = entry, .until = until};
+  closed_.emplace(std::pair(entry->tenant, id), Closed{.entry = entry, .until = until});
   return true;
 }
 
 std::shared_ptr<SessionEntry> ClosedSessions::Find(const std::string& id,
                                                    const std::string& tenant) {
   absl::MutexLock lock(&mutex_);
-  const auto found = closed_.find({tenant, id});
-  const bool is_here = found != closed_.end() && !IsLost(*found->second.entry);
-  return is_here ? found->second.entry : nullptr;
+  const auto [begin, end] = closed_.equal_range({tenant, id});
+  const auto found =
+      std::find_if(begin, end, [](const auto& item) { return !IsLost(*item.second.entry); });
+  return found == end ? nullptr : found->second.entry;
 }
 
-void ClosedSessions::Settle() {
-  std::vector<std::shared_ptr<SessionEntry>> due;
-  const absl::Time now = absl::Now();
+std::vector<std::shared_ptr<SessionEntry>> ClosedSessions::Settle() {
+  std::vector<std::shared_ptr<SessionEntry>> waiting;
   {
     absl::MutexLock lock(&mutex_);
-    for (const auto& [name, closed] : closed_) {
-      if (closed.until <= now || IsLost(*closed.entry)) due.push_back(closed.entry);
+    for (const auto& [name, closed] : closed_) waiting.push_back(closed.entry);
+  }
+  std::erase_if(waiting, [](const auto& entry) {
+    absl::MutexLock lock(&entry->mutex);
+    return IsLost(*entry) || !entry->agent.Settle();
+  });
+  std::ranges::sort(waiting);
+  const absl::Time now = absl::Now();
+  std::vector<std::shared_ptr<SessionEntry>> forgotten;
+  absl::MutexLock lock(&mutex_);
+  for (auto item = closed_.begin(); item != closed_.end();) {
+    Closed& closed = item->second;
+    const bool waits = std::ranges::binary_search(waiting, closed.entry);
+    if (!waits) closed.until = std::min(closed.until, now + kRepeated);
+    if (waits || (closed.until > now && !IsLost(*closed.entry))) {
+      ++item;
+    } else {
+      forgotten.push_back(std::move(closed.entry));
+      item = closed_.erase(item);
     }
   }
-  for (const auto& entry : due) {
-    absl::MutexLock lock(&entry->mutex);
-    if (!IsLost(*entry) && entry->agent.Settle()) continue;  // the log of the head has it soon
-    if (entry->journal != nullptr) entry->journal->OnClose();
-    const std::pair<std::string, std::string> name = {entry->tenant, entry->agent.session().id};
-    absl::MutexLock closed_lock(&mutex_);
-    const auto found = closed_.find(name);
-    if (found != closed_.end() && found->second.entry == entry) closed_.erase(found);
-  }
+  return forgotten;
+}
+
+int64_t ClosedSessions::size() const {
+  absl::MutexLock lock(&mutex_);
+  return static_cast<int64_t>(closed_.size());
 }
 
 }  // namespace spikeserve

@@ -1,15 +1,17 @@
 // Keeps sessions of a fleet that have left their store while episodes waited for verdicts, which
 // teach the fleet's head all the same. The journals of these sessions end when they are forgotten,
-// so that other servers find what waits, too, if this one dies.
+// so that other servers find what waits, too, if this one dies. Until then they count against the
+// limits of open sessions, which bound the memory of both.
 //
 // Thread-safe.
 #pragma once
 
-#include <cstddef>
+#include <cstdint>
 #include <map>
 #include <memory>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/synchronization/mutex.h"
@@ -21,10 +23,8 @@ struct SessionEntry;
 
 class ClosedSessions {
  public:
-  static constexpr size_t kMost = 10'000;
-
-  // Returns whether it keeps the session, until the time of its last episode is over. Does not if
-  // none waits, the head is private, another server has the session, or too many are kept.
+  // Returns whether it keeps the session. Does not if no episode waits, the head is private, or
+  // another server has the session.
   bool Keep(const std::string& id, const std::shared_ptr<SessionEntry>& entry)
       ABSL_LOCKS_EXCLUDED(mutex_);
 
@@ -32,19 +32,22 @@ class ClosedSessions {
   std::shared_ptr<SessionEntry> Find(const std::string& id, const std::string& tenant)
       ABSL_LOCKS_EXCLUDED(mutex_);
 
-  // Learns from episodes whose time is over as they are, and forgets sessions without any. To be
-  // called from time to time.
-  void Settle() ABSL_LOCKS_EXCLUDED(mutex_);
+  // Learns from episodes whose time is over as they are. Forgets sessions for which no episode has
+  // waited for a minute, or none waits after their time, and returns them. To be called from time
+  // to time.
+  std::vector<std::shared_ptr<SessionEntry>> Settle() ABSL_LOCKS_EXCLUDED(mutex_);
+
+  int64_t size() const ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:
   struct Closed {
     std::shared_ptr<SessionEntry> entry;
-    absl::Time until;  // a repeated verdict gets its answer
+    absl::Time until;
   };
 
-  absl::Mutex mutex_;
-  // By tenant and id.
-  std::map<std::pair<std::string, std::string>, Closed> closed_ ABSL_GUARDED_BY(mutex_);
+  mutable absl::Mutex mutex_;
+  // By tenant and id, which a session that was opened again may share.
+  std::multimap<std::pair<std::string, std::string>, Closed> closed_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace spikeserve

@@ -37,10 +37,14 @@ SessionStore::SessionStore(int64_t max_sessions, const Clock* clock)
 
 void SessionStore::NotifyClosed(const std::string& id, const std::shared_ptr<SessionEntry>& entry) {
   entry->served->observer->OnClose();
-  if (entry->quota != nullptr) entry->quota->Release();
   if (on_closed_ != nullptr) on_closed_(*entry);
-  if (closed_.Keep(id, entry)) return;
-  if (entry->journal != nullptr) entry->journal->OnClose();
+  if (!closed_.Keep(id, entry)) Forget(*entry);
+}
+
+void SessionStore::Forget(const SessionEntry& entry) {
+  size_.fetch_sub(1);
+  if (entry.quota != nullptr) entry.quota->Release();
+  if (entry.journal != nullptr) entry.journal->OnClose();
 }
 
 SessionStore::Shard& SessionStore::ShardOf(absl::string_view id) {
@@ -140,7 +144,6 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> SessionStore::Find(absl::string_vi
     lost = std::move(slot.entry);
     shard.slots.erase(it);
   }
-  size_.fetch_sub(1);
   NotifyClosed(std::string(id), lost);
   return NoSuchSession(id);
 }
@@ -179,7 +182,6 @@ absl::Status SessionStore::Close(absl::string_view id, absl::string_view tenant)
     entry = std::move(it->second.entry);
     shard.slots.erase(it);
   }
-  size_.fetch_sub(1);
   NotifyClosed(std::string(id), entry);
   return absl::OkStatus();
 }
@@ -281,9 +283,8 @@ int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {
       return true;
     });
   }
-  size_.fetch_sub(static_cast<int64_t>(idle.size()));
   for (const auto& [id, entry] : idle) NotifyClosed(id, entry);
-  closed_.Settle();
+  for (const auto& entry : closed_.Settle()) Forget(*entry);
   return static_cast<int64_t>(idle.size());
 }
 

@@ -131,7 +131,8 @@ class SessionStore {
   // it is used again. Returns how many. Does not change the sessions' answers.
   int64_t CompactIdle(absl::Duration idle_for);
 
-  int64_t size() const { return size_.load(std::memory_order_relaxed); }
+  // Returns the number of open sessions.
+  int64_t size() const { return size_.load(std::memory_order_relaxed) - closed_.size(); }
 
  private:
   struct Slot {
@@ -175,15 +176,18 @@ class SessionStore {
   // Returns the session that Peek() finds, or the end of the slots.
   static Slots::iterator Look(Shard& shard, absl::string_view id, absl::string_view tenant)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(shard.mutex);
-  // Tells the observer, the quota, the ledger and the journal that session `id` has left the store.
+  // Tells the observer and the ledger that session `id` has left the store, and forgets it unless
+  // its episodes wait for verdicts.
   void NotifyClosed(const std::string& id, const std::shared_ptr<SessionEntry>& entry);
+  // Makes room for another session, and ends the journal of this one.
+  void Forget(const SessionEntry& entry);
   // Returns false if its tenant has an open session with this id.
   bool Insert(const std::string& id, std::shared_ptr<SessionEntry> entry);
 
   const int64_t max_sessions_;
   const Clock* const clock_;
   std::function<void(SessionEntry&)> on_closed_;  // null: none
-  std::atomic<int64_t> size_ = 0;
+  std::atomic<int64_t> size_ = 0;                 // with those of `closed_`
   std::atomic<bool> draining_ = false;
   std::array<Shard, kShards> shards_;
   ClosedSessions closed_;

@@ -135,19 +135,22 @@ def test_a_fleet_learns_although_its_robots_have_closed_their_sessions(replicas)
 def test_closed_sessions_are_no_robots_and_end(tmp_path):
     """A fleet learns from what waits when its time is over; a head of one session is gone with it."""
     store = f"--session_store=file:{tmp_path}/sessions"
-    with running_server(flags=[store, "--session_ttl=2s"]) as server:
+    with running_server(flags=[store, "--session_ttl=2s", "--max_sessions=1"]) as server:
         agent, admin = server.agent, server.admin
-        for i, scope in enumerate(("FLEET", "SESSION")):
+        for i, scope in enumerate(("SESSION", "FLEET")):
             open_robot(agent, "cartpole", i, scope=scope, verdict_seconds=1.0)
             play(agent, "cartpole", i)
             assert end(agent, "cartpole", i, reward=2.0).awaits_verdict
             agent.CloseSession(session_id=session_id("cartpole", i))
+        with fails_with(grpc.StatusCode.RESOURCE_EXHAUSTED, "max_sessions"):
+            agent.OpenSession(policy="cartpole")
         admin.HoldSessions(id="all", selection={"all": True})
         assert not admin.ListHolds(page_size=10, stored=True).sessions
         with fails_with(grpc.StatusCode.NOT_FOUND, "session_id"):
-            agent.AmendEpisode(**verdict("cartpole", 1, reward=1.0))
+            agent.AmendEpisode(**verdict("cartpole", 0, reward=1.0))
         until(lambda: admin.GetHead(policy="cartpole").updates == 1)
         until(lambda: admin.ListSessions().stored_sessions == 0)
+        agent.OpenSession(policy="cartpole")
 
 
 @pytest.fixture(scope="module")
