@@ -9,6 +9,7 @@ cheapest model of each kind that returns at least --level. PYTHONPATH needs lab/
 
 import argparse
 import csv
+import functools
 import hashlib
 import itertools
 import pathlib
@@ -107,7 +108,7 @@ def rivals(arguments, kind, width, seed, episodes):
     """Trains rivals, each pruned from the one before, and yields the share of pruned weights and the file."""
     paths = {share: arguments.work / f"{kind}-{width}-{share}-{seed}.npz" for share in arguments.pruned}
     if not all(path.is_file() for path in paths.values()):
-        model, data = new_rival(kind, width, seed, episodes)
+        model, data = new_rival(kind, width, seed, episodes())
         for share, path in paths.items():
             model.prune(share)
             model.train(*data, arguments.epochs if share == 0 else arguments.epochs / 2)
@@ -178,7 +179,7 @@ def contestants(arguments):
     """Yields kind, width, seed, setting (a penalty, or a share of pruned weights), the file, and a function that loads it."""
     if not (arguments.work / "expert-v0").is_dir():
         record(arguments.work / "expert-v0", arguments.data_episodes)
-    episodes = read([arguments.work / "expert-v0"])
+    episodes = functools.cache(lambda: read([arguments.work / "expert-v0"]))  # only to train
     for seed in range(1, arguments.seeds + 1):
         for kind, width in itertools.product(("gru", "perceptron"), arguments.rival_widths):
             for setting, path in rivals(arguments, kind, width, seed, episodes):
