@@ -133,24 +133,26 @@ def test_a_fleet_learns_although_its_robots_have_closed_their_sessions(replicas)
 
 
 def test_closed_sessions_are_no_robots_and_end(tmp_path):
-    """A fleet learns from what waits when its time is over; a head of one session is gone with it."""
-    store = f"--session_store=file:{tmp_path}/sessions"
-    with running_server(flags=[store, "--session_ttl=2s", "--max_sessions=1"]) as server:
+    """They count as open until then. A fleet learns from what waits when its time is over; a private head is gone."""
+    flags = [f"--session_store=file:{tmp_path}/sessions", "--compact_after=1s", "--max_sessions=2"]
+    with running_server(flags=flags) as server:
         agent, admin = server.agent, server.admin
-        for i, scope in enumerate(("SESSION", "FLEET")):
-            open_robot(agent, "cartpole", i, scope=scope, verdict_seconds=1.0)
+        for i, (scope, seconds) in enumerate((("SESSION", HOUR), ("FLEET", HOUR), ("FLEET", 1.0))):
+            open_robot(agent, "cartpole", i, scope=scope, verdict_seconds=seconds)
             play(agent, "cartpole", i)
             assert end(agent, "cartpole", i, reward=2.0).awaits_verdict
+            if i == 2:
+                with fails_with(grpc.StatusCode.RESOURCE_EXHAUSTED, "max_sessions"):
+                    agent.OpenSession(policy="cartpole")
             agent.CloseSession(session_id=session_id("cartpole", i))
-        with fails_with(grpc.StatusCode.RESOURCE_EXHAUSTED, "max_sessions"):
-            agent.OpenSession(policy="cartpole")
         admin.HoldSessions(id="all", selection={"all": True})
         assert not admin.ListHolds(page_size=10, stored=True).sessions
         with fails_with(grpc.StatusCode.NOT_FOUND, "session_id"):
             agent.AmendEpisode(**verdict("cartpole", 0, reward=1.0))
         until(lambda: admin.GetHead(policy="cartpole").updates == 1)
-        until(lambda: admin.ListSessions().stored_sessions == 0)
+        until(lambda: admin.ListSessions().stored_sessions == 1)
         agent.OpenSession(policy="cartpole")
+        assert agent.AmendEpisode(**verdict("cartpole", 1, reward=1.0)).learning.updates == 1
 
 
 @pytest.fixture(scope="module")
