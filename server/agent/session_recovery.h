@@ -19,7 +19,7 @@
 #include "core/base/clock.h"
 #include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
-#include "server/agent/former_copies.h"
+#include "server/agent/given_up_copies.h"
 #include "server/followers/recordings.h"
 #include "server/policies/policy_registry.h"
 #include "server/store/journal_store.h"
@@ -48,7 +48,7 @@ class SessionRecovery {
   // Claims session `id` of the caller's tenant, restores it and adds it to the sessions of this
   // server. Calls `done` by `post`: with OK if the server holds the session now, NOT_FOUND if the
   // store has no such session, UNAVAILABLE if the store cannot be reached, has lost a session of
-  // which this server had a copy a moment ago (FormerCopies), or this server does not have the
+  // which this server had a copy a moment ago (GivenUpCopies), or this server does not have the
   // session's policy, which then stays with its owner, DATA_LOSS if its journal is damaged, or an
   // error of SessionStore::Restore().
   void Recover(const Credential& caller, const std::string& id, const Post& post, Done done)
@@ -66,7 +66,7 @@ class SessionRecovery {
   void ForgetWaiters() ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:
-  using Key = FormerCopies::Key;
+  using Key = GivenUpCopies::Key;
   struct Waiter {
     Post post;
     Done done;
@@ -96,7 +96,7 @@ class SessionRecovery {
   SessionStore& sessions_;
   Recordings* const recordings_;
   const SteadyClock clock_;
-  FormerCopies former_{&clock_};
+  GivenUpCopies former_{&clock_};
 
   absl::Mutex mutex_;
   std::map<Key, std::vector<Waiter>> claims_ ABSL_GUARDED_BY(mutex_);

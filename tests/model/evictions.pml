@@ -30,7 +30,7 @@ bool stored = true;
 byte stored_epoch = 1;
 byte stored_decisions = 0;
 
-/* Of each server: SessionEntry, SessionJournal, FormerCopies. */
+/* Of each server: SessionEntry, SessionJournal, GivenUpCopies. */
 byte copy[SERVERS] = NONE;    /* decisions of it */
 byte durable[SERVERS];        /* of these, acknowledged by Redis */
 byte epoch[SERVERS];
@@ -110,13 +110,13 @@ proctype Server(byte s) {
   :: atomic {
        copy[s] != NONE ->
 #ifndef GIVE_UP
-       former[s] = copy[s];  /* FormerCopies::Keep() */
+       former[s] = copy[s];  /* GivenUpCopies::Keep() */
 #endif
        copy[s] = NONE;
        claim(s)
      }
   :: atomic { copy[s] == NONE && stored -> claim(s) }
-  /* FormerCopies::TakeBack(): at any time, also while another server has a newer copy. */
+  /* GivenUpCopies::TakeBack(): at any time, also while another server has a newer copy. */
   :: atomic {
        copy[s] == NONE && !stored && former[s] != NONE ->
        copy[s] = former[s]; durable[s] = copy[s]; former[s] = NONE; write(s)

@@ -1,4 +1,4 @@
-#include "server/agent/former_copies.h"
+#include "server/agent/given_up_copies.h"
 
 #include "absl/status/status.h"
 #include "core/session/session_id.h"
@@ -11,14 +11,14 @@ constexpr absl::Duration kRetryDelay = absl::Milliseconds(100);
 
 }  // namespace
 
-void FormerCopies::Keep(const Key& key, const std::shared_ptr<SessionEntry>& entry) {
+void GivenUpCopies::Keep(const Key& key, const std::shared_ptr<SessionEntry>& entry) {
   const absl::Duration now = clock_.Now();
   absl::MutexLock lock(&mutex_);
   if (copies_.size() >= kMost) Prune(now);
   if (copies_.size() < kMost) copies_.try_emplace(key, Copy{.entry = entry, .since = now});
 }
 
-std::shared_ptr<SessionEntry> FormerCopies::Take(const Key& key) {
+std::shared_ptr<SessionEntry> GivenUpCopies::Take(const Key& key) {
   absl::MutexLock lock(&mutex_);
   const auto found = copies_.find(key);
   if (found == copies_.end()) return nullptr;
@@ -27,12 +27,12 @@ std::shared_ptr<SessionEntry> FormerCopies::Take(const Key& key) {
   return entry;
 }
 
-void FormerCopies::WaitAgain(const Key& key) {
+void GivenUpCopies::WaitAgain(const Key& key) {
   absl::MutexLock lock(&mutex_);
   if (const auto found = copies_.find(key); found != copies_.end()) found->second.lost.reset();
 }
 
-absl::StatusOr<std::shared_ptr<SessionEntry>> FormerCopies::TakeBack(const Key& key) {
+absl::StatusOr<std::shared_ptr<SessionEntry>> GivenUpCopies::TakeBack(const Key& key) {
   const absl::Duration now = clock_.Now();
   absl::MutexLock lock(&mutex_);
   Prune(now);
@@ -52,7 +52,7 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> FormerCopies::TakeBack(const Key& 
   return entry;
 }
 
-void FormerCopies::Prune(absl::Duration now) {
+void GivenUpCopies::Prune(absl::Duration now) {
   std::erase_if(copies_, [&](const auto& item) { return now - item.second.since > kKept; });
 }
 

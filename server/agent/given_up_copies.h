@@ -25,7 +25,7 @@
 
 namespace spikeserve {
 
-class FormerCopies {
+class GivenUpCopies {
  public:
   using Key = std::pair<std::string, std::string>;  // tenant and session
 
@@ -37,7 +37,7 @@ class FormerCopies {
   static constexpr size_t kMost = 10'000;
 
   // `clock` must outlive the object.
-  explicit FormerCopies(const Clock* clock) : clock_(*clock) {}
+  explicit GivenUpCopies(const Clock* clock) : clock_(*clock) {}
 
   // Keeps `entry`, which this server has given up.
   void Keep(const Key& key, const std::shared_ptr<SessionEntry>& entry) ABSL_LOCKS_EXCLUDED(mutex_);
