@@ -5,7 +5,7 @@
 
 #include <cstdlib>
 
-#include "tests/support/temporary_directory.h"
+#include "tests/support/files.h"
 
 int main(int argc, char** argv) {
   const spikeserve::TemporaryDirectory directory;

@@ -13,7 +13,7 @@
 #include "server/metrics/metrics.h"
 #include "server/policies/policy_registry.h"
 #include "tests/support/session_fixture.h"
-#include "tests/support/temporary_directory.h"
+#include "tests/support/files.h"
 
 namespace spikeserve {
 

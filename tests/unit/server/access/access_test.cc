@@ -12,7 +12,7 @@
 #include "server/access/authenticator.h"
 #include "server/access/rate_limit.h"
 #include "server/access/refusal_pacer.h"
-#include "tests/support/temporary_directory.h"
+#include "tests/support/files.h"
 
 namespace spikeserve {
 namespace {

@@ -8,7 +8,7 @@
 #include <fstream>
 
 #include "core/journal/session_journal.h"
-#include "tests/support/temporary_directory.h"
+#include "tests/support/files.h"
 
 namespace spikeserve {
 namespace {
