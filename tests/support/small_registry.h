@@ -12,8 +12,8 @@
 #include "core/model/policy_file.h"
 #include "server/metrics/metrics.h"
 #include "server/policies/policy_registry.h"
-#include "tests/support/session_fixture.h"
 #include "tests/support/files.h"
+#include "tests/support/session_fixture.h"
 
 namespace spikeserve {
 
