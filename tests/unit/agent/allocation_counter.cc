@@ -1,7 +1,6 @@
 // Counts the allocations of a thread, for allocation_test.cc. Linking it replaces operator new in
 // the whole program. malloc, which Eigen calls directly, is counted in the objects that are linked
-// with
-// --wrap=malloc.
+// with --wrap=malloc.
 #include <cstdint>
 #include <cstdlib>
 #include <new>
