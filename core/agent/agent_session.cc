@@ -5,10 +5,8 @@
 #include <string>
 #include <utility>
 
-#include "absl/strings/str_cat.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
-#include "core/session/session_value.h"
 
 namespace spikeserve {
 namespace {
@@ -70,82 +68,9 @@ absl::Status AgentSession::AddBlindStep(double reward,
   return absl::OkStatus();
 }
 
-absl::Status AgentSession::CheckNewDecision(Step& step) const {
-  const ActionSpace& space = served_->policy().action_space;
-  if (step.place.step.has_value() && *step.place.step != session_.step) {
-    return absl::FailedPreconditionError(
-        absl::StrCat("step: expected ", session_.step, ", received ", *step.place.step));
-  }
-  const bool is_checked = step.result.checked;  // with the history
-  if (!is_checked) {
-    RETURN_IF_ERROR(CheckObservation(step.observation, served_->policy().observation_size()));
-  }
-  step.result.executed.reset();
-  if (session_.step == 0) return absl::OkStatus();
-  if (step.executed.has_value() && before_skipped_ == nullptr) {
-    ASSIGN_OR_RETURN(step.result.executed, ParseExecutedAction(*step.executed, space));
-  }
-  return is_checked ? absl::OkStatus()
-                    : CheckReward(step.reward, NextReturnToGo(session_, step.reward));
-}
-
-void AgentSession::TakeExecuted(const Action& executed, const ReportedSource& source) {
-  SPIKESERVE_DCHECK(!session_.history.empty());
-  SPIKESERVE_DCHECK(policy().action_space.Contains(executed).ok());
-  const bool is_known = executed == session_.history.action(session_.history.size() - 1);
-  if (source.kind != 0 || !is_known) {
-    session_.executed_source = {.kind = static_cast<SourceKind>(source.kind),
-                                .operator_id = std::string(source.operator_id)};
-  }
-  if (session_.executed_source.kind == SourceKind::kOperator) {
-    head_.OnOperator(executed, session_.executed_source.operator_id, &session_);
-  }
-  if (is_known) return;
-  context_.OnExecuted();
-  head_.OnExecuted(executed, &session_);
-  for (const auto& listener : listeners_) listener->OnExecuted(executed);
-}
-
-absl::Status AgentSession::NonFiniteError() const {
-  served_->observer->OnNonFinite();
-  for (const auto& listener : listeners_) listener->OnFailure();
-  return absl::InternalError(
-      absl::StrCat("decision: expected finite numbers, received NaN or infinity from policy ",
-                   served_->name, " version ", served_->version, "; the session has not changed"));
-}
-
 void AgentSession::AppendPendingAction() {
   AgentSession* const session = this;
   AppendPendingActions(absl::MakeConstSpan(&session, 1));
-}
-
-void AgentSession::SkipSteps(absl::Span<const double> rewards) {
-  head_.TakeMerged(&session_);
-  if (before_skipped_ == nullptr) before_skipped_ = std::make_unique<const Session>(session_);
-  for (const double reward : rewards) CountSkipped(reward, &session_);
-  session_.history.Clear();
-  DropContext();
-  for (const auto& listener : listeners_) listener->OnGap();
-}
-
-void AgentSession::RestoreSkipped() {
-  const auto before = std::exchange(before_skipped_, nullptr);
-  if (before != nullptr) session_ = *before;
-}
-
-absl::Status AgentSession::ReportExecuted(const ReportedAction& reported) {
-  ASSIGN_OR_RETURN(const Action executed, ParseExecutedAction(reported, policy().action_space));
-  const bool is_known = executed == session_.history.action(session_.history.size() - 1);
-  const StepSource before = session_.executed_source;
-  TakeExecuted(executed, reported.source);
-  if (is_known && session_.executed_source == before) return absl::OkStatus();
-  for (const auto& listener : listeners_) listener->OnChange(session_);
-  return absl::OkStatus();
-}
-
-void AgentSession::CountSource(const StepSource& source) {
-  life_.OnSource(source);
-  served_->observer->OnExecuted(source.kind);
 }
 
 Help AgentSession::NeedsHelp() const {
@@ -183,12 +108,6 @@ std::optional<int64_t> AgentSession::UndoCorrections(absl::string_view operator_
     for (const auto& listener : listeners_) listener->OnChange(session_);
   }
   return undone;
-}
-
-void AgentSession::CountMissingRewards(int64_t rewards) {
-  if (rewards == 0) return;
-  life_.OnMissingRewards(rewards);
-  served_->observer->OnMissingRewards(rewards);
 }
 
 void AgentSession::Compact() {

@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "Eigen/Core"
@@ -17,7 +18,6 @@
 #include "absl/status/statusor.h"
 #include "absl/time/time.h"
 #include "absl/types/span.h"
-#include "core/agent/context_cache.h"
 #include "core/agent/operator_seat.h"
 #include "core/agent/served_policy.h"
 #include "core/agent/session_head.h"
@@ -26,6 +26,7 @@
 #include "core/agent/step.h"
 #include "core/agent/wiring_check.h"
 #include "core/base/clock.h"
+#include "core/engine/engine.h"
 #include "core/session/session.h"
 
 namespace spikeserve {
@@ -171,6 +172,26 @@ class AgentSession {
   struct DecisionPass;
   struct EndPass;
 
+  // What the engine keeps of the session's tokens: a cache, which is made again from the history
+  // before a decision if it is absent. Answers do not depend on whether it was.
+  struct Context {
+    // The last action in the history was replaced by an executed one.
+    void OnExecuted() {
+      if (!lacks_action) engine.reset();  // it holds the answered action
+      expects_executed = true;
+    }
+    void Drop() {
+      engine.reset();
+      lacks_action = false;
+    }
+
+    std::unique_ptr<Engine::Context> engine = nullptr;  // null: absent
+    bool lacks_action = false;                          // the last one in the history
+    // The agent reports executed actions: the next request may replace the last action, which is
+    // therefore appended by that request.
+    bool expects_executed = false;
+  };
+
   // Puts the action that `source` chose in the place of the last answer. A decision, the end of the
   // episode or OnChange() follows.
   void TakeExecuted(const Action& executed, const ReportedSource& source);
@@ -183,7 +204,9 @@ class AgentSession {
   // Notes who chose the action of the step before, whose place in the history is final.
   void CountSource(const StepSource& source);
   // Undoes SkipSteps, if no decision has followed.
-  void RestoreSkipped();
+  void RestoreSkipped() {
+    if (before_skipped_ != nullptr) session_ = *std::exchange(before_skipped_, nullptr);
+  }
   using EndReport = bool (SessionListener::*)(const Session&,
                                               const std::shared_ptr<FleetContribution>&);
   // Reports an episode that has ended, or its verdict, to the listeners, and hands over what it
@@ -193,7 +216,11 @@ class AgentSession {
   void LearnOverdue();
   // Learns from an episode that waits. REQUIRES: no contribution is on its way.
   void Judge(const WaitingEpisode& ended, std::vector<double> rewards, Verdict verdict);
-  void CountMissingRewards(int64_t rewards);  // that were left out after step 0, and are 0
+  // Counts rewards that were left out after step 0, and are 0.
+  void CountMissingRewards(int64_t rewards) {
+    life_.OnMissingRewards(rewards);
+    served_->observer->OnMissingRewards(rewards);
+  }
   // Counts an answer that holds NaN or infinity, and returns its error.
   absl::Status NonFiniteError() const;
 
@@ -202,7 +229,7 @@ class AgentSession {
   Session session_;
   absl::Duration created_;  // time of the clock
   SessionLife life_;
-  ContextCache context_;
+  Context context_;
   SessionHead head_;
   WiringResponse wiring_response_;
   OperatorSeat seat_;

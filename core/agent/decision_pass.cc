@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <memory>
 #include <utility>
 #include <vector>
 
@@ -10,6 +11,7 @@
 #include "core/agent/repeated_step.h"
 #include "core/agent/session_passes.h"
 #include "core/base/status_macros.h"
+#include "core/contract/dcheck.h"
 #include "core/session/session_value.h"
 
 namespace spikeserve {
@@ -47,6 +49,30 @@ double CountedReward(const Session& session, double reward) {
   return session.step == 0 ? 0.0 : reward;
 }
 
+// Returns the input of the token of `action`, which lies in `memory`.
+absl::Span<const float> Encode(const ActionSpace& space, const Action& action,
+                               std::vector<float>* memory) {
+  memory->resize(static_cast<size_t>(space.size()));
+  space.Encode(action, absl::MakeSpan(*memory));
+  return *memory;
+}
+
+// Returns a context that holds the history of `session`: the same calls with the same numbers leave
+// the same keys and values in it.
+std::unique_ptr<Engine::Context> ContextOf(const ServedPolicy& served, const Session& session) {
+  const Engine& engine = *served.engine;
+  const History& history = session.history;
+  auto context = engine.NewContext(session.step - static_cast<int64_t>(history.size()));
+  Engine::Output ignored;
+  std::vector<float> encoded;
+  for (size_t i = 0; i < history.size(); ++i) {
+    engine.Decide(*context, history.return_to_go(i), history.observation(i), &ignored);
+    engine.AppendAction(*context,
+                        Encode(served.policy().action_space, history.action(i), &encoded));
+  }
+  return context;
+}
+
 // Memory of a thread, which its decisions reuse, so that a warm decision allocates none.
 struct DecisionScratch {
   std::vector<AgentSession*> sessions;
@@ -63,6 +89,50 @@ ABSL_ATTRIBUTE_NOINLINE DecisionScratch& ThreadScratch() {
 }
 
 }  // namespace
+
+absl::Status AgentSession::CheckNewDecision(Step& step) const {
+  const ActionSpace& space = served_->policy().action_space;
+  if (step.place.step.has_value() && *step.place.step != session_.step) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("step: expected ", session_.step, ", received ", *step.place.step));
+  }
+  const bool is_checked = step.result.checked;  // with the history
+  if (!is_checked) {
+    RETURN_IF_ERROR(CheckObservation(step.observation, served_->policy().observation_size()));
+  }
+  step.result.executed.reset();
+  if (session_.step == 0) return absl::OkStatus();
+  if (step.executed.has_value() && before_skipped_ == nullptr) {
+    ASSIGN_OR_RETURN(step.result.executed, ParseExecutedAction(*step.executed, space));
+  }
+  return is_checked ? absl::OkStatus()
+                    : CheckReward(step.reward, NextReturnToGo(session_, step.reward));
+}
+
+void AgentSession::TakeExecuted(const Action& executed, const ReportedSource& source) {
+  SPIKESERVE_DCHECK(!session_.history.empty());
+  SPIKESERVE_DCHECK(policy().action_space.Contains(executed).ok());
+  const bool is_known = executed == session_.history.action(session_.history.size() - 1);
+  if (source.kind != 0 || !is_known) {
+    session_.executed_source = {.kind = static_cast<SourceKind>(source.kind),
+                                .operator_id = std::string(source.operator_id)};
+  }
+  if (session_.executed_source.kind == SourceKind::kOperator) {
+    head_.OnOperator(executed, session_.executed_source.operator_id, &session_);
+  }
+  if (is_known) return;
+  context_.OnExecuted();
+  head_.OnExecuted(executed, &session_);
+  for (const auto& listener : listeners_) listener->OnExecuted(executed);
+}
+
+absl::Status AgentSession::NonFiniteError() const {
+  served_->observer->OnNonFinite();
+  for (const auto& listener : listeners_) listener->OnFailure();
+  return absl::InternalError(
+      absl::StrCat("decision: expected finite numbers, received NaN or infinity from policy ",
+                   served_->name, " version ", served_->version, "; the session has not changed"));
+}
 
 bool AgentSession::DecisionPass::IsNew(Step& step) {
   AgentSession& agent = *step.session;
@@ -111,20 +181,20 @@ void AgentSession::DecisionPass::DecideVersion(absl::Span<Step* const> steps) {
     if (step->result.executed.has_value()) {
       session.TakeExecuted(*step->result.executed, step->executed->source);
     }
-    session.context_.Fill(served, session.session_);
+    auto& context = session.context_.engine;
+    if (context == nullptr) context = ContextOf(served, session.session_);
   }
   AppendActions(sessions);
   decisions.clear();
   if (outputs.size() < steps.size()) outputs.resize(steps.size());
   for (size_t i = 0; i < steps.size(); ++i) {
     AgentSession& session = *steps[i]->session;
-    const double reward = CountedReward(session.session_, steps[i]->reward);
-    const double return_to_go = NextReturnToGo(session.session_, reward);
-    decisions.push_back({session.context_.StartDecision(), static_cast<float>(return_to_go),
+    const double return_to_go = NextReturnToGo(session.session_, steps[i]->reward);
+    session.context_.lacks_action = true;
+    decisions.push_back({session.context_.engine.get(), static_cast<float>(return_to_go),
                          steps[i]->observation, &outputs[i]});
   }
   served.engine->DecideTogether(decisions);
-
   const absl::Duration decided = clock.Now();
   const absl::Duration share = (decided - last) / static_cast<int64_t>(steps.size());
   last = decided;
@@ -213,12 +283,18 @@ void AgentSession::DecisionPass::Record(Step& step, Answer answer, absl::Span<co
   if (lacks_reward) agent.CountMissingRewards(1);
 }
 
+void AgentSession::CountSource(const StepSource& source) {
+  life_.OnSource(source);
+  served_->observer->OnExecuted(source.kind);
+}
+
 bool AgentSession::DecisionPass::Overrule(AgentSession& agent, bool is_past) {
   Session& session = agent.session_;
   Answer& answer = *session.last_answer;
   const ActionSpace& space = agent.policy().action_space;
   bool is_over = false;  // the lease of an operator
-  const Seat* const seat = agent.seat_.Heard(&session, &is_over);
+  const Seat* const seat =
+      session.seat.has_value() ? agent.seat_.Heard(&session, &is_over) : nullptr;
   if (is_over) agent.served_->observer->OnSeat(SeatChange::kEnded);
   Action action;
   if (agent.hold_ != nullptr) {
@@ -259,16 +335,20 @@ void AgentSession::DecisionPass::AppendActions(absl::Span<AgentSession* const> s
   thread_local std::vector<AgentSession*> pending;
   pending.clear();
   for (AgentSession* session : sessions) {
-    if (session->context_.TakePending()) pending.push_back(session);
+    if (std::exchange(session->context_.lacks_action, false)) pending.push_back(session);
   }
   const auto append = [](absl::Span<AgentSession* const> part) {
     thread_local std::vector<std::vector<float>> encoded;
     thread_local std::vector<Engine::TakenAction> taken;
+    thread_local Action action;  // reused, so that a warm decision allocates nothing
     taken.clear();
     if (encoded.size() < part.size()) encoded.resize(part.size());
     const ServedPolicy& served = *part[0]->served_;
     for (size_t i = 0; i < part.size(); ++i) {
-      taken.push_back(part[i]->context_.LastAction(served, part[i]->session_, &encoded[i]));
+      const History& history = part[i]->session_.history;
+      history.action(history.size() - 1, &action);
+      taken.push_back({part[i]->context_.engine.get(),
+                       Encode(served.policy().action_space, action, &encoded[i])});
     }
     served.engine->AppendActionsTogether(taken);
   };

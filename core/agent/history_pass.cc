@@ -284,7 +284,7 @@ absl::Status AgentSession::HistoryPass::TakeParts(Step& step, bool decides, Step
     result.checked = true;
     result.appended += part->appended;
     result.dropped += part->dropped;
-    agent.CountMissingRewards(part->missing_rewards);
+    if (part->missing_rewards > 0) agent.CountMissingRewards(part->missing_rewards);
     if (part->dropped > 0) agent.served_->observer->OnSkippedBeats(part->dropped);
     result.finished = part->finished;
     if (agent.clock_->Now() >= budget->until) budget->steps = 0;
@@ -303,7 +303,7 @@ absl::StatusOr<AgentSession::HistoryPass::Part> AgentSession::HistoryPass::TakeP
   if (*step.place.step < session.step) return part;
   RETURN_IF_ERROR(CheckPlace(step, session));
   if (!step.result.checked) RETURN_IF_ERROR(CheckPast(step, decides));
-  agent.context_.ExpectExecuted();
+  agent.context_.expects_executed = true;
   const int64_t first = FirstStep(step);
   const int64_t end = EndOfPast(step, decides);
   if (end <= std::max(first, session.step)) return part;
@@ -371,6 +371,25 @@ absl::Status AgentSession::HistoryPass::TakeExecuted(const Step& step, size_t in
   const PastStep past = step.history[index];
   if (past.observation.empty()) return absl::OkStatus();  // skipped: nothing was decided there
   return Annotate(step.session->ReportExecuted(past.executed), Name(index));
+}
+
+void AgentSession::SkipSteps(absl::Span<const double> rewards) {
+  head_.TakeMerged(&session_);
+  if (before_skipped_ == nullptr) before_skipped_ = std::make_unique<const Session>(session_);
+  for (const double reward : rewards) CountSkipped(reward, &session_);
+  session_.history.Clear();
+  DropContext();
+  for (const auto& listener : listeners_) listener->OnGap();
+}
+
+absl::Status AgentSession::ReportExecuted(const ReportedAction& reported) {
+  ASSIGN_OR_RETURN(const Action executed, ParseExecutedAction(reported, policy().action_space));
+  const bool is_known = executed == session_.history.action(session_.history.size() - 1);
+  const StepSource before = session_.executed_source;
+  TakeExecuted(executed, reported.source);
+  if (is_known && session_.executed_source == before) return absl::OkStatus();
+  for (const auto& listener : listeners_) listener->OnChange(session_);
+  return absl::OkStatus();
 }
 
 }  // namespace spikeserve
