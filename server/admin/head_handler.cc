@@ -16,7 +16,7 @@
 #include "nlohmann/json.hpp"
 #include "server/admin/admin_handler.h"
 #include "server/admin/traffic.h"
-#include "server/agent/durable_answer.h"
+#include "server/agent/session_gate.h"
 #include "server/policies/policy_folder.h"
 
 namespace spikeserve {

@@ -15,7 +15,7 @@
 #include "core/session/session_id.h"
 #include "server/admin/admin_handler.h"
 #include "server/base/log.h"
-#include "server/messages/convert.h"
+#include "server/messages/step_convert.h"
 
 namespace spikeserve {
 namespace {

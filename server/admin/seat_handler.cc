@@ -8,9 +8,9 @@
 #include "core/base/status_macros.h"
 #include "core/session/session_id.h"
 #include "server/admin/admin_handler.h"
-#include "server/agent/durable_answer.h"
+#include "server/agent/session_gate.h"
 #include "server/agent/session_recovery.h"
-#include "server/messages/convert.h"
+#include "server/messages/step_convert.h"
 
 namespace spikeserve {
 namespace {

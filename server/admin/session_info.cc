@@ -2,8 +2,8 @@
 
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
-#include "server/agent/step_conversion.h"
 #include "server/messages/convert.h"
+#include "server/messages/step_convert.h"
 
 namespace spikeserve {
 

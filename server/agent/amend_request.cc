@@ -9,7 +9,7 @@
 #include "core/base/status_macros.h"
 #include "core/digest/sha256.h"
 #include "server/agent/policy_handler.h"
-#include "server/messages/convert.h"
+#include "server/messages/step_convert.h"
 
 namespace spikeserve {
 namespace {

@@ -6,16 +6,33 @@
 // Not thread-safe: belongs to one request, whose handler has it for itself until it returns.
 #pragma once
 
+#include <cstdint>
 #include <memory>
 
+#include "absl/container/inlined_vector.h"
+#include "core/agent/head_log.h"
+#include "core/journal/session_journal.h"
 #include "core/open_sessions/session_store.h"
 #include "server/access/authenticator.h"
-#include "server/agent/deferred_work.h"
-#include "server/agent/durable_answer.h"
 #include "server/base/peer.h"
 #include "server/trace/span.h"
 
 namespace spikeserve {
+
+class DeferredWork;
+
+// A position in the journal of a session.
+struct Commit {
+  std::shared_ptr<SessionJournal> journal;
+  uint64_t position = 0;
+  int item = -1;  // index of the item of a batch that waits; -1: the whole answer waits
+  // Awaited after the journal, because its outcome is part of the answer; null: none.
+  std::shared_ptr<FleetContribution> contribution = nullptr;
+  // The answer says that the session is open. If the store refuses that, the session is withdrawn.
+  bool opens = false;
+};
+// Empty, and without memory of its own, unless a session is stored.
+using Commits = absl::InlinedVector<Commit, 1>;
 
 struct CallContext {
   const Credential* caller = nullptr;  // never null for a handler; outlives the request
@@ -26,7 +43,7 @@ struct CallContext {
   Peer peer = {};
   // Receives what is done after the answer was sent. Null for methods that defer nothing.
   DeferredWork* deferred = nullptr;
-  // Gathers what the answer must wait for. Callers that send no answer ignore it.
+  // Gathers what the answer must wait for (session_gate.h). Callers that send no answer ignore it.
   Commits commits = {};
   // True: a request that is ahead of a stored session gets NOT_FOUND and makes this copy lost, so
   // that the session is claimed again. Another server may have decided in between.

@@ -10,7 +10,7 @@
 #include "core/contract/dcheck.h"
 #include "core/open_sessions/session_locks.h"
 #include "server/agent/session_gate.h"
-#include "server/agent/step_conversion.h"
+#include "server/messages/step_convert.h"
 
 namespace spikeserve {
 namespace {
@@ -23,11 +23,7 @@ void AddCommits(DecisionRequest& act, bool has_decided)
   entry.mutex.AssertHeld();
   Commits& commits = act.context->commits;
   const size_t before = commits.size();
-  if (act.step.place.is_of_session()) {
-    AddCommit(entry, &commits);
-  } else {
-    AddConfirmation(entry, has_decided, &commits);
-  }
+  AddCommit(entry, act.step.place, has_decided, &commits);
   if (commits.size() == before || act.item < 0) return;
   if (act.status.ok()) {
     commits.back().item = act.item;
@@ -117,23 +113,24 @@ void TakeHold(const SessionHolds& holds, SessionEntry& entry)
 
 }  // namespace
 
+void DecisionRequest::Become(DecisionState next) {
+  SPIKESERVE_DCHECK(MayFollow(state, next));
+  state = next;
+}
+
 void DecisionRequest::Conclude() {
-  if (status.ok() && !step.result.finished) {
-    state = DecisionState::kWaiting;
-  } else {
-    // The items of a batch are taken over together, when the batch leaves by the gate.
-    const bool claims = item < 0 && context->may_claim && absl::IsNotFound(status);
-    state = claims ? DecisionState::kClaiming : DecisionState::kAnswered;
-  }
+  if (status.ok() && !step.result.finished) return;
+  // The items of a batch are taken over together, when the batch leaves by the gate.
+  const bool claims = item < 0 && context->may_claim && absl::IsNotFound(status);
+  Become(claims ? DecisionState::kClaiming : DecisionState::kDecided);
 }
 
 void DecisionRequest::OnClaimed(const absl::Status& claimed) {
-  SPIKESERVE_DCHECK(state == DecisionState::kClaiming || state == DecisionState::kWaiting);
   context->may_claim = false;
   context->has_claimed = claimed.ok();
   status = claimed;
   step.result.checked = false;  // against another copy of the session
-  state = claimed.ok() ? DecisionState::kWaiting : DecisionState::kAnswered;
+  Become(claimed.ok() ? DecisionState::kWaiting : DecisionState::kDecided);
 }
 
 void DecideActs(absl::Span<DecisionRequest* const> acts, const SessionHolds& holds,
@@ -165,6 +162,25 @@ void DecideActs(absl::Span<DecisionRequest* const> acts, const SessionHolds& hol
     acts[i]->entry->mutex.AssertHeld();
     TakeResult(*acts[i], std::move(spans[i]));
   }
+}
+
+void DeferredWork::Run() {
+  for (size_t first = 0; first < entries_.size(); first += kMaxSessionsPerGroup) {
+    const auto part = absl::MakeConstSpan(entries_).subspan(first, kMaxSessionsPerGroup);
+    const SessionLocks locks(part);
+    absl::InlinedVector<AgentSession*, 1> sessions;
+    for (const auto& entry : part) {
+      entry->mutex.AssertHeld();
+      sessions.push_back(&entry->agent);
+    }
+    AgentSession::AppendPendingActions(sessions);
+    for (const auto& entry : part) {
+      entry->mutex.AssertHeld();
+      if (entry->shadow_steps == nullptr || entry->shadow_steps->empty()) continue;
+      shadows_->Submit(entry->shadow, entry->served->version, entry->shadow_steps->Take());
+    }
+  }
+  entries_.clear();
 }
 
 }  // namespace spikeserve

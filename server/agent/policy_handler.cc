@@ -14,10 +14,10 @@
 #include "core/journal/session_export.h"
 #include "core/session/session_id.h"
 #include "server/agent/session_recovery.h"
-#include "server/agent/step_conversion.h"
 #include "server/base/retry_delay.h"
 #include "server/messages/convert.h"
 #include "server/messages/explain_convert.h"
+#include "server/messages/step_convert.h"
 
 namespace spikeserve {
 namespace {
@@ -34,12 +34,6 @@ constexpr absl::Duration kBeatTime = absl::Microseconds(200);
 // Returns how many decisions the beats of a request count as.
 int64_t BeatsOf(const DecisionRequest& act) {
   return act.step.result.appended + act.step.result.dropped / kSkippedPerDecision;
-}
-
-// Lets the answer to `act` bring a key for datagrams, if the session needs one.
-void RenewKey(DatagramChannels* datagrams, const std::shared_ptr<SessionEntry>& entry,
-              DecisionRequest* act) {
-  if (datagrams != nullptr) datagrams->Renew(entry, *act->context, act->response);
 }
 
 }  // namespace
@@ -109,66 +103,49 @@ absl::Status PolicyHandler::Act(CallContext& context, const v1::ActRequest& requ
   return act.status;
 }
 
-// A group ends before a request whose session is in the group already, so that the decisions of one
-// session are made in order.
-void PolicyHandler::ActMany(absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
-                            absl::FunctionRef<void(absl::Span<DecisionRequest* const>)> answered,
-                            StepBudget* budget) const {
-  absl::InlinedVector<DecisionRequest*, 1>
-      found;                                 // of the group, without requests that were refused
-  size_t begin = 0;                          // of the group
-  absl::InlinedVector<int64_t, 1> appended;  // by the requests of the group, before
-  std::vector<absl::string_view> held;       // sessions of requests that have not finished
-  const auto conclude = [&](DecisionRequest* act) {
-    act->Conclude();
-    if (!act->is_answered()) held.push_back(act->request->session_id());
-  };
-  const auto is_held = [&](const DecisionRequest& act) {
-    return !held.empty() && absl::c_linear_search(held, act.request->session_id());
-  };
-  const auto answer_group = [&](size_t end) {
-    StepBudget of_group;
-    DecideActs(found, registry_->settings().holds(), budget == nullptr ? &of_group : budget);
-    for (size_t i = 0; i < found.size(); ++i) {
-      DecisionRequest* const act = found[i];
-      auto entry = std::exchange(act->entry, nullptr);
-      conclude(act);
-      if (act->status.ok()) RenewKey(datagrams_, entry, act);
-      const int64_t beats = BeatsOf(*act) - appended[i];
-      if (beats > 0) CountBeats(*act->context->caller, beats);
-      if (act->status.ok()) deferred->Add(std::move(entry), shadows_);
-    }
-    answered(acts.subspan(begin, end - begin));
-    begin = end;
-    found.clear();
-    appended.clear();
-  };
-  for (size_t i = 0; i < acts.size(); ++i) {
-    DecisionRequest& act = *acts[i];
+size_t PolicyHandler::ActGroup(absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
+                               StepBudget* budget) const {
+  absl::InlinedVector<DecisionRequest*, 1> found;  // without requests that were refused
+  absl::InlinedVector<int64_t, 1> appended;        // by these, before
+  const size_t most = std::min(acts.size(), kMaxSessionsPerGroup);
+  size_t size = 0;
+  for (; size < most; ++size) {
+    DecisionRequest& act = *acts[size];
+    const std::string& id = act.request->session_id();
+    const auto is_of_session = [&](const DecisionRequest* other) {
+      return other->request->session_id() == id;
+    };
+    // So that the decisions of one session are made in order.
+    if (absl::c_any_of(acts.first(size), is_of_session)) break;
     act.status = absl::OkStatus();
-    act.state = DecisionState::kWaiting;
-    if (is_held(act)) continue;
+    act.Become(DecisionState::kWaiting);
     // A request that goes on with its history has counted already.
     if (act.step.result.started) act.context->has_paid = true;
     auto entry = FindForDecision(*act.context, *act.request);
     act.status = entry.status();
     if (!entry.ok()) {
-      conclude(&act);
-      if (act.item < 0 && act.is_answered()) {
-        gate_->AwaitEarlier(act.request->session_id(), act.context);
-      }
+      act.Conclude();
+      if (act.item < 0 && act.is_decided()) gate_->AwaitEarlier(id, act.context);
       continue;
     }
-    const bool again =
-        absl::c_any_of(found, [&](const DecisionRequest* other) { return other->entry == *entry; });
-    if (again || found.size() == kMaxSessionsPerGroup) answer_group(i);
-    if (is_held(act)) continue;
     act.entry = *std::move(entry);
     act.policy = act.entry->served->name;
     found.push_back(&act);
     appended.push_back(BeatsOf(act));
   }
-  answer_group(acts.size());
+  DecideActs(found, registry_->settings().holds(), budget);
+  for (size_t i = 0; i < found.size(); ++i) {
+    DecisionRequest& act = *found[i];
+    auto entry = std::exchange(act.entry, nullptr);
+    act.Conclude();
+    if (act.status.ok() && datagrams_ != nullptr) {
+      datagrams_->Renew(entry, *act.context, act.response);
+    }
+    const int64_t beats = BeatsOf(act) - appended[i];
+    if (beats > 0) CountBeats(*act.context->caller, beats);
+    if (act.status.ok()) deferred->Add(std::move(entry), shadows_);
+  }
+  return size;
 }
 
 absl::Status PolicyHandler::CheckBatch(const v1::ActBatchRequest& request) {
@@ -198,10 +175,12 @@ int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest
                      .step = {.result = std::exchange(*progress, {})}});
   }
   for (DecisionRequest& item : items) acts.push_back(&item);
-  ActMany(
-      acts, context.deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, budget);
+  for (absl::Span<DecisionRequest* const> rest = acts; !rest.empty();) {
+    StepBudget of_group;
+    rest.remove_prefix(ActGroup(rest, context.deferred, budget == nullptr ? &of_group : budget));
+  }
   for (const DecisionRequest& item : items) {
-    if (!item.is_answered()) {
+    if (!item.is_decided()) {
       response->mutable_results()->RemoveLast();
       *progress = item.step.result;
       return first;
@@ -228,11 +207,7 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
     return SessionGate::Refused(context, step.place, status, *entry);
   }
   if (!status.ok()) return status;
-  if (step.place.is_of_session()) {
-    AddCommit(*entry, &context.commits);
-  } else {
-    AddConfirmation(*entry, /*has_decided=*/!step.result.is_retry, &context.commits);
-  }
+  AddCommit(*entry, step.place, /*has_decided=*/!step.result.is_retry, &context.commits);
   if (context.commits.empty()) {
     SessionGate::Trace(context.span, *entry, entry->agent.contribution());
   } else {

@@ -9,7 +9,6 @@
 #include <utility>
 
 #include "absl/base/thread_annotations.h"
-#include "absl/functional/function_ref.h"
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/types/span.h"
@@ -20,7 +19,6 @@
 #include "server/agent/call_context.h"
 #include "server/agent/datagram_channels.h"
 #include "server/agent/decision_request.h"
-#include "server/agent/deferred_work.h"
 #include "server/agent/session_gate.h"
 #include "server/agent/session_recovery.h"
 #include "server/followers/recordings.h"
@@ -76,15 +74,12 @@ class PolicyHandler {
   // the request is never a retry.
   absl::Status Act(CallContext& context, const v1::ActRequest& request, v1::ActResponse* response,
                    bool is_next = false) const;
-  // Answers each of `acts`, as Act does, in groups that are decided together. The decisions of one
-  // session are made in the order of `acts`. Calls `answered` for each group, which is the next
-  // part of `acts`, so that its answers can be sent before the next group is decided. A request
-  // with many beats may be left unfinished, as is one whose session is to be taken over, and then
-  // those behind it for the same session are, too.
-  // `budget` bounds the beats of all; null: those of each group.
-  void ActMany(absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
-               absl::FunctionRef<void(absl::Span<DecisionRequest* const> group)> answered,
-               StepBudget* budget = nullptr) const;
+  // Decides the first requests of `acts` together, as Act does each, and returns how many: at most
+  // kMaxSessionsPerGroup, and at most one of a session. Those behind it for the same session come
+  // after it: a request with many beats may be left unfinished, and one whose session is to be
+  // taken over waits for that. `budget` bounds the beats. REQUIRES: `acts` is not empty.
+  size_t ActGroup(absl::Span<DecisionRequest* const> acts, DeferredWork* deferred,
+                  StepBudget* budget) const;
   // Returns the budget of one turn that begins now.
   StepBudget NewBudget() const;
   // Takes over the session of a request that waits for that, as SessionGate::Claim does.

@@ -93,6 +93,36 @@ bool IsAhead(const Place& place, const Session& session) {
 
 }  // namespace
 
+void AddStored(const SessionEntry& entry, Commits* commits) {
+  if (entry.journal == nullptr) return;
+  commits->push_back({entry.journal, entry.journal->written()});
+}
+
+void AddCommit(const SessionEntry& entry, Commits* commits) {
+  if (entry.journal == nullptr) return;
+  const auto& last = entry.agent.session().last_answer;
+  const bool of_operator = last.has_value() && last->source.kind == SourceKind::kOperator;
+  if (entry.journal->is_sync() || of_operator) AddStored(entry, commits);
+}
+
+void AddConfirmation(const SessionEntry& entry, bool has_decided, Commits* commits) {
+  if (entry.journal == nullptr) return;
+  if (!entry.journal->is_shared()) return AddCommit(entry, commits);
+  if (!has_decided) entry.journal->OnConfirm();
+  AddStored(entry, commits);
+}
+
+void AddCommit(const SessionEntry& entry, const Place& place, bool has_decided, Commits* commits) {
+  if (place.is_of_session()) return AddCommit(entry, commits);
+  AddConfirmation(entry, has_decided, commits);
+}
+
+absl::Status CheckMayBeHeard(const SessionEntry& entry) {
+  if (entry.journal == nullptr) return absl::OkStatus();
+  const bool is_heard = entry.agent.seat() != nullptr && entry.agent.hold() == nullptr;
+  return is_heard ? entry.journal->CheckReachable() : absl::OkStatus();
+}
+
 struct SessionGate::Search {
   std::shared_ptr<GatedRequest> request;
   absl::Status status;  // of the request, which has found no session
@@ -106,7 +136,10 @@ absl::StatusOr<std::shared_ptr<SessionEntry>> SessionGate::Find(const CallContex
   return store_.Find(id, context.caller->tenant()->name());
 }
 
-void SessionGate::Enter(CallContext* context) const { context->may_claim = recovery_ != nullptr; }
+// Only gRPC takes sessions over, and then brings the key of the new owner for datagrams.
+void SessionGate::Enter(CallContext* context) const {
+  context->may_claim = recovery_ != nullptr && !context->is_datagram;
+}
 
 absl::Status SessionGate::Refused(const CallContext& context, const Place& place,
                                   const absl::Status& refusal, SessionEntry& entry) {

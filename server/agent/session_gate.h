@@ -65,6 +65,30 @@ class GatedRequest {
   CallContext call_context_;
 };
 
+// The functions below are called under the session's lock, so that an answer waits for what it
+// tells.
+
+// Waits for everything that was written to the session's journal, whatever its durability is.
+void AddStored(const SessionEntry& entry, Commits* commits);
+
+// Adds what an answer about the session must wait for. An operator is heard only in what the store
+// has: the next owner of the session would go on with the operator before, who was relieved.
+void AddCommit(const SessionEntry& entry, Commits* commits) ABSL_SHARED_LOCKS_REQUIRED(entry.mutex);
+
+// As AddCommit, for requests that do not name their decision: whatever the durability is, also
+// waits until the store confirms that this server still owns the session, with the last decision or
+// with a query of its own. Does nothing more than AddCommit if no other server uses the store.
+void AddConfirmation(const SessionEntry& entry, bool has_decided, Commits* commits)
+    ABSL_SHARED_LOCKS_REQUIRED(entry.mutex);
+
+// As the one of these that fits a request at `place`.
+void AddCommit(const SessionEntry& entry, const Place& place, bool has_decided, Commits* commits)
+    ABSL_SHARED_LOCKS_REQUIRED(entry.mutex);
+
+// Returns UNAVAILABLE if an operator has control whom no answer may tell of, because the store
+// cannot be reached. The lease ends by itself.
+absl::Status CheckMayBeHeard(const SessionEntry& entry) ABSL_SHARED_LOCKS_REQUIRED(entry.mutex);
+
 class SessionGate {
  public:
   // Both must outlive the gate. If `recovery` is null, no session is stored.

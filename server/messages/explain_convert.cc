@@ -6,6 +6,7 @@
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "server/messages/convert.h"
+#include "server/messages/step_convert.h"
 
 namespace spikeserve {
 namespace {

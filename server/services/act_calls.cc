@@ -5,7 +5,7 @@
 #include <utility>
 
 #include "server/access/admission.h"
-#include "server/messages/convert.h"
+#include "server/messages/step_convert.h"
 #include "server/services/request_parser.h"
 #include "server/transport/limits.h"
 
@@ -39,66 +39,6 @@ bool IsMissing(const v1::ActResult& result) {
 }
 
 }  // namespace
-
-// One request of the stream. Keeps the call alive, and the requests of its session behind it that
-// are answered before it: requests of a session that moves do not wait for the same.
-class ActStreamCall::Item final : public QueuedAct,
-                                  public GatedRequest,
-                                  public std::enable_shared_from_this<Item> {
- public:
-  Item(std::shared_ptr<ActStreamCall> call, size_t request_bytes, absl::Duration received)
-      : call_(std::move(call)), request_bytes_(request_bytes), received_(received) {}
-  // At the end of the server, a request may have no answer.
-  ~Item() override { call_->TakeOut(*this); }
-
-  Messages& messages() { return messages_; }
-  const std::string& session_id() { return messages_.request()->session_id(); }
-
-  void Handle() {
-    act().context = &call_context();
-    act().request = messages_.request();
-    act().response = messages_.response();
-    act().received = received_;
-    act().step = {};
-    call_->queue_.Add(shared_from_this());
-  }
-  void OnDecided() override { call_->context().sessions->Leave(*this, act().status); }
-
-  std::shared_ptr<GatedRequest> Self() override { return shared_from_this(); }
-  SessionRecovery::Post post() override { return PostTo(&call_->loop()); }
-  // A decision is made and stored whether its caller waits for it or not.
-  bool is_over() override { return false; }
-  void OnGranted() override { call_->OnGranted(); }
-  void Answer(const absl::Status& status) override {
-    call_->EndSpan(status, &call_context().span);
-    status_ = status;
-    Item* const earlier = call_->TakeOut(*this);
-    if (earlier != nullptr) return earlier->behind_.push_back(shared_from_this());
-    Send();
-  }
-
- private:
-  void Send() {
-    call_->Answer(messages_, status_, request_bytes_, received_, act().policy);
-    for (const auto& item : std::exchange(behind_, {})) item->Send();
-  }
-
-  const std::shared_ptr<ActStreamCall> call_;
-  const size_t request_bytes_;
-  const absl::Duration received_;  // time of the server's clock
-  Messages messages_;
-  absl::Status status_;                        // of the answer
-  std::vector<std::shared_ptr<Item>> behind_;  // their answers wait for this one
-};
-
-void ActOneCall::Handle() {
-  act().context = &call_context();
-  act().request = &request();
-  act().response = response();
-  act().received = context().clock->Now();
-  act().step = {};
-  queue_.Add(std::static_pointer_cast<ActOneCall>(shared_from_this()));
-}
 
 void ActBatchCall::Handle() {
   auto status = PolicyHandler::CheckBatch(request());
@@ -155,83 +95,129 @@ void ActBatchCall::FailItem(int item, const absl::Status& status) {
   ErrorToProto(status, response()->mutable_results(item));
 }
 
-void ActStreamCall::HandleMessage(absl::string_view message) {
-  const absl::Duration received = context().clock->Now();
-  const auto item = std::make_shared<Item>(
-      std::static_pointer_cast<ActStreamCall>(shared_from_this()), message.size(), received);
-  if (auto status = ParseRequest(message, item->messages().request()); !status.ok()) {
-    return Finish(status);
+// One request of the call. Keeps the call alive, and the requests of its session behind it that are
+// decided before it: requests of a session that moves do not wait for the same.
+class ActCall::Item final : public QueuedAct {
+ public:
+  Item(std::shared_ptr<ActCall> call, size_t bytes)
+      : QueuedAct(&call->context(), &call->queue_), call_(std::move(call)), bytes_(bytes) {}
+  // At the end of the server, a request may have no answer.
+  ~Item() override { call_->TakeOut(*this); }
+
+  size_t bytes() const { return bytes_; }  // as it arrived
+
+  void OnGranted() override { call_->OnGranted(); }
+
+ private:
+  void Send(const absl::Status& status) override {
+    call_->EndSpan(status, &call_context().span);
+    status_ = status;
+    Item* const earlier = call_->TakeOut(*this);
+    if (earlier != nullptr) {
+      return earlier->behind_.push_back(std::static_pointer_cast<Item>(shared_from_this()));
+    }
+    SendInOrder();
   }
-  item->call_context().span = StartSpan(TraceOf(*item->messages().request(), *call()));
-  waiting_.push_back(item.get());
-  // The next request of a tenant with a limit must wait if this one is refused.
-  limited_ = caller().tenant()->limits_decisions();
-  if (CountRequest(message.size()) >= kMaxInProgress || limited_) call()->PauseReading();
-  auto status = CheckStillAdmitted(caller(), static_cast<int64_t>(message.size()),
-                                   context().max_message_bytes);
-  if (status.ok() && !HoldRequests()) status = TooManyBytesError();
-  if (!status.ok()) return item->Answer(status);
-  item->call_context().caller = &caller();
-  context().sessions->Enter(&item->call_context());
-  item->Handle();
+  void SendInOrder() {
+    call_->Send(*this, status_);
+    for (const auto& item : std::exchange(behind_, {})) item->SendInOrder();
+  }
+
+  const std::shared_ptr<ActCall> call_;
+  const size_t bytes_;
+  absl::Status status_;                        // of the answer
+  std::vector<std::shared_ptr<Item>> behind_;  // their answers wait for this one
+};
+
+std::shared_ptr<ActCall::Item> ActCall::NewItem(size_t bytes) {
+  has_request_ = true;
+  ++in_progress_;
+  in_progress_bytes_ += bytes;
+  return std::make_shared<Item>(std::static_pointer_cast<ActCall>(shared_from_this()), bytes);
 }
 
-ActStreamCall::Item* ActStreamCall::TakeOut(const Item& item) {
+void ActCall::HandleMessage(absl::string_view message) {
+  if (!method().streams && has_request_) {
+    if (is_delayed()) return;
+    return Finish(absl::InternalError("message: expected one request, received a second one"));
+  }
+  const auto item = NewItem(message.size());
+  auto status = ParseRequest(message, item->request());
+  // The answer on a stream would lack the session.
+  if (!status.ok() && method().streams) return Finish(status);
+  item->call_context().span = StartSpan(TraceOf(*item->request(), *call()));
+  waiting_.push_back(item.get());
+  if (method().streams) {
+    // The next request of a tenant with a limit must wait if this one is refused.
+    limited_ = caller().tenant()->limits_decisions();
+    if (in_progress_ >= kMaxInProgress || limited_) call()->PauseReading();
+  } else {
+    item->call_context().has_paid = call()->head().admitted != nullptr;
+  }
+  if (status.ok()) {
+    status = CheckStillAdmitted(caller(), static_cast<int64_t>(message.size()),
+                                context().max_message_bytes);
+  }
+  if (status.ok() && !HoldRequests()) status = TooManyBytesError();
+  status.ok() ? item->Enter(&caller()) : item->Answer(status);
+}
+
+void ActCall::HandleTooLong(size_t length, const absl::Status& error) {
+  if (method().streams || !has_request_) NewItem(length)->Answer(error);
+}
+
+ActCall::Item* ActCall::TakeOut(const Item& item) {
   const auto at = std::find(waiting_.begin(), waiting_.end(), &item);
   if (at == waiting_.end()) return nullptr;
-  const auto earlier =
-      std::find_if(std::make_reverse_iterator(at), waiting_.rend(),
-                   [&](Item* waiting) { return waiting->session_id() == (*at)->session_id(); });
+  const auto is_of_session = [&](Item* waiting) {
+    return waiting->request()->session_id() == (*at)->request()->session_id();
+  };
+  const auto earlier = std::find_if(std::make_reverse_iterator(at), waiting_.rend(), is_of_session);
   Item* const last = earlier == waiting_.rend() ? nullptr : *earlier;
   waiting_.erase(at);
   return last;
 }
 
-size_t ActStreamCall::CountRequest(size_t bytes) {
-  in_progress_bytes_ += bytes;
-  return ++in_progress_;
+bool ActCall::HoldRequests() {
+  return call()->Hold(static_cast<int64_t>(in_progress_ * QueuedAct::kBytes + in_progress_bytes_));
 }
 
-bool ActStreamCall::HoldRequests() {
-  return call()->Hold(static_cast<int64_t>(in_progress_ * sizeof(Messages) + in_progress_bytes_));
-}
-
-void ActStreamCall::HandleTooLong(size_t length, const absl::Status& error) {
-  Messages unread;
-  CountRequest(length);
-  Answer(unread, error, length, context().clock->Now(), "");
-}
-
-void ActStreamCall::OnGranted() {
+void ActCall::OnGranted() {
   if (!std::exchange(limited_, false) || call() == nullptr) return;
   if (in_progress_ < kMaxInProgress && !is_delayed()) call()->ResumeReading();
 }
 
-void ActStreamCall::Answer(Messages& messages, const absl::Status& status, size_t request_bytes,
-                           absl::Duration received, absl::string_view policy) {
-  Observe(status, received, policy);
+void ActCall::Send(Item& item, const absl::Status& status) {
+  Observe(status, item.act().received, item.act().policy);
   --in_progress_;
-  in_progress_bytes_ -= request_bytes;
+  in_progress_bytes_ -= item.bytes();
   if (call() == nullptr) return;
   HoldRequests();
-  if (!status.ok()) ErrorToProto(*messages.request(), status, messages.response());
-  call()->Send(*messages.response());
-  PauseAfter(status, request_bytes);
+  if (!method().streams) {
+    if (status.ok()) call()->Send(*item.response());
+    return AfterDelay(status, item.bytes(), [this, status] { Finish(status); });
+  }
+  if (!status.ok()) ErrorToProto(*item.request(), status, item.response());
+  call()->Send(*item.response());
+  PauseAfter(status, item.bytes());
   if (in_progress_ == 0 && !is_delayed()) call()->ResumeReading();
   FinishIfDone();
 }
 
-void ActStreamCall::FinishIfDone() {
-  if (in_progress_ > 0 || !(half_closed_ || draining_)) return;
+void ActCall::FinishIfDone() {
+  if (!method().streams || in_progress_ > 0 || !(half_closed_ || draining_)) return;
   Finish(half_closed_ ? absl::OkStatus() : CallGate::DrainingError());
 }
 
-void ActStreamCall::HandleHalfClose() {
+void ActCall::HandleHalfClose() {
   half_closed_ = true;
+  if (!method().streams && !has_request_) {
+    return Finish(absl::InternalError("message: expected one request, received none"));
+  }
   FinishIfDone();
 }
 
-void ActStreamCall::OnDrain() {
+void ActCall::OnDrain() {
   ServiceCall::OnDrain();
   draining_ = true;
   FinishIfDone();

@@ -11,30 +11,11 @@
 
 #include "absl/status/status.h"
 #include "server/services/act_queue.h"
-#include "server/services/call_messages.h"
 #include "server/services/service_call.h"
 #include "server/services/unary_call.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
-
-class ActOneCall final : public UnaryCall<v1::ActRequest, v1::ActResponse>, public QueuedAct {
- public:
-  // `queue` must outlive the call.
-  ActOneCall(const ServiceContext* context, Call* call, const Method& method, ActQueue* queue)
-      : UnaryCall(context, call, method), queue_(*queue) {}
-
-  void OnDecided() override { Leave(act().status); }
-
- private:
-  void Handle() override;
-  std::vector<std::string> MissingSessions(const absl::Status& /*status*/) override { return {}; }
-  // A decision is made and stored whether its caller waits for it or not.
-  bool is_over() override { return false; }
-  absl::string_view observed_policy() const override { return act().policy; }
-
-  ActQueue& queue_;
-};
 
 // Decides its requests in groups, one in a turn of the loop, so that other calls do not wait for
 // all of them.
@@ -67,46 +48,46 @@ class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchRes
   absl::Status refusal_;  // of an item that exceeded a limit of its tenant; OK if there is none
 };
 
-// Answers any number of requests, those of one session in their order. A request that fails is
-// answered with its error, and the stream continues; after a refusal the next request is read when
-// the delay of the refusal is over.
-class ActStreamCall final : public ServiceCall {
+// Act and ActStream: answers one request, or any number, those of one session in their order. On a
+// stream a request that fails is answered with its error, and the stream continues; after a refusal
+// the next request is read when the delay of the refusal is over.
+class ActCall final : public ServiceCall {
  public:
-  ActStreamCall(const ServiceContext* context, Call* call, const Method& method, ActQueue* queue)
+  // `queue` must outlive the call.
+  ActCall(const ServiceContext* context, Call* call, const Method& method, ActQueue* queue)
       : ServiceCall(context, call, method), queue_(*queue) {}
 
   void OnDrain() override;
 
  private:
-  using Messages = CallMessages<v1::ActRequest, v1::ActResponse>;
   class Item;
 
   void HandleMessage(absl::string_view message) override;
   void HandleTooLong(size_t length, const absl::Status& error) override;
   void HandleHalfClose() override;
+  // Returns a new request, which is in progress.
+  std::shared_ptr<Item> NewItem(size_t bytes);
   // The request that was read last will not be refused.
   void OnGranted();
-  // Sends the answer to a request of `request_bytes` that was `received` then.
-  void Answer(Messages& messages, const absl::Status& status, size_t request_bytes,
-              absl::Duration received, absl::string_view policy);
+  // Sends the answer to a request, or its error.
+  void Send(Item& item, const absl::Status& status);
   // Takes a request that is answered, or gone, from those that wait. Returns the last one of its
   // session before it that still waits, or null.
   Item* TakeOut(const Item& item);
-  // Counts a request in progress. Returns how many there are.
-  size_t CountRequest(size_t bytes);
   // Counts what the requests in progress occupy. Returns false if that exceeds a limit.
   bool HoldRequests();
-  // Finishes the call if its last request is answered and no other follows.
+  // Finishes a stream if its last request is answered and no other follows.
   void FinishIfDone();
 
-  // The stream reads no further requests while this many wait, so that a client that reads no
-  // answers soon has to stop sending.
+  // A stream reads no further requests while this many wait, so that a client that reads no answers
+  // soon has to stop sending.
   static constexpr size_t kMaxInProgress = 64;
 
   ActQueue& queue_;
   std::vector<Item*> waiting_;    // requests that have no answer, in the order of their arrival
   size_t in_progress_ = 0;        // those, and the ones whose answer waits for one of them
   size_t in_progress_bytes_ = 0;  // as they arrived
+  bool has_request_ = false;
   bool limited_ = false;  // the request that was read last may be refused, and no other is read
   bool half_closed_ = false;
   bool draining_ = false;

@@ -10,15 +10,32 @@
 namespace spikeserve {
 namespace {
 
-absl::InlinedVector<DecisionRequest*, 1> RequestsOf(
+// Returns the requests of the first of `acts`, as many as may be decided together.
+absl::InlinedVector<DecisionRequest*, kMaxSessionsPerGroup> FirstOf(
     absl::Span<const std::shared_ptr<QueuedAct>> acts) {
-  absl::InlinedVector<DecisionRequest*, 1> requests;
-  requests.reserve(acts.size());
-  for (const auto& act : acts) requests.push_back(&act->act());
+  absl::InlinedVector<DecisionRequest*, kMaxSessionsPerGroup> requests;
+  for (const auto& act : acts.subspan(0, kMaxSessionsPerGroup)) requests.push_back(&act->act());
   return requests;
 }
 
 }  // namespace
+
+QueuedAct::QueuedAct(const ServiceContext* context, ActQueue* queue)
+    : context_(*context), queue_(*queue) {
+  act_.context = &call_context();
+  act_.request = messages_.request();
+  act_.response = messages_.response();
+  act_.received = context->clock->Now();
+}
+
+void QueuedAct::Enter(const Credential* caller) {
+  call_context().caller = caller;
+  context_.sessions->Enter(&call_context());
+  act_.Become(DecisionState::kWaiting);
+  queue_.Add(shared_from_this());
+}
+
+SessionRecovery::Post QueuedAct::post() { return PostTo(&queue_.events()); }
 
 void ActQueue::SetQueues(std::vector<ActQueue*> queues) {
   SPIKESERVE_DCHECK(queues_.empty() && !queues.empty());
@@ -93,9 +110,7 @@ void ActQueue::Wait(ActQueue* from, std::shared_ptr<QueuedAct> act) {
 }
 
 void ActQueue::Claim(const std::string& id) {
-  const auto post = [events = &loop_.events()](std::function<void()> work) {
-    events->Post(std::move(work));
-  };
+  const auto post = PostTo(&loop_.events());
   // Posted in any case, because the claim may end at once, before earlier answers are on their way.
   handler_.Claim(waiting_[id].front().act->act(), post, [this, id, post](const absl::Status& done) {
     post([this, id, done] { OnClaimed(id, done); });
@@ -133,9 +148,9 @@ void ActQueue::OnClaimed(const std::string& id, const absl::Status& claimed) {
 }
 
 void ActQueue::Deliver(Waiting decided) {
-  if (decided.from == this) return decided.act->OnDecided();
+  if (decided.from == this) return decided.act->Leave();
   // Moved on, because the call is destroyed on its loop's thread.
-  decided.from->loop_.events().Post([act = std::move(decided.act)] { act->OnDecided(); });
+  decided.from->loop_.events().Post([act = std::move(decided.act)] { act->Leave(); });
 }
 
 ActQueue::Acts ActQueue::HoldBack(ActQueue* from, Acts acts) {
@@ -158,11 +173,10 @@ void ActQueue::DecideWaiting(StepBudget* budget) {
   Waiting first = std::move(behind.front());
   behind.pop_front();
   DeferredWork deferred;
-  handler_.ActMany(
-      {&first.act->act()}, &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, budget);
-  const bool is_answered = first.act->act().is_answered();
+  handler_.ActGroup({&first.act->act()}, &deferred, budget);
+  const bool is_decided = first.act->act().is_decided();
   const bool is_claiming = first.act->act().state == DecisionState::kClaiming;
-  if (is_answered) {
+  if (is_decided) {
     Deliver(std::move(first));
   } else {
     behind.push_front(std::move(first));
@@ -178,41 +192,42 @@ void ActQueue::DecideWaiting(StepBudget* budget) {
   deferred.Run();
 }
 
-void ActQueue::Decide(Acts added, StepBudget* budget) {
-  const Acts acts = HoldBack(this, std::move(added));
-  DeferredWork deferred;
-  const auto requests = RequestsOf(acts);
-  size_t answered = 0;
-  const auto answer = [&](absl::Span<DecisionRequest* const> group) {
-    for (size_t i = 0; i < group.size(); ++i) {
-      const auto& act = acts[answered + i];
-      if (act->act().is_answered()) {
-        act->OnDecided();
-      } else {
-        Wait(this, act);
-      }
+ActQueue::Acts ActQueue::DecideGroup(ActQueue* from, Acts* acts, DeferredWork* deferred,
+                                     StepBudget* budget) {
+  Acts decided;
+  *acts = HoldBack(from, std::move(*acts));
+  if (acts->empty()) return decided;
+  const auto end = acts->begin() + handler_.ActGroup(FirstOf(*acts), deferred, budget);
+  for (auto act = acts->begin(); act != end; ++act) {
+    if ((*act)->act().is_decided()) {
+      decided.push_back(std::move(*act));
+    } else {
+      Wait(from, std::move(*act));
     }
-    answered += group.size();
+  }
+  acts->erase(acts->begin(), end);
+  return decided;
+}
+
+void ActQueue::Decide(Acts acts, StepBudget* budget) {
+  while (!acts.empty()) {
+    DeferredWork deferred;
+    for (const auto& act : DecideGroup(this, &acts, &deferred, budget)) act->Leave();
     loop_.FlushWrites();
     deferred.Run();
-  };
-  handler_.ActMany(requests, &deferred, answer, budget);
+  }
 }
 
 void ActQueue::DecideForeign(const std::shared_ptr<Foreign>& foreign, StepBudget* budget) {
-  Acts acts = HoldBack(foreign->from, std::exchange(foreign->acts, {}));
+  Acts acts = std::exchange(foreign->acts, {});
   DeferredWork deferred;
-  handler_.ActMany(
-      RequestsOf(acts), &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, budget);
-  for (auto& act : acts) {
-    if (act->act().is_answered()) {
+  while (!acts.empty()) {
+    for (auto& act : DecideGroup(foreign->from, &acts, &deferred, budget)) {
       foreign->acts.push_back(std::move(act));
-    } else {
-      Wait(foreign->from, std::move(act));
     }
   }
   foreign->from->loop_.events().Post([foreign] {
-    for (const auto& act : foreign->acts) act->OnDecided();
+    for (const auto& act : foreign->acts) act->Leave();
     foreign->acts.clear();  // the calls are destroyed on their loop's thread
   });
   deferred.Run();

@@ -13,22 +13,53 @@
 #include <string>
 #include <vector>
 
-#include "server/agent/deferred_work.h"
 #include "server/agent/policy_handler.h"
+#include "server/agent/session_gate.h"
+#include "server/services/call_messages.h"
+#include "server/services/service_context.h"
 #include "server/transport/transport_loop.h"
 
 namespace spikeserve {
 
-// A request in a queue.
-class QueuedAct {
+class ActQueue;
+
+// One request for a decision, from its arrival to its answer, however it came: as a call, in a
+// stream or as a datagram. Enters the queue of its loop, is decided, leaves by the gate, and sends
+// the answer. Keeps its messages in its own memory.
+class QueuedAct : public GatedRequest, public std::enable_shared_from_this<QueuedAct> {
  public:
-  virtual ~QueuedAct() = default;
+  // Received now. Both must outlive the request.
+  QueuedAct(const ServiceContext* context, ActQueue* queue);
+
+  v1::ActRequest* request() { return messages_.request(); }
+  v1::ActResponse* response() { return messages_.response(); }
   DecisionRequest& act() { return act_; }
-  const DecisionRequest& act() const { return act_; }
-  // Called when act() has its status, on the thread of the loop that the request came from.
-  virtual void OnDecided() = 0;
+  // Bytes that a request occupies, beside what is too long for its memory.
+  static constexpr size_t kBytes = sizeof(CallMessages<v1::ActRequest, v1::ActResponse>);
+
+  // Lets the queue decide the request of `caller`.
+  void Enter(const Credential* caller);
+  // The request is decided. Called on the thread of the loop that it came from.
+  void Leave() { context_.sessions->Leave(*this, act_.status); }
+
+  // Sends the answer, whether it is decided or refused on its arrival.
+  void Answer(const absl::Status& status) final {
+    act_.Become(DecisionState::kAnswered);
+    Send(status);
+  }
+  std::shared_ptr<GatedRequest> Self() final { return shared_from_this(); }
+  SessionRecovery::Post post() final;
+  // A decision is made and stored whether its caller waits for it or not.
+  bool is_over() final { return false; }
+
+ protected:
+  // Sends the response, or the error.
+  virtual void Send(const absl::Status& status) = 0;
 
  private:
+  const ServiceContext& context_;
+  ActQueue& queue_;
+  CallMessages<v1::ActRequest, v1::ActResponse> messages_;
   DecisionRequest act_;
 };
 
@@ -49,6 +80,8 @@ class ActQueue {
 
   // Sets the queues of all loops, in the same order for each, before the loops run.
   void SetQueues(std::vector<ActQueue*> queues);
+
+  EventLoop& events() const { return loop_.events(); }
 
   // Adds a request, which is decided at the end of the turn.
   void Add(std::shared_ptr<QueuedAct> act);
@@ -76,7 +109,10 @@ class ActQueue {
     std::shared_ptr<QueuedAct> act;
   };
 
-  void Decide(Acts added, StepBudget* budget);
+  // Takes the next group from `acts`, which came from the loop of `from`, and returns those that
+  // are decided. The others wait, and those behind them for their sessions.
+  Acts DecideGroup(ActQueue* from, Acts* acts, DeferredWork* deferred, StepBudget* budget);
+  void Decide(Acts acts, StepBudget* budget);
   void DecideBatchGroup(StepBudget* budget);
   void DecideForeign(const std::shared_ptr<Foreign>& foreign, StepBudget* budget);
   // Lets a request wait for its turn, behind the others of its session.

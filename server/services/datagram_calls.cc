@@ -8,11 +8,9 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/status.h"
 #include "server/access/admission.h"
-#include "server/messages/convert.h"
-#include "server/services/call_messages.h"
+#include "server/messages/step_convert.h"
 #include "server/services/request_parser.h"
 #include "server/services/request_span.h"
-#include "server/services/service_call.h"
 #include "server/transport/limits.h"
 #include "spikeserve/v1/policy_service.pb.h"
 
@@ -27,35 +25,32 @@ constexpr int64_t kMostBytes = 64 << 20;
 }  // namespace
 
 // One request, from its arrival to its answer.
-class DatagramCalls::Request final : public QueuedAct,
-                                     public GatedRequest,
-                                     public std::enable_shared_from_this<Request> {
+class DatagramCalls::Request final : public QueuedAct {
  public:
   Request(DatagramCalls* calls, std::shared_ptr<DatagramKey> key, absl::string_view number)
-      : calls_(*calls),
+      : QueuedAct(&calls->context_, &calls->queue_),
+        calls_(*calls),
         key_(std::move(key)),
         number_(number),
-        received_(calls->context_.clock->Now()),
         admission_(calls->context_.gate->Begin()) {}
   ~Request() override {
-    calls_.CountBytes(*key_->caller().tenant(), -kBytes);
+    calls_.CountBytes(*key_->caller().tenant(), -kHeldBytes);
     key_->Leave();
     calls_.context_.gate->End();
   }
 
   void Handle(absl::string_view message) {
-    v1::ActRequest& request = *messages_.request();
     const Credential& caller = key_->caller();
-    auto status = ParseRequest(message, &request);
-    if (status.ok() && request.session_id() != key_->session_id()) {
+    auto status = ParseRequest(message, request());
+    if (status.ok() && request()->session_id() != key_->session_id()) {
       status =
           InvalidArgument("session_id", absl::StrCat("that of the channel, ", key_->session_id()),
-                          request.session_id());
+                          request()->session_id());
     }
     const ServiceContext& context = calls_.context_;
     if (context.tracer != nullptr) {
       call_context().span = StartRequestSpan(*context.tracer, calls_.method_.path,
-                                             ParseTraceParent(request.traceparent()));
+                                             ParseTraceParent(request()->traceparent()));
       call_context().span.Set("network.transport", "udp");
     }
     if (status.ok()) status = admission_;
@@ -63,61 +58,47 @@ class DatagramCalls::Request final : public QueuedAct,
       status = CheckStillAdmitted(caller, static_cast<int64_t>(message.size()),
                                   context.max_message_bytes);
     }
-    if (!calls_.CountBytes(*caller.tenant(), kBytes) && status.ok()) {
+    if (!calls_.CountBytes(*caller.tenant(), kHeldBytes) && status.ok()) {
       status = TooManyBytesError();
     }
     if (!status.ok()) return Answer(status);
-    call_context().caller = &caller;
     call_context().is_datagram = true;
-    act().context = &call_context();
-    act().request = &request;
-    act().response = messages_.response();
-    act().received = received_;
-    calls_.queue_.Add(shared_from_this());
+    Enter(&caller);
   }
-  // May not claim the session (SessionGate::Enter): only gRPC takes sessions over, and then brings
-  // the key of the new owner.
-  void OnDecided() override { calls_.context_.sessions->Leave(*this, act().status); }
 
-  std::shared_ptr<GatedRequest> Self() override { return shared_from_this(); }
-  SessionRecovery::Post post() override { return PostTo(&calls_.loop_.events()); }
-  bool is_over() override { return false; }
-  void Answer(const absl::Status& status) override {
+ private:
+  void Send(const absl::Status& status) override {
     const ServiceContext& context = calls_.context_;
     const absl::Duration now = context.clock->Now();
     const Credential& caller = key_->caller();
     if (call_context().span) FinishRequestSpan(caller, status, &call_context().span);
-    context.metrics->ObserveRpc(calls_.method_, status.code(), now - received_, act().policy);
+    context.metrics->ObserveRpc(calls_.method_, status.code(), now - act().received, act().policy);
     const absl::Duration delay = caller.tenant()->refusals().DelayFor(status, kDatagramBytes, now);
     if (delay > absl::ZeroDuration()) key_->DelayUntil(now + delay);
     // The session has moved on, and its keys with it.
     if (absl::IsNotFound(status)) return calls_.channels_.Remove(*key_);
-    if (!status.ok()) ErrorToProto(*messages_.request(), status, messages_.response());
-    std::string payload = absl::StrCat(number_, messages_.response()->SerializeAsString());
+    if (!status.ok()) ErrorToProto(*request(), status, response());
+    std::string payload = absl::StrCat(number_, response()->SerializeAsString());
     if (payload.size() > kDatagramPayloadBytes) {
-      messages_.response()->Clear();
-      ErrorToProto(*messages_.request(),
+      response()->Clear();
+      ErrorToProto(*request(),
                    absl::OutOfRangeError(absl::StrCat(
                        "answer: expected at most ", kDatagramPayloadBytes,
                        " bytes in a datagram, has ", payload.size(), "; ask on the stream")),
-                   messages_.response());
-      payload = absl::StrCat(number_, messages_.response()->SerializeAsString());
+                   response());
+      payload = absl::StrCat(number_, response()->SerializeAsString());
     }
     DatagramKey::Answers answers;
     key_->Answer(number_, std::move(payload), &answers);
     calls_.Send(std::move(answers));
   }
 
- private:
-  using Messages = CallMessages<v1::ActRequest, v1::ActResponse>;
-  static constexpr int64_t kBytes = sizeof(Messages) + kDatagramBytes;
+  static constexpr int64_t kHeldBytes = QueuedAct::kBytes + kDatagramBytes;
 
   DatagramCalls& calls_;
   const std::shared_ptr<DatagramKey> key_;
-  const std::string number_;       // of the request, as it arrived
-  const absl::Duration received_;  // time of the server's clock
+  const std::string number_;  // of the request, as it arrived
   const absl::Status admission_;
-  Messages messages_;
 };
 
 DatagramCalls::DatagramCalls(const ServiceContext* context, ActQueue* queue, TransportLoop* loop,

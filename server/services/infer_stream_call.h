@@ -5,7 +5,7 @@
 
 #include "absl/status/status.h"
 #include "inference/grpc_service.pb.h"
-#include "server/agent/deferred_work.h"
+#include "server/agent/decision_request.h"
 #include "server/inference/inference_handler.h"
 #include "server/services/service_call.h"
 

@@ -22,11 +22,6 @@
 
 namespace spikeserve {
 
-// Returns a function that runs work on the thread of `loop`.
-inline SessionRecovery::Post PostTo(EventLoop* loop) {
-  return [loop](std::function<void()> work) { loop->Post(std::move(work)); };
-}
-
 class ServiceCall : public CallHandler, public std::enable_shared_from_this<ServiceCall> {
  public:
   // `context` must outlive the call.

@@ -2,12 +2,16 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
+#include <utility>
 
 #include "core/base/clock.h"
 #include "server/access/authenticator.h"
 #include "server/agent/session_gate.h"
+#include "server/agent/session_recovery.h"
 #include "server/metrics/metrics.h"
 #include "server/services/call_gate.h"
+#include "server/transport/event_loop.h"
 
 namespace spikeserve {
 
@@ -25,5 +29,10 @@ struct ServiceContext {
   Tracer* tracer = nullptr;               // null: nothing is traced
   DatagramChannels* datagrams = nullptr;  // null: the server takes none
 };
+
+// Returns a function that runs work on the thread of `loop`.
+inline SessionRecovery::Post PostTo(EventLoop* loop) {
+  return [loop](std::function<void()> work) { loop->Post(std::move(work)); };
+}
 
 }  // namespace spikeserve

@@ -17,7 +17,40 @@ constexpr char kReflection[] = "grpc.reflection.v1.ServerReflection";
 constexpr char kReflectionAlpha[] = "grpc.reflection.v1alpha.ServerReflection";
 constexpr char kHealth[] = "grpc.health.v1.Health";
 
+// Finishes a call of a method that the server does not have.
+class UnknownCall final : public CallHandler {
+ public:
+  explicit UnknownCall(Call* call) {
+    call->Finish(absl::UnimplementedError(
+        absl::StrCat("method: expected one that this server has, received ", call->head().path)));
+  }
+  size_t message_limit() const override { return 0; }
+  void OnMessage(absl::string_view /*message*/) override {}
+  void OnTooLong(size_t /*length*/) override {}
+  void OnHalfClose() override {}
+  void OnClosed() override {}
+  void OnDrain() override {}
+};
+
 }  // namespace
+
+void LoopServices::Attach(const std::vector<std::unique_ptr<LoopServices>>& all) {
+  std::vector<ActQueue*> queues;
+  for (const auto& services : all) queues.push_back(&services->acts_);
+  acts_.SetQueues(std::move(queues));
+  loop_.SetRouter(this);
+  loop_.AtEndOfTurn([this] {
+    acts_.Run();
+    loop_.FlushWrites();
+    deferred_.Run();
+  });
+}
+
+std::shared_ptr<CallHandler> LoopServices::Route(Call* call) {
+  const ServiceTable::Open* open = table_.Find(call->head().path);
+  if (open == nullptr) return std::make_shared<UnknownCall>(call);
+  return (*open)(call, this);
+}
 
 Services::Services(const ServiceContext& context, const Handlers& handlers)
     : context_(context), handlers_(handlers) {
@@ -113,15 +146,14 @@ void Services::AddPolicyService() {
   Add(policy, &PolicyHandler::CloseSession);
   Add(policy, &PolicyHandler::Explain);
   AddRecorded(policy, &PolicyHandler::ExportSession);
-  AddCall(MethodNamed("Act"), [this](Call* call, const Method& method, LoopServices* loop) {
-    return std::make_shared<ActOneCall>(&context_, call, method, &loop->acts());
-  });
   AddCall(MethodNamed("ActBatch"), [this](Call* call, const Method& method, LoopServices* loop) {
     return std::make_shared<ActBatchCall>(&context_, call, method, &loop->acts());
   });
-  AddCall(MethodNamed("ActStream"), [this](Call* call, const Method& method, LoopServices* loop) {
-    return std::make_shared<ActStreamCall>(&context_, call, method, &loop->acts());
-  });
+  for (const char* name : {"Act", "ActStream"}) {
+    AddCall(MethodNamed(name), [this](Call* call, const Method& method, LoopServices* loop) {
+      return std::make_shared<ActCall>(&context_, call, method, &loop->acts());
+    });
+  }
 }
 
 void Services::AddPolicyAdmin() {

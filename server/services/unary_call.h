@@ -18,7 +18,7 @@
 #include "absl/time/time.h"
 #include "server/access/admission.h"
 #include "server/agent/session_gate.h"
-#include "server/messages/convert.h"
+#include "server/messages/step_convert.h"
 #include "server/services/call_messages.h"
 #include "server/services/finite_response.h"
 #include "server/services/request_parser.h"

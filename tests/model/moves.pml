@@ -45,7 +45,7 @@ active proctype Client() {
 active proctype Queue() {
   byte k = 0;
   do
-  /* ActQueue::HoldBack(), PolicyHandler::ActMany(), ActQueue::Wait() */
+  /* ActQueue::HoldBack(), PolicyHandler::ActGroup(), ActQueue::Wait() */
 #ifdef VISIBLE_FIRST
   :: atomic {
        !is_over && nempty(arrivals) ->

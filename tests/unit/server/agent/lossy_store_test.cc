@@ -6,6 +6,7 @@
 #include <deque>
 #include <map>
 #include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <utility>
@@ -16,6 +17,7 @@
 #include "core/journal/session_export.h"
 #include "core/robot/robot_session.h"
 #include "server/base/expected_decision.h"
+#include "server/services/act_queue.h"
 #include "tests/support/policy_handler_fixture.h"
 
 namespace spikeserve {
@@ -68,14 +70,24 @@ struct DoneBeat {
   int64_t executed;
 };
 
+// Notes its answer.
+class NotedAct final : public QueuedAct {
+ public:
+  using QueuedAct::QueuedAct;
+  std::optional<absl::Status> answer;
+
+ private:
+  void Send(const absl::Status& status) override { answer = status; }
+};
+
 class LossyStoreTest : public PolicyHandlerFixture {
  protected:
-  void Open(size_t kept, uint64_t seed) {
+  void Open(size_t kept, uint64_t seed, v1::Durability durability = v1::ASYNC) {
     random_.seed(seed);
     life_ = std::make_unique<Life>(registry_.get(), &shadows_, &clock_, &writer_);
     v1::OpenSessionRequest request;
     request.set_policy("small");
-    request.set_durability(v1::ASYNC);
+    request.set_durability(durability);
     request.set_action_selection(v1::SAMPLE);
     request.mutable_learning()->set_learning_rate(0.1);
     v1::OpenSessionResponse opened;
@@ -312,6 +324,61 @@ TEST_P(LossyStoreSeedTest, OfBeatsThatAreNotKeptTheRewardsCount) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Seeds, LossyStoreSeedTest, ::testing::Range(0, 10));
+
+// The transitions of DecisionState to the answer; policy_handler_test.cc has those before.
+TEST_F(LossyStoreTest, ARequestIsAnsweredWhenItIsRefusedOrTheStoreHasIt) {
+  ASSERT_NO_FATAL_FAILURE(Open(/*kept=*/8, /*seed=*/1, v1::SYNC));
+  const TransportLimits limits;
+  TransportBudgets budgets;
+  const auto loop = *TransportLoop::Create(&limits, &budgets, &clock_);
+  ActQueue queue(&life_->handler, loop.get());
+  queue.SetQueues({&queue});
+  const ServiceContext context = {.gate = nullptr,
+                                  .authenticator = nullptr,
+                                  .metrics = nullptr,
+                                  .clock = &clock_,
+                                  .max_message_bytes = 0,
+                                  .sessions = &life_->gate};
+  const auto refused = std::make_shared<NotedAct>(&context, &queue);
+  EXPECT_EQ(refused->act().state, DecisionState::kArriving);
+  refused->Answer(absl::ResourceExhaustedError("bytes"));
+  EXPECT_EQ(refused->act().state, DecisionState::kAnswered);
+  EXPECT_TRUE(absl::IsResourceExhausted(*refused->answer));
+
+  // The second request waits behind the first one, whose history takes two turns.
+  constexpr int64_t kBeats = kPastStepsPerGroup + 1;
+  const std::shared_ptr<NotedAct> acts[] = {std::make_shared<NotedAct>(&context, &queue),
+                                            std::make_shared<NotedAct>(&context, &queue)};
+  for (int64_t i = 0; i < 2; ++i) {
+    v1::ActRequest& request = *acts[i]->request();
+    request = MakeRequest(id_, kBeats + i);
+    request.set_decision(static_cast<uint64_t>(kBeats + i));
+  }
+  for (int64_t step = 0; step < kBeats; ++step) {
+    v1::Beat& beat = *acts[0]->request()->add_history();
+    beat.set_step(step);
+    for (const float value : ObservationAt(step)) beat.add_observation(value);
+    beat.mutable_executed()->set_discrete(0);
+  }
+  for (const auto& act : acts) act->Enter(caller_.get());
+  for (const auto decided : {0, 1, 2}) {
+    queue.Run();
+    for (int i = 0; i < 2; ++i) {
+      EXPECT_EQ(acts[i]->act().state,
+                i < decided ? DecisionState::kDecided : DecisionState::kWaiting);
+      EXPECT_FALSE(acts[i]->answer.has_value());
+    }
+  }
+  writer_.Store(writer_.waiting_.size());
+  loop->events().Post([&] { loop->events().Stop(); });
+  loop->events().Run();
+  for (const auto& act : acts) {
+    EXPECT_EQ(act->act().state, DecisionState::kAnswered);
+    ASSERT_TRUE(act->answer.has_value());
+    EXPECT_TRUE(act->answer->ok()) << *act->answer;
+    EXPECT_EQ(act->response()->durable_decision(), act->response()->step() + 1);
+  }
+}
 
 }  // namespace
 }  // namespace spikeserve

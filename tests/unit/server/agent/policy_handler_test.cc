@@ -77,14 +77,13 @@ TEST_F(PolicyHandlerTest, HistoriesOfManySessionsShareATurn) {
   for (int turn = 1; !waiting.empty(); ++turn) {
     ASSERT_LE(turn, 2 * kSessions * 3 + kSessions);
     StepBudget budget;
-    handler_.ActMany(
-        waiting, &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, &budget);
+    ASSERT_EQ(handler_.ActGroup(waiting, &deferred, &budget), waiting.size());
     int64_t sum = 0;
     for (const DecisionRequest& act : acts) sum += act.step.result.appended;
     EXPECT_LE(sum - appended, kPastStepsPerGroup) << turn;
     EXPECT_GT(sum, appended) << turn;
     appended = sum;
-    std::erase_if(waiting, [](const DecisionRequest* act) { return act->is_answered(); });
+    std::erase_if(waiting, [](const DecisionRequest* act) { return act->is_decided(); });
   }
   EXPECT_EQ(appended, kSessions * kBeats);
   for (const DecisionRequest& act : acts) {
@@ -93,8 +92,8 @@ TEST_F(PolicyHandlerTest, HistoriesOfManySessionsShareATurn) {
   }
 }
 
-// Each transition of DecisionState.
-TEST_F(PolicyHandlerTest, ARequestWaitsUntilItIsAnswered) {
+// The transitions of DecisionState up to the decision; lossy_store_test.cc has those to the answer.
+TEST_F(PolicyHandlerTest, ARequestWaitsUntilItIsDecided) {
   const std::string session = MustOpen();
   v1::ActRequest requests[] = {MakeRequest(session, 2), MakeRequest(session, 3)};
   v1::ActResponse responses[2];
@@ -107,9 +106,9 @@ TEST_F(PolicyHandlerTest, ARequestWaitsUntilItIsAnswered) {
     acts[i] = {.context = &contexts[i], .request = &requests[i], .response = &responses[i]};
     both.push_back(&acts[i]);
   }
+  // Decides the first of both, because a group ends before the second request for its session.
   const auto decide = [&](StepBudget budget) {
-    handler_.ActMany(
-        both, &deferred, [](absl::Span<DecisionRequest* const> /*group*/) {}, &budget);
+    EXPECT_EQ(handler_.ActGroup(both, &deferred, &budget), 1);
   };
   requests[0].set_decision(2);
   for (int64_t step = 0; step < 2; ++step) {
@@ -118,30 +117,35 @@ TEST_F(PolicyHandlerTest, ARequestWaitsUntilItIsAnswered) {
     for (const float value : ObservationAt(step)) beat.add_observation(value);
     beat.mutable_executed()->set_discrete(0);
   }
-  for (const DecisionRequest& act : acts) EXPECT_EQ(act.state, DecisionState::kWaiting);
-  // A part of the history is taken; the request behind it is held back.
+  EXPECT_EQ(acts[0].state, DecisionState::kArriving);
+  // A part of the history is taken.
   decide({.steps = 1});
   EXPECT_EQ(acts[0].step.result.appended, 1);
-  for (const DecisionRequest& act : acts) EXPECT_EQ(act.state, DecisionState::kWaiting);
-  // The session is not here: the first request asks for it, and the second one waits behind.
-  for (v1::ActRequest& request : requests) request.set_session_id(std::string(32, '0'));
+  EXPECT_EQ(acts[0].state, DecisionState::kWaiting);
+  // The session is not here, and is taken over.
+  requests[0].set_session_id(std::string(32, '0'));
+  requests[1].set_session_id(std::string(32, '0'));
   decide({});
   EXPECT_EQ(acts[0].state, DecisionState::kClaiming);
-  EXPECT_EQ(acts[1].state, DecisionState::kWaiting);
-  // It was taken over; it was not.
   acts[0].OnClaimed(absl::OkStatus());
   EXPECT_EQ(acts[0].state, DecisionState::kWaiting);
-  acts[1].OnClaimed(absl::UnavailableError("store"));
-  EXPECT_EQ(acts[1].state, DecisionState::kAnswered);
-  EXPECT_TRUE(absl::IsUnavailable(acts[1].status));
   // It is claimed once.
+  decide({});
+  EXPECT_EQ(acts[0].state, DecisionState::kDecided);
+  EXPECT_TRUE(absl::IsNotFound(acts[0].status));
+  // It is not taken over.
+  both = {&acts[1]};
+  decide({});
+  EXPECT_EQ(acts[1].state, DecisionState::kClaiming);
+  acts[1].OnClaimed(absl::UnavailableError("store"));
+  EXPECT_EQ(acts[1].state, DecisionState::kDecided);
+  EXPECT_TRUE(absl::IsUnavailable(acts[1].status));
+  // The request is sent again, with the right session.
+  requests[0].set_session_id(session);
+  acts[0] = {.context = &contexts[0], .request = &requests[0], .response = &responses[0]};
   both = {&acts[0]};
   decide({});
-  EXPECT_EQ(acts[0].state, DecisionState::kAnswered);
-  EXPECT_TRUE(absl::IsNotFound(acts[0].status));
-  requests[0].set_session_id(session);
-  decide({});
-  EXPECT_EQ(acts[0].state, DecisionState::kAnswered);
+  EXPECT_EQ(acts[0].state, DecisionState::kDecided);
   EXPECT_TRUE(acts[0].status.ok()) << acts[0].status;
   EXPECT_EQ(responses[0].step(), 2);
 }
