@@ -65,7 +65,7 @@ absl::StatusOr<v1::HoldSessionsRequest> HoldRequest(const HoldFlags& flags) {
 }
 
 // What the servers know of the robots of a hold.
-struct Verdict {
+struct HeldRobots {
   std::map<std::pair<std::string, std::string>, v1::HeldSession> robots;  // by tenant and id
   std::map<std::string, std::string> unreached;                           // servers, and why
 
@@ -79,8 +79,8 @@ struct Verdict {
 };
 
 // `stored`: also at the sessions that only a store has.
-Verdict LookAtRobots(OperatorServers& servers, const std::string& id, bool stored) {
-  Verdict verdict;
+HeldRobots LookAtRobots(OperatorServers& servers, const std::string& id, bool stored) {
+  HeldRobots state;
   std::vector<std::string> tokens(servers.size());
   bool goes_on = true;
   for (int page = 0; goes_on && page < kMostPages; ++page) {
@@ -98,11 +98,11 @@ Verdict LookAtRobots(OperatorServers& servers, const std::string& id, bool store
         stored ? kStoreTimeout : OperatorServers::kTimeout);
     for (size_t i = 0; i < pages.size(); ++i) {
       if (!pages[i].ok()) {
-        verdict.unreached[servers.address(i)] = std::string(pages[i].status().message());
+        state.unreached[servers.address(i)] = std::string(pages[i].status().message());
         continue;
       }
       for (const v1::HeldSession& session : pages[i]->sessions()) {
-        v1::HeldSession& robot = verdict.robots[{session.tenant(), session.session_id()}];
+        v1::HeldSession& robot = state.robots[{session.tenant(), session.session_id()}];
         const bool is_newer = robot.only_stored() || robot.epoch() < session.epoch();
         if (robot.session_id().empty() || (is_newer && !session.only_stored())) robot = session;
       }
@@ -111,27 +111,27 @@ Verdict LookAtRobots(OperatorServers& servers, const std::string& id, bool store
       tokens[i] = std::max(next, tokens[i]);
     }
   }
-  return verdict;
+  return state;
 }
 
-void Print(const v1::HoldSessionsResponse& held, const Verdict& verdict, bool json) {
-  const auto left = verdict.NotConfirmed();
+void Print(const v1::HoldSessionsResponse& held, const HeldRobots& state, bool json) {
+  const auto left = state.NotConfirmed();
   if (json) {
     ordered_json robots = ordered_json::array();
-    for (const auto& [key, robot] : verdict.robots) {
+    for (const auto& [key, robot] : state.robots) {
       robots.push_back(MessageToFields(robot, Numbers::kExact));
     }
     std::cout << ordered_json{{"id", held.hold().hold().id()},
                               {"kept", held.kept()},
                               {"robots", robots},
                               {"not_confirmed", left.size()},
-                              {"unreached", verdict.unreached}}
+                              {"unreached", state.unreached}}
                      .dump(2)
               << "\n";
     return;
   }
-  std::cout << held.hold().hold().id() << ": " << verdict.robots.size() - left.size() << " of "
-            << verdict.robots.size() << " robots at their neutral action\n";
+  std::cout << held.hold().hold().id() << ": " << state.robots.size() - left.size() << " of "
+            << state.robots.size() << " robots at their neutral action\n";
   for (const v1::HeldSession* robot : left) {
     const std::string contact =
         robot->only_stored() ? "in the store alone: has asked no server since its own ended"
@@ -140,7 +140,7 @@ void Print(const v1::HoldSessionsResponse& held, const Verdict& verdict, bool js
     std::cout << absl::StrFormat("not confirmed: %s %s/%d %s, %s\n", robot->session_id(),
                                  robot->policy(), robot->version(), robot->tenant(), contact);
   }
-  for (const auto& [server, why] : verdict.unreached) {
+  for (const auto& [server, why] : state.unreached) {
     std::cout << "not reached: " << server << ": " << why << "\n";
   }
   if (!held.kept()) {
@@ -166,18 +166,17 @@ absl::Status HoldRobots(const HoldFlags& flags) {
   }
   if (!held.has_value()) return answers[0].status();
   const absl::Time end = absl::Now() + flags.wait;
-  Verdict verdict = LookAtRobots(servers, request.id(), false);
-  while ((!verdict.NotConfirmed().empty() || !verdict.unreached.empty()) && absl::Now() < end) {
+  HeldRobots state = LookAtRobots(servers, request.id(), false);
+  while ((!state.NotConfirmed().empty() || !state.unreached.empty()) && absl::Now() < end) {
     absl::SleepFor(kPause);
-    verdict = LookAtRobots(servers, request.id(), false);
+    state = LookAtRobots(servers, request.id(), false);
   }
-  verdict = LookAtRobots(servers, request.id(), true);
-  Print(*held, verdict, flags.server->json);
-  const size_t left = verdict.NotConfirmed().size();
-  if (left == 0 && verdict.unreached.empty()) return absl::OkStatus();
+  state = LookAtRobots(servers, request.id(), true);
+  Print(*held, state, flags.server->json);
+  const size_t left = state.NotConfirmed().size();
+  if (left == 0 && state.unreached.empty()) return absl::OkStatus();
   return absl::UnavailableError(absl::StrCat(left, " robots are not known to be at neutral, and ",
-                                             verdict.unreached.size(),
-                                             " servers were not reached"));
+                                             state.unreached.size(), " servers were not reached"));
 }
 
 std::string Describe(const v1::SessionSelection& selection) {

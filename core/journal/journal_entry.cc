@@ -97,7 +97,8 @@ absl::Status CheckEntry(const JournalEntry& entry, const Session& session, const
   return CheckSize("readout", head / actions, entry.readout.size());
 }
 
-// Does what AgentSession does with an executed action, which ignores the answered one.
+// Does what AgentSession does with an executed action, which ignores the answered one. An
+// operator's correction, which it also learns from, is in a snapshot.
 void TakeExecuted(const JournalEntry& entry, const Policy& policy, Session* session) {
   if (!entry.executed.has_value()) return;
   const History& history = session->history;
@@ -158,6 +159,11 @@ absl::StatusOr<Journal> ParseJournal(absl::Span<const std::string> records) {
   return journal;
 }
 
+// Folds values, and is not AgentSession::Apply(): that computes the answer of a step with the
+// engine of this release, which may be another one than the session has acted on, chooses again
+// from a fleet's head that has moved on since, and tells observers and listeners what they were
+// told when it happened. What both do to the session is in the functions that they share:
+// ReplaceLastAction(), Learner::OnDecision(), CheckWiring(), CountDecision().
 absl::StatusOr<Session> RestoreSession(Journal journal, const Policy& policy) {
   Session session = std::move(journal.snapshot);
   RETURN_IF_ERROR(CheckSnapshot(session, policy));
