@@ -56,7 +56,9 @@ def wait_for_neutral(operator, hold_id, wanted):
 
 def complaints_of(operator, hold_id, lost, moment):
     """Yields what is wrong with the list of those that are not known to be at neutral, which are `lost`."""
-    left = {robot.session_id for robot in operator.verdict(hold_id).not_confirmed}
+    verdict = operator.verdict(hold_id)
+    yield from (f"{moment}: {server}: {error}" for server, error in verdict.unreached.items())
+    left = {robot.session_id for robot in verdict.not_confirmed}
     if not lost <= left:
         yield f"{moment}: the list lacks {len(lost - left)} robots that cannot be reached"
     print(
