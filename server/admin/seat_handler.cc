@@ -10,6 +10,7 @@
 #include "server/admin/admin_handler.h"
 #include "server/agent/session_gate.h"
 #include "server/agent/session_recovery.h"
+#include "server/messages/convert.h"
 #include "server/messages/step_convert.h"
 
 namespace spikeserve {
