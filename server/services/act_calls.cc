@@ -142,7 +142,11 @@ void ActCall::HandleMessage(absl::string_view message) {
     return Finish(absl::InternalError("message: expected one request, received a second one"));
   }
   const auto item = NewItem(message.size());
-  auto status = ParseRequest(message, item->request());
+  const auto admitted = CheckStillAdmitted(caller(), static_cast<int64_t>(message.size()),
+                                           context().max_message_bytes);
+  // On a stream the answer of a refusal has the session, too.
+  const bool parses = admitted.ok() || method().streams;
+  auto status = parses ? ParseRequest(message, item->request()) : admitted;
   // The answer on a stream would lack the session.
   if (!status.ok() && method().streams) return Finish(status);
   item->call_context().span = StartSpan(TraceOf(*item->request(), *call()));
@@ -154,10 +158,7 @@ void ActCall::HandleMessage(absl::string_view message) {
   } else {
     item->call_context().has_paid = call()->head().admitted != nullptr;
   }
-  if (status.ok()) {
-    status = CheckStillAdmitted(caller(), static_cast<int64_t>(message.size()),
-                                context().max_message_bytes);
-  }
+  if (status.ok()) status = admitted;
   if (status.ok() && !HoldRequests()) status = TooManyBytesError();
   status.ok() ? item->Enter(&caller()) : item->Answer(status);
 }
