@@ -83,14 +83,15 @@ class AsyncConnection(Caller):
         old, fresh = replica.line, self._connect(replica.address)
         winner = old
         try:
-            checks = {asyncio.ensure_future(self._is_answered(line)): line for line in (old, fresh)}
+            checks = [asyncio.ensure_future(self._is_answered(line)) for line in (old, fresh)]
             for check in asyncio.as_completed(checks):
                 if (line := await check) is not None:
                     winner = line
                     break
             if winner is fresh:
                 with contextlib.suppress(asyncio.TimeoutError):
-                    winner = await asyncio.wait_for(next(iter(checks)), GRACE_SECONDS) or fresh
+                    late = await asyncio.wait_for(checks[0], GRACE_SECONDS)
+                    winner = late or fresh
             for check_task in checks:
                 check_task.cancel()
         finally:
