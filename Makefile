@@ -15,12 +15,12 @@ SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc'
   setup configure
 
 # Installs and builds only the server and spikectl. PLAY=1 keeps playing. A build folder that is configured already keeps its other targets.
-DEMO_PROCESSOR_MINUTES := 6
+DEMO_PROCESSOR_MINUTES := 15
 demo: export NINJA_STATUS = demo: 2/3 compiling, %f of %t files after %e s: $(EMPTY)
 demo:
-	@echo "demo: 1/3 installing 99 packages, the first time: 119 MB to download, 1 to 3 minutes"
+	@echo "demo: 1/3 installing 102 packages, the first time: 119 MB to download, 1 to 3 minutes"
 	@$(SETUP) server
-	@echo "demo: 2/3 compiling the server and spikectl, the first time: about $$(($(DEMO_PROCESSOR_MINUTES) / $$(nproc) + 1)) minutes on the $$(nproc) idle processors of this machine"
+	@echo "demo: 2/3 compiling the server and spikectl, the first time: about $$(($(DEMO_PROCESSOR_MINUTES) / $$(nproc) + 1)) minutes on the $$(nproc) processors of this machine"
 	@test -e $(BUILD)/build.ninja || cmake --preset release --log-level=WARNING -DSPIKESERVE_BUILD_TESTS=OFF \
 	  -DSPIKESERVE_BUILD_TRAIN=OFF -DSPIKESERVE_BUILD_PYTHON=OFF
 	@cmake --build $(BUILD) --target spikeserve spikectl
