@@ -17,7 +17,7 @@ namespace spikeserve {
 
 RemoteStream::RemoteStream(Client* client, std::shared_ptr<Route> route)
     : client_(client), route_(std::move(route)), open_(std::make_unique<OpenRequests>()) {
-  client_->replicas_->Stream(*route_);
+  client_->replicas_->KeepWithStream(*route_);
   absl::MutexLock lock(&mutex_);
   Start();
 }

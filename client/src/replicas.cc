@@ -140,7 +140,7 @@ bool Replicas::MayMove(const Route& route) {
   return !route.is_pinned;
 }
 
-void Replicas::Stream(Route& route) {
+void Replicas::KeepWithStream(Route& route) {
   absl::MutexLock lock(&mutex_);
   route.has_stream = true;
 }

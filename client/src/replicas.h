@@ -113,8 +113,8 @@ class Replicas {
 
   // Returns whether a call of the route may go to another replica.
   bool MayMove(const Route& route) ABSL_LOCKS_EXCLUDED(mutex_);
-  // Notes that a stream takes the route.
-  void Stream(Route& route) ABSL_LOCKS_EXCLUDED(mutex_);
+  // A stream takes the route, so that the calls beside it stay at its server.
+  void KeepWithStream(Route& route) ABSL_LOCKS_EXCLUDED(mutex_);
   // Pins a route to the replica that answered last, or lets it move.
   void Pin(Route& route, bool is_pinned) ABSL_LOCKS_EXCLUDED(mutex_);
   // Returns the replica that a route is pinned to, or null if it may move or there is no other.
