@@ -54,15 +54,6 @@ TEST(FallbackOrderTest, NothingIsHeldOverTheEndOfAnEpisode) {
   EXPECT_FALSE(fallback.Hold(Time::zero()));
 }
 
-// A robot's computer that was suspended has an old action, and few steps since.
-TEST(FallbackOrderTest, AnActionIsNotHeldForLongerThanItsBeatsTake) {
-  FallbackOrder fallback(Box(), Values(0, 0), 3, seconds(1), 4, Time::zero());
-  const ActionValue answer = Values(1, 1);
-  fallback.TakeFresh(answer.view(), seconds(7));
-  EXPECT_TRUE(fallback.Hold(seconds(8)));
-  EXPECT_FALSE(fallback.Hold(seconds(8) + Time(1)));
-}
-
 TEST(FallbackOrderTest, ChangesAreToldOnceAndOnlyThoseThatMatter) {
   FallbackOrder fallback(Box(), Values(0, 0), 1, seconds(1), 0, Time::zero());
   const ActionValue answer = Values(1, 1);
@@ -146,18 +137,6 @@ TEST(StepLogTest, TheNextEpisodeIsAskedForWhileTheEndIsUnderWay) {
   EXPECT_FALSE(robot.log.is_ending() || robot.log.is_current());
   robot.log.Acknowledge(1);
   EXPECT_TRUE(robot.log.is_complete());
-}
-
-TEST(StepLogTest, TheLastBeatOfAnEpisodeOutlastsTheRing) {
-  Robot robot(4);
-  robot.Step();
-  robot.Step();
-  robot.log.End({.reward = 1.0});
-  for (int i = 0; i < 10; ++i) robot.Step();
-  EXPECT_FALSE(robot.Ask());
-  EXPECT_TRUE(robot.log.is_complete());
-  EXPECT_EQ(robot.rewards, 1.0);
-  EXPECT_EQ(robot.session[1], 1.0f);
 }
 
 TEST(StepLogTest, MoreBlindStepsThanAHistoryHasCountAsRewards) {

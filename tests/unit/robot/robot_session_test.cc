@@ -1,4 +1,4 @@
-// The transitions of the robot's end of a session, row by row as docs/reference/beats.md has them.
+// The transitions of docs/reference/beats.md that the simulator does not tell from others.
 #include "core/robot/robot_session.h"
 
 #include <gtest/gtest.h>
@@ -15,12 +15,6 @@ using What = Task::Kind;
 constexpr Time kPeriod = milliseconds(20);
 
 Error ErrorOf(Failure kind) { return {.kind = kind, .message = "why", .text = "why"}; }
-
-Error Expects(uint64_t decision) {
-  Error error = ErrorOf(Failure::kConflict);
-  error.expected_decision = decision;
-  return error;
-}
 
 class RobotSessionTest : public ::testing::Test {
  protected:
@@ -89,16 +83,6 @@ class RobotSessionTest : public ::testing::Test {
   std::optional<RobotSession> robot_;
 };
 
-TEST_F(RobotSessionTest, AStepIsFreshThenHeldThenSafe) {
-  Connect(false);
-  EXPECT_EQ(Step().source, Source::kSafe);
-  EXPECT_EQ(Next(), What::kSend);
-  Answer(1);
-  EXPECT_EQ(Step().source, Source::kFresh);
-  for (int i = 0; i < 3; ++i) EXPECT_EQ(Step().source, Source::kHeld);
-  EXPECT_EQ(Step().source, Source::kSafe);
-}
-
 TEST_F(RobotSessionTest, AHeldRobotIsSafeUntilAnAnswerWithoutAHold) {
   Connect(/*is_stored=*/true, /*servers=*/2);
   Ask();
@@ -163,45 +147,11 @@ TEST_F(RobotSessionTest, BeforeAValidObservationThereIsNoStep) {
   EXPECT_EQ(robot_->counters().counts().invalid, 1);
 }
 
-TEST_F(RobotSessionTest, AStreamThatEndsIsClosedAndOpenedAgainAfterAPause) {
-  Connect(false);
-  robot_->OnStreamEnded(ErrorOf(Failure::kAway));
-  EXPECT_EQ(robot_->link(), LinkState::kBroken);
-  EXPECT_EQ(Next(), What::kCloseStream);
-  EXPECT_TRUE(robot_->OnStreamClosed(/*is_renewed=*/false, now_));
-  EXPECT_EQ(robot_->link(), LinkState::kNoStream);
-  EXPECT_EQ(Next(), What::kWait);
-  now_ += milliseconds(50);
-  EXPECT_EQ(Next(), What::kOpenStream);
-}
-
 TEST_F(RobotSessionTest, AFreshConnectionIsUsedAtOnce) {
   Connect(false);
   robot_->OnStreamEnded(ErrorOf(Failure::kAway));
   EXPECT_FALSE(robot_->OnStreamClosed(/*is_renewed=*/true, now_));
   EXPECT_EQ(Next(), What::kOpenStream);
-}
-
-TEST_F(RobotSessionTest, AServerThatExpectsAnOlderStepGetsItAgain) {
-  Connect(true);
-  for (int i = 1; i <= 3; ++i) {
-    Ask();
-    Answer(i);
-  }
-  Ask();
-  Fail(Expects(1));
-  EXPECT_EQ(robot_->link(), LinkState::kOnline);
-  Step();
-  const Task task = robot_->Next(now_);
-  EXPECT_EQ(task.request.begin, 0);  // with what was executed before the step that it expects
-  EXPECT_EQ(task.request.end, 4);
-}
-
-TEST_F(RobotSessionTest, AServerThatExpectsWhatNobodyHasLosesTheSession) {
-  Connect(true);
-  Ask();
-  Fail(Expects(9));
-  ExpectForgotten();
 }
 
 TEST_F(RobotSessionTest, AServerThatIsBusyIsAskedLater) {
@@ -278,27 +228,12 @@ TEST_F(RobotSessionTest, ASilentServerIsDoubtedThenLeft) {
 }
 
 TEST_F(RobotSessionTest, TheOnlyServerIsNotLeft) {
-  Connect(false);
+  Connect(true);
   Ask();
   now_ += seconds(5);
   EXPECT_EQ(Next(), What::kDoubtLine);
   EXPECT_EQ(Next(), What::kWait);
   EXPECT_EQ(robot_->link(), LinkState::kOnline);
-}
-
-TEST_F(RobotSessionTest, AnEndTravelsOnTheStreamAndTheNextEpisodeDoesNotWait) {
-  Connect(true);
-  Ask();
-  const auto serial = robot_->EndEpisode({.reward = 1.0}, nullptr);
-  Task task = robot_->Next(now_);
-  EXPECT_TRUE(task.request.ends);
-  Step();
-  task = robot_->Next(now_);
-  EXPECT_EQ(task.request.step(), 0);
-  Answer(1);
-  const Received received = Answer(0, /*has_ended=*/true);
-  EXPECT_EQ(received.settled->serial, *serial);
-  EXPECT_EQ(robot_->step_log().running().index, 1);
 }
 
 // A server that repeats its answer may know the steps alone.
@@ -319,41 +254,6 @@ TEST_F(RobotSessionTest, ASummaryHasTheRobotsOwnReturn) {
     EXPECT_EQ(robot_->counters().counts().unequal_returns, is_equal ? 0 : 1);
     EXPECT_EQ(robot_->TakeLines().size(), is_equal ? 0 : 1);
   }
-}
-
-// A fleet's head that a store keeps is merged by the call; a last step without an observation is
-// taken with an end on the stream only.
-TEST_F(RobotSessionTest, AMergedHeadNeedsACallToEndAnEpisode) {
-  for (const bool is_blind : {false, true}) {
-    Connect(true, 1, /*has_engine=*/false, /*shares_head=*/true);
-    Ask();
-    Answer(1);
-    if (is_blind) {
-      ASSERT_TRUE(robot_->BeginStep({.observation = {}}, Clock()));
-      robot_->Choose(Clock(), now_);
-      robot_->FinishStep(Clock());
-    }
-    robot_->EndEpisode({.reward = 1.0}, nullptr);
-    const Task task = robot_->Next(now_);
-    EXPECT_EQ(task.kind, is_blind ? What::kSend : What::kEndEpisode);
-    EXPECT_EQ(task.request.ends, is_blind);
-    if (is_blind) continue;
-    EXPECT_EQ(Next(), What::kWait);
-    robot_->OnCallFailed(ErrorOf(Failure::kAway), 0, now_);
-    now_ += milliseconds(50);
-    EXPECT_EQ(Next(), What::kEndEpisode);
-    EXPECT_EQ(robot_->OnEpisodeEnded(std::nullopt).serial, 0);
-  }
-}
-
-TEST_F(RobotSessionTest, AServerThatIgnoresAnEndIsCalled) {
-  Connect(true);
-  Ask();
-  Answer(1);
-  robot_->EndEpisode({.reward = 1.0}, nullptr);
-  EXPECT_TRUE(robot_->Next(now_).request.ends);
-  EXPECT_FALSE(Answer(1, /*has_ended=*/false).settled.has_value());
-  EXPECT_EQ(Next(), What::kEndEpisode);
 }
 
 TEST_F(RobotSessionTest, AStaleAnswerHalvesTheBudgetAndAnotherOneAddsToIt) {

@@ -17,7 +17,8 @@ constexpr Time kRoundTrip = milliseconds(50);
 
 class TransportTest : public ::testing::Test {
  protected:
-  void Connect(bool sends_datagrams, int redundancy = 1, size_t observation_size = 1) {
+  // Opens the stream; the server offers a channel.
+  void Connect(int redundancy = 1, size_t observation_size = 1) {
     observation_.assign(observation_size, 1.0f);
     robot_.emplace(Settings{.observation_size = observation_size,
                             .period = kPeriod,
@@ -26,15 +27,21 @@ class TransportTest : public ::testing::Test {
                             .hold_steps = 3,
                             .most_in_flight = 14,
                             .kept_steps = 100,
-                            .sends_datagrams = sends_datagrams,
+                            .sends_datagrams = true,
                             .redundancy = redundancy},
                    ActionShape(10, {}, {}), Opening{.history_limit = 100, .is_stored = true},
                    Clock());
     EXPECT_EQ(robot_->Next(now_).kind, What::kOpenStream);
     robot_->OnStreamOpened(0);
+    robot_->OnChannel(now_ + seconds(3600));
   }
 
-  void Offer() { robot_->OnChannel(now_ + seconds(3600)); }
+  // As Connect, and lets datagrams come through.
+  void ConnectAndProve() {
+    Connect();
+    Steps(5);
+    AnswerStream();
+  }
 
   Now Clock() const { return {now_, now_}; }
 
@@ -92,17 +99,8 @@ class TransportTest : public ::testing::Test {
   int by_stream_ = 0, by_datagram_ = 0;
 };
 
-TEST_F(TransportTest, WithoutAChannelStepsGoOverTheStream) {
-  Connect(true);
-  const auto task = Step();
-  ASSERT_TRUE(task.has_value());
-  EXPECT_TRUE(task->ways.stream);
-  EXPECT_FALSE(task->ways.datagram);
-}
-
 TEST_F(TransportTest, StepsGoBothWaysUntilTheFirstDatagramIsAnswered) {
-  Connect(true, /*redundancy=*/2);
-  Offer();
+  Connect(/*redundancy=*/2);
   const auto first = Step();
   ASSERT_TRUE(first.has_value());
   EXPECT_TRUE(first->ways.stream && first->ways.datagram);
@@ -118,8 +116,7 @@ TEST_F(TransportTest, StepsGoBothWaysUntilTheFirstDatagramIsAnswered) {
 }
 
 TEST_F(TransportTest, TheNewestAnswerWins) {
-  Connect(true);
-  Offer();
+  Connect();
   const auto first = Step(), second = Step(), third = Step();
   ASSERT_TRUE(first && second && third);
   Answer(second->datagram, 2);
@@ -134,10 +131,7 @@ TEST_F(TransportTest, TheNewestAnswerWins) {
 }
 
 TEST_F(TransportTest, SingleLossesDoNotBringTheStreamBack) {
-  Connect(true);
-  Offer();
-  Steps(5);
-  AnswerStream();
+  ConnectAndProve();
   for (int i = 0; i < 20; ++i) {
     Steps(1, /*loses=*/true);
     Steps(9);
@@ -147,8 +141,7 @@ TEST_F(TransportTest, SingleLossesDoNotBringTheStreamBack) {
 
 TEST_F(TransportTest, AnAnswerThatIsLateIsNotAwaited) {
   constexpr Time kWait = milliseconds(10);
-  Connect(true);
-  Offer();
+  Connect();
   std::vector<uint64_t> sent;
   for (int i = 0; i < 60; ++i) {
     const auto task = Step();
@@ -175,8 +168,7 @@ TEST_F(TransportTest, AnAnswerThatIsLateIsNotAwaited) {
 }
 
 TEST_F(TransportTest, AFirewallBringsTheStreamBackUntilDatagramsComeThrough) {
-  Connect(true);
-  Offer();
+  Connect();
   Steps(10);
   AnswerStream();
   Steps(5, /*loses=*/true);
@@ -200,10 +192,7 @@ TEST_F(TransportTest, AFirewallBringsTheStreamBackUntilDatagramsComeThrough) {
 }
 
 TEST_F(TransportTest, AnErrorIsLeftToTheStream) {
-  Connect(true);
-  Offer();
-  Steps(5);
-  AnswerStream();
+  ConnectAndProve();
   const auto task = Step();
   Error late;
   late.expected_decision = 77;  // of a session that the stream may know better
@@ -217,10 +206,7 @@ TEST_F(TransportTest, AnErrorIsLeftToTheStream) {
 }
 
 TEST_F(TransportTest, ErrorsAboutTheOrderThatDoNotEndAreMoreThanReordering) {
-  Connect(true);
-  Offer();
-  Steps(5);
-  AnswerStream();
+  ConnectAndProve();
   Error other;
   other.expected_decision = 77;  // another robot has the session's id
   for (int i = 0; i < TransportChoice::kDisorders; ++i) {
@@ -231,8 +217,7 @@ TEST_F(TransportTest, ErrorsAboutTheOrderThatDoNotEndAreMoreThanReordering) {
 }
 
 TEST_F(TransportTest, DatagramsGoOnWhileTheStreamIsOpenedAgain) {
-  Connect(true);
-  Offer();
+  Connect();
   Steps(5);
   robot_->OnStreamEnded({.kind = Failure::kAway});
   EXPECT_EQ(robot_->Next(now_).kind, What::kCloseStream);
@@ -242,31 +227,8 @@ TEST_F(TransportTest, DatagramsGoOnWhileTheStreamIsOpenedAgain) {
   EXPECT_TRUE(!task->ways.stream && task->ways.datagram);
 }
 
-TEST_F(TransportTest, AnEndAndWhatFollowsGoBothWaysUntilItIsAnswered) {
-  Connect(true);
-  Offer();
-  Steps(5);
-  AnswerStream();
-  robot_->EndEpisode({.reward = 1.0}, nullptr);
-  const Task end = robot_->Next(now_);
-  ASSERT_EQ(end.kind, What::kSend);
-  EXPECT_TRUE(end.request.ends && end.ways.stream && end.ways.datagram);
-  const auto next = Step();
-  ASSERT_TRUE(next.has_value());
-  EXPECT_TRUE(next->ways.stream && next->ways.datagram);
-  const Received ended = robot_->OnDatagram(end.datagram, {.has_ended = true}, Clock());
-  EXPECT_TRUE(ended.settled.has_value());
-  Answer(next->datagram, 1);
-  EXPECT_TRUE(robot_->HasAnswer());
-  // The same on the stream tells nothing more.
-  EXPECT_FALSE(robot_->OnReply({.has_ended = true}, Clock()).settled.has_value());
-  robot_->OnReply({.next_step = 1}, Clock());
-  EXPECT_FALSE(Step()->ways.stream);
-}
-
 TEST_F(TransportTest, ARequestThatADatagramWithTheEndHasOvertakenChangesNothing) {
-  Connect(true);
-  Offer();
+  Connect();
   Steps(5);
   ASSERT_GT(by_stream_, 0);  // whose answers are under way
   robot_->EndEpisode({.reward = 1.0}, nullptr);
@@ -280,8 +242,7 @@ TEST_F(TransportTest, ARequestThatADatagramWithTheEndHasOvertakenChangesNothing)
 }
 
 TEST_F(TransportTest, WhatDoesNotFitGoesOverTheStream) {
-  Connect(true, 1, /*observation_size=*/40);
-  Offer();
+  Connect(1, /*observation_size=*/40);
   int steps = 0;
   while (Step()->ways.datagram) ++steps;  // the history grows, because nothing is answered
   EXPECT_GE(steps, 3);
@@ -289,18 +250,12 @@ TEST_F(TransportTest, WhatDoesNotFitGoesOverTheStream) {
 }
 
 TEST_F(TransportTest, AChannelThatHasExpiredIsNotUsed) {
-  Connect(true);
+  Connect();
   robot_->OnChannel(now_ + 3 * kPeriod);
   EXPECT_TRUE(Step()->ways.datagram);
   now_ += 3 * kPeriod;
   const auto task = Step();
   EXPECT_TRUE(task->ways.stream && !task->ways.datagram);
-}
-
-TEST_F(TransportTest, ARobotThatAllowsNoneSendsNone) {
-  Connect(false);
-  Offer();
-  EXPECT_FALSE(Step()->ways.datagram);
 }
 
 }  // namespace
