@@ -12,6 +12,7 @@
 #include "absl/strings/strip.h"
 #include "client/spikectl/admin_call.h"
 #include "client/spikectl/commands.h"
+#include "core/base/rounded.h"
 #include "core/base/status_macros.h"
 #include "proto/json.h"
 
@@ -139,7 +140,9 @@ void PrintText(const v1::ListPoliciesResponse& response, const v1::ListRolloutsR
         {absl::StrCat(policy.name(), "/", policy.version()), policy.environment(), policy.mode(),
          absl::StrCat(policy.observation_size()), ToText(policy.action_space()),
          policy.has_training_return() ? absl::StrFormat("%.1f", policy.training_return()) : "-",
-         policy.has_rounding_loss() ? absl::StrFormat("%.1f%%", 100 * policy.rounding_loss()) : "-",
+         policy.has_rounding_loss()
+             ? absl::StrFormat("%.1f%%", Rounded(100 * policy.rounding_loss(), 1))
+             : "-",
          TrafficText(policy, rollout)});
   }
   const size_t others = static_cast<size_t>(response.policies_size()) + 1 - rows.size();

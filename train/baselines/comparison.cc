@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "core/base/rounded.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/environment/environment.h"
@@ -85,9 +86,10 @@ std::string ErrorKind(const BaselineComparison& comparison) {
 
 std::string Row(absl::string_view name, const ImitationError& error,
                 const std::vector<double>& returns) {
-  std::string row = std::isnan(error.mean) ? absl::StrFormat("  %-16s none", name)
-                                           : absl::StrFormat("  %-16s %.4f  explains %.1f %%", name,
-                                                             error.mean, 100.0 * error.explained);
+  std::string row = std::isnan(error.mean)
+                        ? absl::StrFormat("  %-16s none", name)
+                        : absl::StrFormat("  %-16s %.4f  explains %.1f %%", name, error.mean,
+                                          Rounded(100.0 * error.explained, 1));
   if (!returns.empty()) absl::StrAppendFormat(&row, "  return %.2f", AsVector(returns).mean());
   return row + "\n";
 }

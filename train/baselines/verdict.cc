@@ -5,6 +5,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
+#include "core/base/rounded.h"
 
 namespace spikeserve {
 namespace {
@@ -14,7 +15,7 @@ constexpr double kBadOfBaseline = 0.5;  // of what the best baseline explains
 constexpr double kBehind = 0.05;        // less than the best baseline
 constexpr double kFalling = 0.03;
 
-std::string Percent(double share) { return absl::StrFormat("%.0f %%", 100.0 * share); }
+std::string Percent(double share) { return absl::StrFormat("%.0f %%", Rounded(100.0 * share, 0)); }
 
 // Returns the baseline that explains most.
 const BaselineScore& BestOf(const BaselineComparison& comparison) {

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_format.h"
+#include "core/base/rounded.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/math/vector_view.h"
@@ -64,8 +65,8 @@ std::string ToText(const PairedEvaluation& pair, absl::string_view first,
       "%s, %d episodes from seed %d\n"
       "return %.2f %s, %.2f %s; difference %.3f (95%% interval %.3f to %.3f)\n",
       pair.first.environment, pair.first.options.episodes, pair.first.options.first_seed,
-      pair.first.mean_return(), first, pair.second.mean_return(), second, difference.mean,
-      difference.low, difference.high);
+      pair.first.mean_return(), first, pair.second.mean_return(), second,
+      Rounded(difference.mean, 3), Rounded(difference.low, 3), Rounded(difference.high, 3));
   if (before == 0.0) return text;  // a dense policy
   absl::StrAppendFormat(&text, "spikes per decision %.1f %s, %.1f %s (%+.2f%%)\n", before, first,
                         after, second, 100.0 * (after / before - 1.0));

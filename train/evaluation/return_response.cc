@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_format.h"
+#include "core/base/rounded.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/math/vector_view.h"
@@ -101,7 +102,8 @@ std::string ToText(const ReturnResponse& response) {
                             evaluation.spikes_per_decision());
   }
   return text + absl::StrFormat("rank correlation %.3f, mean error %.1f %% of the range asked\n",
-                                response.rank_correlation(), 100.0 * response.mean_error());
+                                Rounded(response.rank_correlation(), 3),
+                                100.0 * response.mean_error());
 }
 
 }  // namespace spikeserve

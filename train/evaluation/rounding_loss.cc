@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "core/action/action_head.h"
+#include "core/base/rounded.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
@@ -149,7 +150,8 @@ absl::Status CheckLoss(const RoundingLoss& loss, double largest, absl::string_vi
 std::string ToText(const RoundingLoss& loss) {
   return absl::StrFormat(
       "the integers lost %.2f %% of the range of the %s (95 %%: %.2f to %.2f %%)",
-      100.0 * loss.loss.mean, loss.measure, 100.0 * loss.loss.low, 100.0 * loss.loss.high);
+      Rounded(100.0 * loss.loss.mean, 2), loss.measure, Rounded(100.0 * loss.loss.low, 2),
+      Rounded(100.0 * loss.loss.high, 2));
 }
 
 nlohmann::ordered_json ToJson(const RoundingLoss& loss) {

@@ -7,9 +7,9 @@ export function isNumber(x) {
   return typeof x === 'number' && Number.isFinite(x);
 }
 
-/** Returns `x` with `digits` decimal places, or a dash if it is not a number. */
+/** Returns `x` with `digits` decimal places, 0 without a sign, or a dash if it is not a number. */
 export function fixed(x, digits = 1) {
-  return isNumber(x) ? x.toFixed(digits) : NOTHING;
+  return isNumber(x) ? x.toFixed(digits).replace(/^-([0.]+)$/, '$1') : NOTHING;
 }
 
 export function count(x) {

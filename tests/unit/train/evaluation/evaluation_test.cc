@@ -202,6 +202,12 @@ TEST(LostReturnTest, ReturnsOfAnotherProgramAreJudgedAlike) {
   }
 }
 
+TEST(RoundingLossTest, ATinyGainIsNoLossOfMinusNothing) {
+  RoundingLoss loss = {.measure = "return", .range = 1.0, .loss = {-1e-5, -0.01, -0.0}};
+  EXPECT_EQ(ToText(loss),
+            "the integers lost 0.00 % of the range of the return (95 %: -1.00 to 0.00 %)");
+}
+
 TEST(LostAgreementTest, ComparesTheDecisionsWithTheRecordedActions) {
   const Policy policy = CartPolePolicy(1);
   const std::vector<Episode> episodes = *PlayCalibrationEpisodes(policy);
