@@ -37,10 +37,13 @@ LEARNING = [
     ({"scope": 7}, "scope: expected SESSION or FLEET, received 7"),
     ({"rule": "sarsa"}, 'rule: expected policy_gradient, hebbian, hebbian_action or corrections, received "sarsa"'),
     ({"modulator": "dopamine"}, 'modulator: expected target or realized, received "dopamine"'),
-    ({"learning_rate": -1}, "learning_rate: expected a finite number above 0"),
-    ({"trace_decay": 2}, "trace_decay: expected a number from 0 to 1, received 2"),
+    *(({"learning_rate": rate}, "learning_rate: expected a finite number above 0") for rate in (-1, 0, math.inf)),
+    *(({"trace_decay": decay}, "trace_decay: expected a number from 0 to 1, received ") for decay in (2, math.nan)),
+    ({"discount": -0.1}, "discount: expected a number from 0 to 1, received -0.1"),
+    ({"guard_margin": -1}, "guard_margin: expected a finite number of at least 0, received -1"),
     ({"clip": 0}, "clip: expected a finite number above 0"),
     ({"max_drift": math.nan}, "max_drift: expected a finite number above 0, received nan"),
+    ({}, "rule: expected hebbian or hebbian_action, or action_selection SAMPLE", "pendulum"),
 ]
 STEPS = [
     *(("Act", {"step": step}, PRECONDITION, f"step: expected 2, received {step}") for step in (-1, 0, 3)),
@@ -62,10 +65,15 @@ def test_what_is_wrong_with_an_opening_is_named(server, fields, code, message):
         server.agent.OpenSession(**{"policy": "cartpole"} | fields)
 
 
-@pytest.mark.parametrize(("learning", "message"), LEARNING)
-def test_what_is_wrong_with_learning_is_named(server, learning, message):
+@pytest.mark.parametrize(("learning", "message", "policy"), [(*row, "cartpole")[:3] for row in LEARNING])
+def test_what_is_wrong_with_learning_is_named(server, learning, message, policy):
     with fails_with(INVALID, f"learning.{message}"):
-        server.agent.OpenSession(policy="cartpole", learning=learning)
+        server.agent.OpenSession(policy=policy, learning=learning)
+
+
+@pytest.mark.parametrize("rule", ["hebbian", "hebbian_action"])
+def test_these_rules_teach_a_box_without_samples(server, rule):
+    assert server.agent.OpenSession(policy="pendulum", learning={"rule": rule}).session_id
 
 
 def test_a_closed_session_makes_room_for_another():

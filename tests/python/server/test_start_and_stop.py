@@ -37,6 +37,8 @@ DRAINING = (grpc.StatusCode.UNAVAILABLE, "draining")
         ("--max_sessions=0", "--max_sessions: expected at least 1"),
         ("--max_message_bytes=0", "--max_message_bytes: expected 1 to"),
         ("--drain_timeout=-1s", "--drain_timeout: expected"),
+        ("--max_streams=0", "--max_streams: expected at least 1, received 0"),
+        ("--idle_timeout=0s", "--idle_timeout: expected at least 1ms, received 0"),
         ("extra", 'expected flags alone, received "extra"'),
         ("--unknown=1", "--unknown: expected a flag of spikeserve"),
         # Not even a superuser can create folders in /proc.

@@ -60,15 +60,6 @@ TEST_F(ClientTest, KeepsTheServersMessageWhenGivingUp) {
   EXPECT_EQ(fake_.calls(), 3);
 }
 
-TEST_F(ClientTest, ALostAnswerIsFetchedAgainNotDecidedAgain) {
-  const std::string id = OpenSession();
-  fake_.LoseNextReplies(2);
-  const auto answer = client_->Act(Request(id, 0));
-  ASSERT_TRUE(answer.ok()) << answer.status();
-  EXPECT_EQ(fake_.decisions(), 1);
-  EXPECT_EQ(client_->Act(Request(id, 0))->SerializeAsString(), answer->SerializeAsString());
-}
-
 TEST_F(ClientTest, EveryAttemptHasADeadline) {
   ClientOptions options;
   options.call_timeout = absl::Milliseconds(100);
@@ -136,15 +127,6 @@ TEST_F(ClientTest, ClosingTwiceBecauseOfALostReplyIsOk) {
   EXPECT_TRUE(client_->CloseSession(id).ok());
   EXPECT_EQ(fake_.sessions(), 0);
   EXPECT_TRUE(absl::IsNotFound(client_->CloseSession(id)));
-}
-
-TEST(StatusTest, KeepsCodeAndMessage) {
-  EXPECT_TRUE(StatusFromGrpc(grpc::Status::OK).ok());
-  EXPECT_EQ(StatusFromGrpc({grpc::StatusCode::NOT_FOUND, "session_id: no such session"}),
-            absl::NotFoundError("session_id: no such session"));
-  EXPECT_EQ(StatusFromGrpc({grpc::StatusCode::UNAUTHENTICATED, "who?"}),
-            absl::UnauthenticatedError("who?"));
-  EXPECT_EQ(StatusFromCode(8, "full"), absl::ResourceExhaustedError("full"));
 }
 
 TEST(StatusTest, UnknownCodesStayErrors) {

@@ -188,23 +188,6 @@ TEST_P(JournalTest, ARestoredSessionGoesOnBitForBit) {
   EXPECT_EQ(was_safe, GetParam().is_miswired && GetParam().learning.has_value());
 }
 
-// A store that is written to again after a broken connection may hold records twice.
-TEST_P(JournalTest, RepeatedEntriesCountOnce) {
-  AgentSession agent = NewAgent();
-  FakeWriter writer;
-  const auto journal = NewJournal(&writer, Durability::kAsync);
-  journal->OnOpen(agent.session());
-  agent.AddListener(journal);
-  for (int64_t t = 0; t < 5; ++t) ASSERT_TRUE(agent.Act(t, ObservationAt(t), RewardAt(t)).ok());
-  std::vector<std::string> records = writer.bytes_;
-  records.insert(records.end(), writer.bytes_.begin() + 1, writer.bytes_.end());
-  auto parsed = ParseJournal(records);
-  ASSERT_TRUE(parsed.ok()) << parsed.status();
-  const auto restored = RestoreSession(*std::move(parsed), served_->policy());
-  ASSERT_TRUE(restored.ok()) << restored.status();
-  EXPECT_EQ(SerializeSession(*restored), SerializeSession(agent.session()));
-}
-
 INSTANTIATE_TEST_SUITE_P(All, JournalTest, ::testing::ValuesIn(JournalCases()),
                          [](const auto& instance) { return instance.param.name; });
 

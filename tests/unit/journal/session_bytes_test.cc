@@ -89,14 +89,6 @@ TEST(SessionTest, CountsOfIntegerArithmeticFollowOnlyWhereThereAreAny) {
   EXPECT_EQ(parsed->last_answer->counts, counts);
 }
 
-TEST(SessionTest, ANewSessionRoundTrips) {
-  const Session session = NewSession("id", SmallOptions());
-  const auto parsed = ParseSession(SerializeSession(session));
-  ASSERT_TRUE(parsed.ok()) << parsed.status();
-  EXPECT_EQ(SerializeSession(*parsed), SerializeSession(session));
-  EXPECT_FALSE(parsed->last_answer.has_value());
-}
-
 TEST(SessionTest, BrokenBytesAreRefused) {
   const std::string bytes = SerializeSession(BusySession());
   for (size_t size = 0; size < bytes.size(); ++size) {

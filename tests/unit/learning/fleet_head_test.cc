@@ -46,15 +46,6 @@ void ExpectNear(const Eigen::VectorXf& actual, const Eigen::VectorXd& expected) 
   }
 }
 
-TEST(FleetHeadTest, ASnapshotNeverChanges) {
-  FleetHead fleet(TestPolicy());
-  const auto before = fleet.Read();
-  EXPECT_EQ(Merge(fleet, DeltaOf(1), 10.0).update, UpdateOutcome::kApplied);
-  EXPECT_EQ(before->delta, Eigen::VectorXf::Zero(kSize));
-  EXPECT_EQ(fleet.Read()->delta, DeltaOf(1));
-  EXPECT_EQ(fleet.Read()->updates, 1);
-}
-
 // Runs 64 sessions, each on a thread that merges and reads.
 TEST(FleetHeadTest, TheOrderOfContributionsDoesNotMatter) {
   constexpr int kSessions = 64, kEpisodes = 10;
@@ -95,24 +86,6 @@ TEST(FleetHeadTest, NonFiniteContributionsAreRefused) {
   EXPECT_EQ(Merge(fleet, broken, 10.0).update, UpdateOutcome::kNonFinite);
   EXPECT_EQ(fleet.Read()->delta, DeltaOf(1));
   EXPECT_EQ(fleet.Read()->rejected, 1);
-}
-
-TEST(FleetHeadTest, TheGuardPutsTheLastGoodHeadBack) {
-  FleetHead fleet(TestPolicy());
-  const auto window = [&](double level) {
-    bool rolled_back = false;
-    for (size_t i = 0; i < ReturnGuard::kWindow; ++i) {
-      rolled_back = Merge(fleet, DeltaOf(1), level).rolled_back;
-    }
-    return rolled_back;
-  };
-  EXPECT_FALSE(window(100.0));
-  const Eigen::VectorXf good = fleet.Read()->delta;
-  EXPECT_FALSE(window(200.0));
-  EXPECT_TRUE(window(100.0));
-  EXPECT_EQ(fleet.Read()->delta, good);
-  EXPECT_EQ(fleet.Read()->rollbacks, 1);
-  EXPECT_EQ(fleet.Read()->level.mean, 100.0);
 }
 
 // Returns contribution `i` of fifteen, at a fleet that gets worse for a while.

@@ -35,14 +35,6 @@ TEST(ContributionBudgetTest, AMinuteIsBoundedForOneAndForAll) {
   EXPECT_EQ(Accepted(budget, "0", absl::Seconds(100)), Budget::kPerMinute);
 }
 
-TEST(ContributionBudgetTest, OfAProtectedHeadNoneGivesAQuarterOfAWindow) {
-  Budget budget;
-  for (int window = 0; window < 3; ++window) {
-    EXPECT_EQ(Accepted(budget, "0", {}, /*is_protected=*/true), Budget::kPerWindow);
-    budget.OnWindowEnd(/*bad=*/false, /*is_protected=*/true);
-  }
-}
-
 TEST(ContributionBudgetTest, AFullShareOfABadWindowSuspends) {
   Budget budget;
   constexpr bool kIsProtected = true;

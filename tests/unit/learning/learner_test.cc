@@ -1,7 +1,6 @@
 // The equations are compared over the wire, by tests/python/learning/test_learning.py.
 #include "core/learning/learner.h"
 
-#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -12,8 +11,6 @@
 
 namespace spikeserve {
 namespace {
-
-using ::testing::HasSubstr;
 
 constexpr size_t kOutputs = 2;
 constexpr size_t kInputs = 3;
@@ -110,16 +107,6 @@ TEST_F(LearnerTest, AnEpisodeOfTooManyStepsIsLearnedFromAtItsEnd) {
   EXPECT_EQ(late, learner_.head_delta);
 }
 
-TEST_F(LearnerTest, MemoryDoesNotGrowWithTheEpisode) {
-  const LearningOptions options = {.modulator = Modulator::kRealized};
-  learner_ = NewLearner(options);
-  Play(options, 5000, 9.0);
-  EXPECT_EQ(learner_.trace.size(), kOutputs * kInputs);
-  EXPECT_EQ(learner_.trace_sum.size(), kOutputs * kInputs);
-  EXPECT_EQ(learner_.discounted_trace.size(), kOutputs * kInputs);
-  EXPECT_EQ(learner_.credit.size(), kOutputs * kInputs);
-}
-
 TEST_F(LearnerTest, NonFiniteUpdatesAreRefusedAndForgotten) {
   const LearningOptions options = {.modulator = Modulator::kTarget};
   learner_ = NewLearner(options);
@@ -140,33 +127,6 @@ TEST(ReturnStatisticsTest, DeviationIsNeverZero) {
   const ReturnStatistics returns = {.mean = 1.0, .variance = 0.0};
   EXPECT_EQ(returns.Normalized(1.0), 0.0);
   EXPECT_TRUE(std::isfinite(returns.Normalized(2.0)));
-}
-
-TEST(LearningOptionsTest, RefusalsNameTheField) {
-  const auto refuse = [](const LearningOptions& options, const ActionSpace& space,
-                         const std::string& message) {
-    const absl::Status status = options.Validate(space, {});
-    EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
-    EXPECT_THAT(std::string(status.message()), HasSubstr(message));
-  };
-  const ActionSpace discrete = ActionSpace::Discrete(2);
-  const double nan = std::numeric_limits<double>::quiet_NaN();
-  const double infinity = std::numeric_limits<double>::infinity();
-  refuse({.learning_rate = 0}, discrete,
-         "learning.learning_rate: expected a finite number above 0");
-  refuse({.learning_rate = infinity}, discrete, "received inf");
-  refuse({.trace_decay = 1.5}, discrete,
-         "learning.trace_decay: expected a number from 0 to 1, received 1.5");
-  refuse({.trace_decay = nan}, discrete, "learning.trace_decay: expected");
-  refuse({.discount = -0.1}, discrete, "learning.discount: expected a number from 0 to 1");
-  refuse({.guard_margin = -1}, discrete, "learning.guard_margin: expected a finite number of at");
-  refuse({.clip = -1}, discrete, "learning.clip: expected a finite number above 0");
-  refuse({.max_drift = nan}, discrete, "learning.max_drift: expected a finite number above 0");
-  const ActionSpace box = ActionSpace::Box({-1}, {1});
-  refuse({}, box, "learning.rule: expected hebbian or hebbian_action, or action_selection SAMPLE");
-  EXPECT_TRUE(LearningOptions().Validate(box, {.sample = true}).ok());
-  EXPECT_TRUE(LearningOptions({.rule = Rule::kHebbian}).Validate(box, {}).ok());
-  EXPECT_TRUE(LearningOptions({.rule = Rule::kHebbianAction}).Validate(box, {}).ok());
 }
 
 constexpr double kBegin = 1e9;  // seconds since 1970

@@ -66,15 +66,6 @@ TEST(MethodDeathTest, AnUnknownNameIsAMistakeOfThisProgram) {
 const std::string kTrace = "0af7651916cd43dd8448eb211c80319c";
 const std::string kSpan = "b7ad6b7169203331";
 
-TEST(TraceParentTest, ReadsIdsAndTheDecision) {
-  const TraceParent parent = ParseTraceParent("00-" + kTrace + "-" + kSpan + "-01");
-  EXPECT_TRUE(parent.is_valid());
-  EXPECT_EQ(parent.trace_high, 0x0af7651916cd43ddU);
-  EXPECT_EQ(parent.trace_low, 0x8448eb211c80319cU);
-  EXPECT_EQ(parent.span, 0xb7ad6b7169203331U);
-  EXPECT_TRUE(parent.sampled);
-}
-
 TEST(TraceParentTest, OnlyTheLowestFlagIsTheDecision) {
   EXPECT_FALSE(ParseTraceParent("00-" + kTrace + "-" + kSpan + "-fe").sampled);
   EXPECT_TRUE(ParseTraceParent("00-" + kTrace + "-" + kSpan + "-03").sampled);

@@ -263,20 +263,6 @@ TEST(RolloutJudge, AWorseVersionIsFound) {
       Kind::kNotWorse);
 }
 
-TEST(RolloutJudge, ReturnsThatNeverVaryAreCompared) {
-  Arm fresh, stable;
-  for (int session = 0; session < kFewestObservations; ++session) {
-    EXPECT_EQ(JudgeRollout(DefaultConditions(), fresh.Read(), stable.Read(), kAnyRange).kind,
-              Kind::kNotWorse);
-    fresh.Play({499.0});
-    stable.Play({500.0});
-  }
-  EXPECT_THAT(JudgeRollout(DefaultConditions(), fresh.Read(), stable.Read(), kAnyRange).reason,
-              HasSubstr("mean return 499 over 20 sessions, stable version 500 over 20"));
-  EXPECT_EQ(JudgeRollout(DefaultConditions(), stable.Read(), stable.Read(), kAnyRange).kind,
-            Kind::kNotWorse);
-}
-
 // Attacks: `liars` of every ten sessions of the new version tell `lie`.
 double ShareWithLiars(Kind kind, double truth, double lie, int liars) {
   return ShareOfRollouts(kind, 200, 30, [=](std::mt19937_64& random, Arm& fresh, Arm& stable) {

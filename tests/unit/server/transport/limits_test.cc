@@ -132,15 +132,5 @@ TEST(ByteBudgetTest, Bounds) {
   EXPECT_EQ(budget.used(), 0);
 }
 
-TEST(TransportLimitsTest, ErrorsNameTheFlag) {
-  EXPECT_TRUE(TransportLimits().Validate().ok());
-  TransportLimits limits;
-  limits.max_streams = 0;
-  EXPECT_EQ(limits.Validate().message(), "--max_streams: expected at least 1, received 0");
-  limits = {};
-  limits.idle_timeout = absl::ZeroDuration();
-  EXPECT_EQ(limits.Validate().message(), "--idle_timeout: expected at least 1ms, received 0");
-}
-
 }  // namespace
 }  // namespace spikeserve
