@@ -1,20 +1,22 @@
 """Replicas learn shared heads through an ordered log in Redis: each contribution once, and equal heads everywhere."""
 
+import contextlib
 import hashlib
 import json
 import pathlib
 import shutil
+import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import grpc
 import pytest
 import spikeserve
-from redis_servers import DURABLE, PASSWORD, WITHOUT_REDIS, Redis, start_cluster, stopping
+from redis_servers import DURABLE, WITHOUT_REDIS, Redis, start_cluster, stopping
 from replicated import running_fleet
 from security import ADMIN, HEALTH, SERVING, code_of, until
 from serving import SHIPPED_POLICIES, Service, metric
-from stored_sessions import Restartable
+from stored_sessions import Restartable, until_answered
 
 pytestmark = WITHOUT_REDIS
 
@@ -28,7 +30,7 @@ EARLIER_LOG = pathlib.Path(__file__).parent / "head_log"
 
 @pytest.fixture
 def redis():
-    with stopping([Redis()]) as [started]:
+    with stopping([Redis(password="")]) as [started]:
         yield started
 
 
@@ -41,7 +43,7 @@ def start(redis, tmp_path):
 @pytest.fixture
 def start_on_durable(tmp_path):
     """Returns a Redis server that keeps its files, and a function that starts a replica on it."""
-    with stopping([Redis(*DURABLE)]) as [started]:
+    with stopping([Redis(*DURABLE, password="")]) as [started]:
         for start in replicas_on(started.port, tmp_path):
             yield started, start
 
@@ -50,29 +52,21 @@ def start_on_durable(tmp_path):
 def start_on_cluster(tmp_path):
     """Returns a function that starts a replica on a Cluster of Redis."""
     with stopping([]) as servers:
-        start_cluster(servers)
+        start_cluster(servers, password="")
         yield from replicas_on(servers[0].port, tmp_path)
 
 
 def replicas_on(port, tmp_path):
     """Yields a function that starts a replica, which serves version 1 of one policy."""
-    password = tmp_path / "password"
-    password.write_text(PASSWORD)
     shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", tmp_path / "policies" / "cartpole" / "1")
-    started = []
+    with contextlib.ExitStack() as started:
 
-    def start_one():
-        log = (tmp_path / f"log-{len(started)}").open("w+")
-        store = f"redis://127.0.0.1:{port}"
-        replica = Restartable(store, [f"--store_password_file={password}"], tmp_path / "policies", log)
-        replica.start()
-        started.append(replica)
-        return replica
+        def start_one():
+            log = started.enter_context(tempfile.TemporaryFile("a+"))
+            replica = Restartable(f"redis://127.0.0.1:{port}", policies=tmp_path / "policies", log=log)
+            return started.enter_context(replica)
 
-    yield start_one
-    for replica in started:
-        replica.close()
-        replica.log.close()
+        yield start_one
 
 
 def head_of(replica):
@@ -86,9 +80,8 @@ def weights(replica):
 
 
 def logged(replica):
-    replica.log.flush()
-    with open(replica.log.name) as log:
-        return log.read()
+    replica.log.seek(0)
+    return replica.log.read()
 
 
 def open_learner(replica, seed=1, session_id=""):
@@ -105,6 +98,12 @@ def act(replica, session, steps=STEPS, reward=1.0):
 def play(replica, session, steps=STEPS, reward=1.0):
     act(replica, session, steps, reward)
     return replica.EndEpisode(session_id=session, reward=reward, terminated=True)
+
+
+def open_and_play(replica, seed=1, steps=STEPS):
+    session = open_learner(replica, seed)
+    play(replica, session, steps)
+    return session
 
 
 def key_of(redis, kind):
@@ -233,7 +232,7 @@ def test_an_operator_is_undone_on_all_replicas(start):
 def test_the_nodes_of_a_cluster(start_on_cluster):
     first, second = start_on_cluster(), start_on_cluster()
     for replica in (first, second):
-        play(replica, open_learner(replica))
+        open_and_play(replica)
     assert head_of(first).updates == 2
     assert weights(first) == weights(second) == weights(start_on_cluster())
 
@@ -284,7 +283,7 @@ def test_a_replica_joins_from_a_snapshot(redis, start):
 def test_a_log_of_an_earlier_program(tmp_path):
     """Commit bae5a768 left a snapshot and 13 entries, after roll-backs and with a pause, and this head."""
     shutil.copy(EARLIER_LOG / "dump.rdb", tmp_path)
-    with stopping([Redis("--dir", str(tmp_path), "--dbfilename", "dump.rdb")]) as [redis]:
+    with stopping([Redis("--dir", str(tmp_path), "--dbfilename", "dump.rdb", password="")]) as [redis]:
         # The record of the shipped file was written again since, so its digest, which ends the keys, is another one.
         digest = hashlib.sha256((SHIPPED_POLICIES / "cartpole/1/policy.safetensors").read_bytes()).hexdigest()[:12]
         for key in (key_of(redis, "fl"), key_of(redis, "fs")):
@@ -294,7 +293,7 @@ def test_a_log_of_an_earlier_program(tmp_path):
             first = start()
             head = json.loads((EARLIER_LOG / "head.json").read_text())
             assert any(head[0]) and list(weights(first)) == head
-            play(first, open_learner(first))
+            open_and_play(first)
             assert metric(first, "spikeserve_head_log_position") == number + entries_of(redis) - 1
             assert contributions(first) == head[1] + head[2] + 1 and weights(start()) == weights(first)
 
@@ -317,8 +316,7 @@ def test_the_guard_decides_once(start):
 
 def test_a_lost_entry_is_noticed_and_the_head_reloaded(redis, start):
     first, second = start(), start()
-    session = open_learner(first)
-    play(first, session)
+    session = open_and_play(first)
     assert weights(second) == weights(first)
     second.stop()
     for _ in range(3):
@@ -356,16 +354,14 @@ def test_a_gap_that_none_can_fill_is_cut(redis, start):
 def test_redis_loses_everything(redis, start):
     """The replicas write the heads that they have."""
     first, second = start(), start()
-    session = open_learner(first)
-    play(first, session)
+    open_and_play(first)
     assert weights(second) == weights(first)
     before = weights(first)
     redis.command("FLUSHALL")
     rewritten = "spikeserve_head_log_reloads_total"
     until(lambda: sum(metric(each, rewritten, outcome="rewritten") for each in (first, second)) >= 1)
     assert weights(first) == weights(second) == before
-    other = open_learner(second, seed=3)
-    play(second, other)
+    open_and_play(second, seed=3)
     assert head_of(first).updates == 2 and weights(first) == weights(second) == weights(start())
 
 
@@ -378,8 +374,7 @@ def contributions(replica):
 def test_a_log_that_is_gone_behind_its_snapshot(redis, start, more):
     """Redis has evicted it. Both replicas have all of it, and go on."""
     first, second = start(), start()
-    session = open_learner(first)
-    play(first, session, steps=1)
+    session = open_and_play(first, steps=1)
     snapshot = key_of(redis, "fs")
     redis.command(f"HSET {snapshot} wanted 1")
     until(lambda: redis.command(f"HGET {snapshot} n") == b"1")
@@ -387,7 +382,7 @@ def test_a_log_that_is_gone_behind_its_snapshot(redis, start, more):
         play(first, session, steps=1)
     until(lambda: contributions(second) == 1 + more)
     redis.command(f"DEL {key_of(redis, 'fl')}")
-    play(second, open_learner(second, seed=2), steps=1)
+    open_and_play(second, seed=2, steps=1)
     play(first, session, steps=1)
     assert contributions(first) == contributions(second) == 3 + more
     second.admin.PauseLearning(policy="cartpole")
@@ -397,15 +392,14 @@ def test_a_log_that_is_gone_behind_its_snapshot(redis, start, more):
 
 def test_a_log_that_is_gone_when_no_server_has_more_than_its_snapshot(redis, start):
     first = start()
-    session = open_learner(first)
-    play(first, session)
+    open_and_play(first)
     snapshot = key_of(redis, "fs")
     redis.command(f"HSET {snapshot} wanted 1")
     until(lambda: redis.command(f"HGET {snapshot} n") == b"1")
     first.kill()
     redis.command(f"DEL {key_of(redis, 'fl')}")
     second = start()
-    play(second, open_learner(second, seed=2))
+    open_and_play(second, seed=2)
     assert contributions(second) == 2 and weights(start()) == weights(second)
 
 
@@ -468,8 +462,7 @@ def test_a_redis_that_comes_back_with_older_files(start_on_durable):
 def test_redis_is_away(redis, start):
     """A head can be read then, and nothing that was answered is lost when Redis comes back empty."""
     first, second = start(), start()
-    session = open_learner(first)
-    play(first, session)
+    session = open_and_play(first)
     before = weights(first)
     act(first, session)
     redis.kill()
@@ -488,8 +481,7 @@ def test_redis_is_away(redis, start):
 def test_a_contribution_that_was_not_appended_is_repaired_once(redis, start):
     """The owner has stored the end of an episode, cannot append the contribution, and is killed."""
     first, second = start(), start()
-    session = open_learner(first)
-    play(first, session)
+    session = open_and_play(first)
     log = key_of(redis, "fl")
     redis.command(f"RENAME {log} kept")
     redis.command(f"SET {log} blocked")
@@ -502,18 +494,9 @@ def test_a_contribution_that_was_not_appended_is_repaired_once(redis, start):
     redis.command(f"DEL {log}")
     redis.command(f"RENAME kept {log}")
 
-    answers = []
-
-    def ended():
-        try:
-            answers.append(second.EndEpisode(**end))
-        except grpc.RpcError as error:
-            assert error.code() == grpc.StatusCode.UNAVAILABLE
-        return len(answers) > 0
-
-    until(ended)
-    assert answers[0].learning.updates == 1
-    assert second.EndEpisode(**end) == answers[0]
+    answer = until_answered(lambda: second.EndEpisode(**end))
+    assert answer.learning.updates == 1
+    assert second.EndEpisode(**end) == answer
     assert entries_of(redis) == 2
     assert head_of(second).updates == 2
     play(second, session)

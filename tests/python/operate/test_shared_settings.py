@@ -1,5 +1,6 @@
 """Replicas share the settings of operators and promoted versions."""
 
+import contextlib
 import json
 import re
 import shutil
@@ -8,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import grpc
 import pytest
-from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, stopping
+from redis_servers import WITHOUT_REDIS, Redis, stopping
 from security import HEALTH, SERVING, code_of, entry, fails_with, service_with, until
 from serving import SHIPPED_POLICIES, Service, run, status_of
 from stored_sessions import Restartable, comparable
@@ -18,31 +19,22 @@ pytestmark = WITHOUT_REDIS
 
 @pytest.fixture
 def redis():
-    with stopping([Redis()]) as [started]:
+    with stopping([Redis(password="")]) as [started]:
         yield started
 
 
 @pytest.fixture
 def start(redis, tmp_path):
     """Returns a function that starts a replica with its own folder of policies."""
-    password = tmp_path / "password"
-    password.write_text(PASSWORD)
-    started = []
+    with contextlib.ExitStack() as started:
 
-    def start_one(name, *flags):
-        policies = tmp_path / name
-        for policy in ("cartpole", "pendulum"):
-            shutil.copytree(SHIPPED_POLICIES / policy, policies / policy)
-        store = f"redis://127.0.0.1:{redis.port}"
-        replica = Restartable(store, [f"--store_password_file={password}", *flags], policies)
-        replica.start()
-        replica.folder = policies
-        started.append(replica)
-        return replica
+        def start_one(name, *flags):
+            for policy in ("cartpole", "pendulum"):
+                shutil.copytree(SHIPPED_POLICIES / policy, tmp_path / name / policy)
+            replica = Restartable(f"redis://127.0.0.1:{redis.port}", flags, tmp_path / name)
+            return started.enter_context(replica)
 
-    yield start_one
-    for replica in started:
-        replica.close()
+        yield start_one
 
 
 def opened_version(replica, **fields):
@@ -158,7 +150,7 @@ def test_a_promoted_version_travels(start):
     promoted = first.admin.PromoteHead(policy="cartpole", make_default=True)
     assert promoted.version == 3
     until(lambda: opened_version(second) == 3)
-    files = [each.folder / "cartpole" / "3" / "policy.safetensors" for each in (first, second)]
+    files = [each.policies / "cartpole" / "3" / "policy.safetensors" for each in (first, second)]
     assert files[0].read_bytes() == files[1].read_bytes()
 
     # A session of the new version continues elsewhere, and one that joins later has it.
@@ -183,7 +175,7 @@ def test_two_replicas_promote_at_the_same_time(start):
                     code_of(replica.OpenSession, policy="cartpole", version=version) == grpc.StatusCode.OK
                 )
             )
-    files = [[each.folder / "cartpole" / str(version) for each in replicas] for version in (3, 4)]
+    files = [[each.policies / "cartpole" / str(version) for each in replicas] for version in (3, 4)]
     for ours, theirs in files:
         assert (ours / "policy.safetensors").read_bytes() == (theirs / "policy.safetensors").read_bytes()
 
@@ -218,7 +210,7 @@ def spikectl(replicas, *arguments):
 
 
 def add_version_3(replica):
-    shutil.copytree(SHIPPED_POLICIES / "cartpole/1", replica.folder / "cartpole" / "3")
+    shutil.copytree(SHIPPED_POLICIES / "cartpole/1", replica.policies / "cartpole" / "3")
 
 
 def test_a_rollout_is_refused_while_a_live_replica_lacks_the_version(start):
@@ -241,10 +233,10 @@ def test_a_rollout_is_refused_while_a_live_replica_lacks_the_version(start):
     assert (status, rows[0]["error"].startswith(expected)) == (1, True)
     assert all(opened_version(each) == 2 for each in replicas)
     # Another file of the same number is not the version either.
-    shutil.copytree(SHIPPED_POLICIES / "cartpole/2", replicas[2].folder / "cartpole" / "3")
+    shutil.copytree(SHIPPED_POLICIES / "cartpole/2", replicas[2].policies / "cartpole" / "3")
     assert spikectl(replicas, "reload")[0] == 0
     assert spikectl(replicas, *rollout)[0] == 1
-    shutil.rmtree(replicas[2].folder / "cartpole" / "3")
+    shutil.rmtree(replicas[2].policies / "cartpole" / "3")
     add_version_3(replicas[2])
     assert spikectl(replicas, "load", "--policy=cartpole", "--version=3")[0] == 0
     status, rows, error = spikectl(replicas, *rollout)
@@ -255,7 +247,7 @@ def test_a_rollout_is_refused_while_a_live_replica_lacks_the_version(start):
     assert spikectl(replicas, "rollout", "--policy=cartpole", "--abort")[0] == 0
     add_version_4 = replicas[:2]
     for replica in add_version_4:
-        shutil.copytree(SHIPPED_POLICIES / "cartpole/1", replica.folder / "cartpole" / "4")
+        shutil.copytree(SHIPPED_POLICIES / "cartpole/1", replica.policies / "cartpole" / "4")
     assert spikectl(replicas[:2], "load", "--policy=cartpole", "--version=4")[0] == 0
     replicas[2].kill()
     until(lambda: status_of(replicas[0])["replicas"] == 2)

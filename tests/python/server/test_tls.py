@@ -7,6 +7,7 @@ import socket
 import ssl
 import time
 import urllib.error
+import urllib.request
 
 import grpc
 import pytest
@@ -26,9 +27,17 @@ from security import (
 from serving import DEADLINE_SECONDS, Service, run, running_server
 
 
-def reaches(address, channel_credentials):
-    with grpc.secure_channel(address, channel_credentials) as channel:
+def reaches(folder, addresses, **options):
+    """Returns whether gRPC reaches a server with the certificates of a folder."""
+    with grpc.secure_channel(addresses.grpc, credentials(folder, **options)) as channel:
         return can_connect(channel)
+
+
+def has_page(folder, addresses, **options):
+    """Returns whether HTTP reaches it."""
+    with contextlib.suppress(OSError):
+        return https_code(folder, addresses.http, **options) == 200
+    return False
 
 
 def can_connect(channel):
@@ -40,25 +49,27 @@ def can_connect(channel):
 
 def test_tls_encrypts_and_plain_text_is_refused(certificates):
     with running_server(flags=tls_flags(certificates)) as addresses:
-        assert reaches(addresses.grpc, credentials(certificates))
+        assert reaches(certificates, addresses)
         assert not can_connect(addresses.channel)
 
 
-def test_mutual_tls_asks_clients_for_a_certificate(certificates):
+@pytest.mark.parametrize("is_served", [reaches, has_page])
+def test_mutual_tls_asks_clients_for_a_certificate(certificates, is_served):
     flags = tls_flags(certificates, f"--tls_client_ca={certificates}/ca.pem")
     with running_server(flags=flags) as addresses:
-        assert reaches(addresses.grpc, credentials(certificates, client=True))
-        assert not reaches(addresses.grpc, credentials(certificates))
+        assert is_served(certificates, addresses, client=True)
+        assert not is_served(certificates, addresses)
 
 
-def test_a_renewed_certificate_is_served_without_a_restart(certificates, tmp_path):
+@pytest.mark.parametrize("is_served", [reaches, has_page])
+def test_a_renewed_certificate_is_served_without_a_restart(certificates, tmp_path, is_served):
     for name in ("server.pem", "server.key"):
-        (tmp_path / name).write_bytes((certificates / name).read_bytes())
+        shutil.copy(certificates / name, tmp_path)
     with running_server(flags=tls_flags(tmp_path)) as addresses:
-        assert reaches(addresses.grpc, credentials(certificates))
+        assert is_served(certificates, addresses)
         make_authority(tmp_path, "new")
         make_certificate(tmp_path, "server", "new")
-        until(lambda: reaches(addresses.grpc, credentials(tmp_path, authority="new")))
+        until(lambda: is_served(tmp_path, addresses, authority="new"))
 
 
 def test_the_status_page_speaks_tls_too(certificates, tokens):
@@ -71,31 +82,6 @@ def test_the_status_page_speaks_tls_too(certificates, tokens):
             http_code(addresses.http, "/healthz")
         # A failed handshake does not block later connections.
         assert https_code(certificates, addresses.http) == 200
-
-
-def test_mutual_tls_is_the_status_pages_too(certificates):
-    flags = tls_flags(certificates, f"--tls_client_ca={certificates}/ca.pem")
-    with running_server(flags=flags) as addresses:
-        assert https_code(certificates, addresses.http, client=True) == 200
-        with pytest.raises((urllib.error.URLError, OSError)):
-            https_code(certificates, addresses.http)
-
-
-def test_a_renewed_certificate_is_the_status_pages_too(certificates, tmp_path):
-    for name in ("server.pem", "server.key"):
-        (tmp_path / name).write_bytes((certificates / name).read_bytes())
-    with running_server(flags=tls_flags(tmp_path)) as addresses:
-        assert https_code(certificates, addresses.http) == 200
-        make_authority(tmp_path, "new")
-        make_certificate(tmp_path, "server", "new")
-
-        def is_served():
-            try:
-                return https_code(tmp_path, addresses.http, authority="new") == 200
-            except OSError:
-                return False
-
-        until(is_served)
 
 
 def test_encrypted_and_with_tokens_the_page_may_face_the_network(certificates, tokens):
@@ -133,45 +119,32 @@ def logged_server(folder, *flags):
 
 def metric(certificates, addresses, name):
     """Returns the value of a time series, or None."""
-    context = ssl.create_default_context(cafile=certificates / "ca.pem")
+    context = ssl.create_default_context()
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE  # also of a server whose certificate has expired
-    connection = http.client.HTTPSConnection(addresses.http, context=context, timeout=30)
-    connection.request("GET", "/metrics")
-    page = connection.getresponse().read().decode()
-    connection.close()
-    return next(
-        (float(line.split()[-1]) for line in page.splitlines() if line.startswith(f"{name} ")), None
-    )
+    context.load_cert_chain(certificates / "client.pem", certificates / "client.key")
+    with urllib.request.urlopen(f"https://{addresses.http}/metrics", timeout=30, context=context) as page:
+        lines = page.read().decode().splitlines()
+    return next((float(line.split()[-1]) for line in lines if line.startswith(f"{name} ")), None)
 
 
-EXPIRY = 'spikeserve_tls_expiry_timestamp_seconds{certificate="server"}'
+EXPIRY = 'spikeserve_tls_expiry_timestamp_seconds{{certificate="{}"}}'
 FAILING = "spikeserve_tls_reload_failing"
 
 
 def test_an_expired_certificate_is_reported(renewed):
     replace(renewed, "expired")
     with logged_server(renewed) as (addresses, log):
-        assert metric(renewed, addresses, EXPIRY) < time.time()
+        assert metric(renewed, addresses, EXPIRY.format("server")) < time.time()
         assert "error certificate not valid; clients will refuse it" in log()
 
 
 def test_the_expiry_of_a_certificate_and_of_the_clients_authority_are_metrics(certificates, tmp_path):
     flags = tls_flags(certificates, f"--tls_client_ca={certificates}/ca.pem")
     with running_server(flags=flags) as addresses:
-        context = ssl.create_default_context(cafile=certificates / "ca.pem")
-        context.load_cert_chain(certificates / "client.pem", certificates / "client.key")
-        connection = http.client.HTTPSConnection(
-            addresses.http.replace("127.0.0.1", "localhost"), context=context, timeout=30
-        )
-        connection.request("GET", "/metrics")
-        page = connection.getresponse().read().decode()
-        connection.close()
-    in_two_days = time.time() + 2 * 86400
-    for which in ("server", "client_ca"):
-        line = f'spikeserve_tls_expiry_timestamp_seconds{{certificate="{which}"}} '
-        (value,) = [float(at.split()[-1]) for at in page.splitlines() if at.startswith(line)]
-        assert abs(value - in_two_days) < 3600
+        in_two_days = time.time() + 2 * 86400
+        for which in ("server", "client_ca"):
+            assert abs(metric(certificates, addresses, EXPIRY.format(which)) - in_two_days) < 3600
 
 
 def test_files_that_cannot_be_used_are_reported_and_not_used(renewed):
@@ -181,12 +154,12 @@ def test_files_that_cannot_be_used_are_reported_and_not_used(renewed):
         said = "error certificate not reloaded; the old one stays in use"
         until(lambda: said in log())
         assert "--tls_certificate: expected a certificate in PEM form" in log()
-        assert reaches(addresses.grpc, credentials(renewed))
+        assert reaches(renewed, addresses)
         replace(renewed, "good-server")
         until(lambda: metric(renewed, addresses, FAILING) == 0)
         replace(renewed, "expired")
         until(lambda: "expected a certificate that is valid now" in log())
-        assert reaches(addresses.grpc, credentials(renewed))
+        assert reaches(renewed, addresses)
         (renewed / "server.key").unlink()
         until(lambda: "--tls_key: cannot read" in log())
         make_certificate(renewed, "fresh", "ca")
