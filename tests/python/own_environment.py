@@ -4,12 +4,21 @@ import os
 import pathlib
 import subprocess
 import sys
+import sysconfig
 
 import pytest
 from serving import run
 
 FOLDER = pathlib.Path(os.environ.get("OWN_ENVIRONMENTS", "/tmp/spikeserve-environments"))
 DEADLINE_SECONDS = 3000
+OWN_VERSION = "{}.{}".format(*sys.version_info)
+# Makes pip use the packages of the tests instead of an index.
+OFFLINE = {
+    "PIP_NO_BUILD_ISOLATION": "0",  # 0 turns isolation off
+    "PIP_NO_DEPS": "1",
+    "PIP_NO_INDEX": "1",
+    "PYTHONPATH": sysconfig.get_path("purelib"),
+}
 
 
 def python_with(*requirements):

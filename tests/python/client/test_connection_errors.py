@@ -10,7 +10,7 @@ import threading
 import grpc
 import pytest
 import spikeserve
-from security import make_authority, make_certificate
+from security import make_authority, make_certificate, tls_flags
 from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, running_server
 
 EXPECTS_TLS = "the server expects TLS, and the client does not use it"
@@ -41,26 +41,14 @@ def silent_port(reply=b""):
 
 
 @pytest.fixture(scope="module")
-def plain():
-    with running_server() as addresses:
-        yield addresses
-
-
-@pytest.fixture(scope="module")
 def encrypted(certificates):
-    flags = [f"--tls_certificate={certificates}/server.pem", f"--tls_key={certificates}/server.key"]
-    with running_server(flags=flags) as addresses:
+    with running_server(flags=tls_flags(certificates)) as addresses:
         yield addresses
 
 
 @pytest.fixture(scope="module")
 def mutual(certificates):
-    flags = [
-        f"--tls_certificate={certificates}/server.pem",
-        f"--tls_key={certificates}/server.key",
-        f"--tls_client_ca={certificates}/ca.pem",
-    ]
-    with running_server(flags=flags) as addresses:
+    with running_server(flags=tls_flags(certificates, f"--tls_client_ca={certificates}/ca.pem")) as addresses:
         yield addresses
 
 
@@ -74,15 +62,15 @@ def stranger(tmp_path_factory):
 
 
 @pytest.fixture
-def cases(plain, encrypted, mutual, certificates, stranger):
+def cases(server, encrypted, mutual, certificates, stranger):
     """Returns the address, the authority of the client or None, and the cause of each failure."""
     return {
         "refused": ("127.0.0.1:1", None, "connection refused: no server listens on port 1 of 127.0.0.1"),
         "unresolved": ("no.such.host.invalid:50051", None, "the host name no.such.host.invalid cannot be resolved"),
         "no socket": ("unix:/nowhere.sock", None, "/nowhere.sock: No such file or directory"),
-        "status page": (plain.http, None, "perhaps it is that of the status page (--http_listen)"),
+        "status page": (server.http, None, "perhaps it is that of the status page (--http_listen)"),
         "TLS expected": (encrypted.grpc, None, EXPECTS_TLS),
-        "no TLS": (plain.grpc, certificates, NO_TLS),
+        "no TLS": (server.grpc, certificates, NO_TLS),
         "strange authority": (encrypted.grpc, stranger, NOT_ACCEPTED),
         "no certificate": (mutual.grpc, certificates, NO_CERTIFICATE),
     }
@@ -156,10 +144,10 @@ def test_programs_name_the_cause_in_one_line(cases, case, program):
     assert cause in line
 
 
-def test_the_environment_names_the_server(plain, monkeypatch):
-    monkeypatch.setenv("SPIKESERVE_SERVER", plain.grpc)
+def test_the_environment_names_the_server(server, monkeypatch):
+    monkeypatch.setenv("SPIKESERVE_SERVER", server.grpc)
     with spikeserve.Client() as client:
-        assert client.server == plain.grpc and client.list_policies()
+        assert client.server == server.grpc and client.list_policies()
     with spikeserve.AdminClient() as admin:
         assert admin.list_sessions().open_sessions == 0
     assert spikeserve.evaluate("CartPole-v1", episodes=1).mean_return == 500
@@ -181,9 +169,9 @@ def listen(flag, address):
 
 
 @pytest.mark.parametrize("flag", ["listen", "http_listen"])
-def test_a_server_says_why_it_cannot_listen(plain, flag, tmp_path):
-    taken = listen(flag, plain.grpc)
-    assert f"--{flag}: cannot listen on {plain.grpc}: Address already in use" in taken
+def test_a_server_says_why_it_cannot_listen(server, flag, tmp_path):
+    taken = listen(flag, server.grpc)
+    assert f"--{flag}: cannot listen on {server.grpc}: Address already in use" in taken
     assert "another program listens there; stop it or choose another address; port 0 picks" in taken
     unresolved = listen(flag, "no.such.host.invalid:50051")
     assert "the host name no.such.host.invalid cannot be resolved: " in unresolved

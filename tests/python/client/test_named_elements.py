@@ -17,12 +17,6 @@ ACTIONS = ("push_right", "push_left")  # the robot's index 0 pushes to the right
 SOLVED = 500.0
 
 
-@pytest.fixture(scope="module")
-def server():
-    with running_server() as addresses:
-        yield addresses
-
-
 @pytest.fixture
 def client(server):
     with spikeserve.Client(server.grpc) as opened:

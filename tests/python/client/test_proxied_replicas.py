@@ -7,13 +7,14 @@ import pathlib
 import grpc
 import pytest
 import spikeserve
+import test_replicas
 from deployed_proxies import PROXIES, installed, running
 from redis_servers import free_port
 from replicated import SESSIONS, options_of, policy_of, running_fleet
 from security import until
 from serving import DEADLINE_SECONDS
 from test_cpp_replicas import CppCalls, CppStreams
-from test_replicas import AsyncCalls, AsyncStreams, Calls, Streams, answers_of, undisturbed  # noqa: F401
+from test_replicas import AsyncStreams, Calls, Streams, undisturbed  # noqa: F401
 
 OPTIONS = spikeserve.ClientOptions(
     timeout=2.0, connect_timeout=DEADLINE_SECONDS, retry=spikeserve.RetryOptions(max_elapsed=60)
@@ -73,22 +74,9 @@ def play(address, root, player_class, disturb=lambda t: None):
             with contextlib.suppress(spikeserve.SpikeserveError):
                 return client.list_policies()
 
-    async def run():
-        is_async = issubclass(player_class, AsyncCalls)
-        client = (spikeserve.AsyncClient if is_async else spikeserve.Client)(
-            address, OPTIONS, credentials
-        )
-        player = player_class(client)
-        try:
-            return await answers_of(player, ["ASYNC"] * 4 + ["SYNC"] * 4, disturb)
-        finally:
-            player.leave()
-            closed = client.close()
-            if is_async:
-                await closed
-
     until(is_ready)
-    return asyncio.run(run())
+    levels = ["ASYNC"] * 4 + ["SYNC"] * 4
+    return asyncio.run(test_replicas.play(address, player_class, levels, disturb, OPTIONS, credentials))
 
 
 def sessions_at(replica):

@@ -132,10 +132,10 @@ class AsyncStreams(AsyncCalls):
 PLAYERS = [Calls, Batches, Streams, AsyncCalls, AsyncStreams]
 
 
-async def play(server, player_class, durability, disturb=lambda t: None):
+async def play(server, player_class, durability, disturb=lambda t: None, options=OPTIONS, credentials=None):
     """Plays all sessions and returns everything that they answered, by session."""
     is_async = issubclass(player_class, AsyncCalls)
-    client = (spikeserve.AsyncClient if is_async else spikeserve.Client)(server, OPTIONS)
+    client = (spikeserve.AsyncClient if is_async else spikeserve.Client)(server, options, credentials)
     player = player_class(client)
     levels = durability if isinstance(durability, list) else [durability]
     try:

@@ -6,11 +6,11 @@ import os
 import pathlib
 import re
 import sys
-import sysconfig
 import tarfile
 import textwrap
 
 import pytest
+from own_environment import OFFLINE, OWN_VERSION
 from serving import SHIPPED_POLICIES, run
 
 # Runs in the overlay. Prints lines that the test checks, and stops at the first command that fails.
@@ -104,14 +104,6 @@ ROOT = pathlib.Path(__file__).parents[3]
 BUILD = pathlib.Path(os.environ["SPIKESERVE_BUILD_DIR"])
 VERSION = os.environ["SPIKESERVE_VERSION"]
 TOOLS = ROOT / "build/release-tools/venv/bin"
-OWN_VERSION = "{}.{}".format(*sys.version_info)
-# Makes pip use the packages of the tests instead of an index.
-OFFLINE = {
-    "PIP_NO_BUILD_ISOLATION": "0",  # 0 turns isolation off
-    "PIP_NO_DEPS": "1",
-    "PIP_NO_INDEX": "1",
-    "PYTHONPATH": sysconfig.get_path("purelib"),
-}
 
 
 @pytest.fixture(scope="module")

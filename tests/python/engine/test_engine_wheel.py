@@ -11,27 +11,19 @@ import platform
 import re
 import subprocess
 import sys
-import sysconfig
 import zipfile
 
 import pytest
+from own_environment import OFFLINE, OWN_VERSION
 from serving import SHIPPED_POLICIES
 
 CLIENT = pathlib.Path(__file__).parents[3] / "client/python"
 PLAYER = pathlib.Path(__file__).with_name("wheel_player.py")
-OWN_VERSION = "{}.{}".format(*sys.version_info)
 # Fails where it is not CPython, or cannot make virtual environments or compile extensions.
 IS_COMPLETE = """
 import ensurepip, pathlib, sys, sysconfig, venv
 sys.exit(sys.implementation.name != "cpython" or not pathlib.Path(sysconfig.get_path("include"), "Python.h").is_file())
 """
-# Makes pip use the packages of the tests instead of an index.
-OFFLINE = {
-    "PIP_NO_BUILD_ISOLATION": "0",  # 0 turns isolation off
-    "PIP_NO_DEPS": "1",
-    "PIP_NO_INDEX": "1",
-    "PYTHONPATH": sysconfig.get_path("purelib"),
-}
 
 
 def run(*command, env):

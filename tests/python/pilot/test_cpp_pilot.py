@@ -3,7 +3,6 @@
 import pytest
 import spikeserve
 import test_pilot
-import test_pilot_engine
 from cpp_pilot import CppPilot
 from security import tls_flags
 from serving import SHIPPED_POLICIES, running_server
@@ -23,6 +22,12 @@ from test_pilot import (  # noqa: F401
     test_nothing_that_a_robot_passes_makes_a_beat_fail,
     test_the_next_episode_does_not_wait_for_the_answer_to_the_end,
     test_what_a_safety_layer_executes_is_what_the_server_remembers,
+)
+from test_pilot_engine import (  # noqa: F401
+    test_the_engine_on_the_robot_plays_the_same_session,
+    test_the_engine_on_the_robot_skips_what_the_robot_did_not_see,
+    test_with_an_engine_a_pulled_cable_costs_nothing,
+    test_with_an_engine_five_seconds_without_a_cable_cost_no_action,
 )
 from test_pilot_faults import (  # noqa: F401
     test_a_blind_robot_is_not_reported_fresh,
@@ -62,27 +67,6 @@ def fly():
     yield start
     for pilot in pilots:
         pilot.end()
-
-
-@pytest.mark.parametrize(
-    ("policy", "options"),
-    [("pendulum", spikeserve.SessionOptions()), ("cartpole", test_pilot.LEARNING)],
-    ids=["float", "learning"],
-)
-def test_with_an_engine_a_pulled_cable_costs_nothing(client, link, policy, options, fly):
-    test_pilot_engine.test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options, fly)
-
-
-def test_with_an_engine_five_seconds_without_a_cable_cost_no_action(client, link, fly):
-    test_pilot_engine.test_five_seconds_without_a_cable_cost_no_action(client, link, fly)
-
-
-def test_the_engine_on_the_robot_skips_what_the_robot_did_not_see(client, link, fly):
-    test_pilot_engine.test_the_engine_on_the_robot_skips_what_the_robot_did_not_see(client, link, fly)
-
-
-def test_the_engine_on_the_robot_plays_the_same_session(client, link, fly):
-    test_pilot_engine.test_the_engine_on_the_robot_plays_the_same_session(client, link, fly)
 
 
 def test_no_beat_allocates_memory(client, link, fly):
@@ -173,13 +157,7 @@ def test_an_engine_that_cannot_play_is_an_error_at_the_begin():
     [
         ({"period": 0}, "period: expected 1ms to 1h, received 0"),
         ({"budget": 1}, r"budget: expected 0 to period \(10ms\), received 1s"),
-        ({"max_age": 0}, "max_age: expected more than 0, received 0"),
-        ({"hold_beats": -1}, "hold_beats: expected at least 0, received -1"),
-        ({"ramp_beats": -1}, "ramp_beats: expected at least 0, received -1"),
-        ({"in_flight": 65}, "in_flight: expected 1 to 64, received 65"),
-        ({"kept_beats": 1}, "kept_beats: expected at least 2, received 1"),
-        ({"redundancy": 3}, "redundancy: expected 1 or 2, received 3"),
-        ({"close_timeout": -1}, "close_timeout: expected at least 0, received -1s"),
+        *test_pilot.REFUSED,
     ],
 )
 def test_the_options_are_checked(address, options, message):

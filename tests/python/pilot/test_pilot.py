@@ -25,6 +25,21 @@ SIZES = {"cartpole": 4, "pendulum": 3}
 LEARNING = spikeserve.SessionOptions(
     seed=5, sample=True, temperature=0.7, learning=spikeserve.Learning(learning_rate=0.5)
 )
+of_both_kinds = pytest.mark.parametrize(
+    ("policy", "options"),
+    [("pendulum", spikeserve.SessionOptions()), ("cartpole", LEARNING)],
+    ids=["float", "learning"],
+)
+# Options that every pilot refuses, and what it says.
+REFUSED = [
+    ({"max_age": 0}, "max_age: expected more than 0, received 0"),
+    ({"hold_beats": -1}, "hold_beats: expected at least 0, received -1"),
+    ({"ramp_beats": -1}, "ramp_beats: expected at least 0, received -1"),
+    ({"in_flight": 65}, "in_flight: expected 1 to 64, received 65"),
+    ({"kept_beats": 1}, "kept_beats: expected at least 2, received 1"),
+    ({"redundancy": 3}, "redundancy: expected 1 or 2, received 3"),
+    ({"close_timeout": -1}, "close_timeout: expected at least 0, received -1"),
+]
 
 
 class Flight:
@@ -218,14 +233,7 @@ def test_five_seconds_without_a_cable_cost_no_action(client, link, fly):
         fly_through_five_seconds(flight, client, link)
 
 
-@pytest.mark.parametrize(
-    ("policy", "options"),
-    [
-        ("pendulum", spikeserve.SessionOptions()),
-        ("cartpole", LEARNING),
-    ],
-    ids=["float", "learning"],
-)
+@of_both_kinds
 def test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options, fly):
     with fly(client, policy, session=options, local=False) as flight:
         fly_through_cuts(flight, client, link, source="safe")
@@ -277,11 +285,7 @@ def begin_the_next_episode(flight, address):
 
 
 @pytest.mark.parametrize("is_forgotten", [False, True], ids=["late", "lost"])
-@pytest.mark.parametrize(
-    ("policy", "options"),
-    [("pendulum", spikeserve.SessionOptions()), ("cartpole", LEARNING)],
-    ids=["float", "learning"],
-)
+@of_both_kinds
 def test_the_next_episode_does_not_wait_for_the_answer_to_the_end(
     address, client, link, policy, options, is_forgotten, fly
 ):
@@ -486,14 +490,8 @@ def test_a_neutral_action_belongs_to_the_action_space(client, neutral):
     [
         ({"period": 0}, "period: expected 0.001 to 3600 s, received 0"),
         ({"budget": 1}, r"budget: expected 0 to period \(0.01\), received 1"),
-        ({"max_age": 0}, "max_age: expected more than 0, received 0"),
-        ({"hold_beats": -1}, "hold_beats: expected at least 0, received -1"),
-        ({"ramp_beats": -1}, "ramp_beats: expected at least 0, received -1"),
-        ({"in_flight": 65}, "in_flight: expected 1 to 64, received 65"),
-        ({"kept_beats": 1}, "kept_beats: expected at least 2, received 1"),
+        *REFUSED,
         ({"transport": "tcp"}, "transport: expected one of"),
-        ({"redundancy": 3}, "redundancy: expected 1 or 2, received 3"),
-        ({"close_timeout": -1}, "close_timeout: expected at least 0, received -1"),
         ({"local": False, "local_policy": "x"}, "local_policy: expected none with local=False"),
     ],
 )

@@ -10,20 +10,17 @@ from security import until
 from serving import SHIPPED_POLICIES, running_server
 from spikeserve.channels import Channels
 from spikeserve.lines import LineRenewedError
-from test_pilot import LEARNING, MAX_AGE, Flight, client, exported, fly, fly_through_cuts, fly_through_five_seconds  # noqa: F401
+from test_pilot import LEARNING, MAX_AGE, Flight, client, exported, fly  # noqa: F401
+from test_pilot import fly_through_cuts, fly_through_five_seconds, of_both_kinds
 
 
-@pytest.mark.parametrize(
-    ("policy", "options"),
-    [("pendulum", spikeserve.SessionOptions()), ("cartpole", LEARNING)],
-    ids=["float", "learning"],
-)
-def test_a_cable_that_is_pulled_costs_nothing(client, link, policy, options, fly):
+@of_both_kinds
+def test_with_an_engine_a_pulled_cable_costs_nothing(client, link, policy, options, fly):
     with fly(client, policy, session=options, local_policy=SHIPPED_POLICIES) as flight:
         fly_through_cuts(flight, client, link, source="local")
 
 
-def test_five_seconds_without_a_cable_cost_no_action(client, link, fly):
+def test_with_an_engine_five_seconds_without_a_cable_cost_no_action(client, link, fly):
     with fly(client, local_policy=SHIPPED_POLICIES, max_age=MAX_AGE) as flight:
         fly_through_five_seconds(flight, client, link)
         assert flight.pilot.stats().local > 0

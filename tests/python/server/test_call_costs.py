@@ -125,13 +125,15 @@ def servers(tmp_path_factory):
         ]
 
 
-def times_run(pid, name):
-    """Returns how often the threads of a name have run so far."""
-    total = 0
+def schedule_of(pid, *names):
+    """Returns the processor time of the threads of these names so far, and how often they have run."""
+    nanoseconds = times = 0
     for task in pathlib.Path(f"/proc/{pid}/task").iterdir():
-        if (task / "comm").read_text().strip() == name:
-            total += int((task / "schedstat").read_text().split()[2])
-    return total
+        if (task / "comm").read_text().strip() in names:
+            spent, _, runs = map(int, (task / "schedstat").read_text().split())
+            nanoseconds += spent
+            times += runs
+    return nanoseconds / 1e9, times
 
 
 def wait_for_threads(pid):
@@ -182,10 +184,10 @@ def test_what_grows_with_the_versions_is_answered_off_the_loops(servers):
                 if name != "Drain":
                     session = services[POLICY].OpenSession(policy="small").session_id
                 wait_for_threads(pid)
-                before = times_run(pid, "worker")
+                before = schedule_of(pid, "worker")[1]
                 code, sizes[name] = called(services[service], name, with_session(request, session))
                 print(name, cost, code, sizes[name])
-                ran = times_run(pid, "worker") > before
+                ran = schedule_of(pid, "worker")[1] > before
                 assert ran == (cost not in ON_THE_LOOP), f"{name} of class {cost}"
             answers.append(sizes)
     one, many = answers
@@ -264,23 +266,15 @@ def playing_servers(tmp_path_factory):
         yield started
 
 
-def worker_seconds(pid):
-    total = 0
-    for task in pathlib.Path(f"/proc/{pid}/task").iterdir():
-        if (task / "comm").read_text().strip() == "worker":
-            total += int((task / "schedstat").read_text().split()[0])
-    return total / 1e9
-
-
 def cost(addresses, page):
     """Returns the least processor time of some tries."""
     pid, tries = addresses.process.pid, []
     for _ in range(TRIES):
         wait_for_threads(pid)
-        before = worker_seconds(pid)
+        before = schedule_of(pid, "worker")[0]
         http_body(addresses.http, page, "Bearer watchman")
         wait_for_threads(pid)
-        tries.append(worker_seconds(pid) - before)
+        tries.append(schedule_of(pid, "worker")[0] - before)
     return min(tries)
 
 
@@ -300,11 +294,11 @@ def test_who_waits_for_one_page_shares_it(playing_servers):
 
     def together():
         wait_for_threads(pid)
-        before = worker_seconds(pid)
+        before = schedule_of(pid, "worker")[0]
         with concurrent.futures.ThreadPoolExecutor(VIEWERS) as viewers:
             pages = list(viewers.map(lambda _: http_body(addresses.http, "/status.json", "Bearer watchman"), range(VIEWERS)))
         assert all(len(json.loads(page)["versions"]) == MANY for page in pages)
         wait_for_threads(pid)
-        return worker_seconds(pid) - before
+        return schedule_of(pid, "worker")[0] - before
 
     until(lambda: together() < VIEWERS / 2 * alone, seconds=60)

@@ -6,32 +6,26 @@ import threading
 import time
 
 import pytest
-from serving import http_call, running_server
+from serving import http_call
 
 from tests.attacks.process import MEGABYTE, Process
 
 RANGES = 2600
 
 
-@pytest.fixture(scope="module")
-def addresses():
-    with running_server() as started:
-        yield started
+def get(server, path, **headers):
+    return http_call(server.http, "GET", path, **headers)[::2]
 
 
-def get(addresses, path, **headers):
-    return http_call(addresses.http, "GET", path, **headers)[::2]
-
-
-def test_ranges_are_ignored(addresses):
-    status, whole = get(addresses, "/vendor/uplot/uPlot.iife.min.js")
+def test_ranges_are_ignored(server):
+    status, whole = get(server, "/vendor/uplot/uPlot.iife.min.js")
     assert status == 200
-    process = Process(addresses.process.pid)
+    process = Process(server.process.pid)
     idle = process.memory()
     process.reset_peak()
     ranges = "bytes=" + ",".join(["0-"] * RANGES)
-    assert get(addresses, "/vendor/uplot/uPlot.iife.min.js", Range=ranges) == (200, whole)
-    assert get(addresses, "/vendor/uplot/uPlot.iife.min.js", Range="bytes=0-9") == (200, whole)
+    assert get(server, "/vendor/uplot/uPlot.iife.min.js", Range=ranges) == (200, whole)
+    assert get(server, "/vendor/uplot/uPlot.iife.min.js", Range="bytes=0-9") == (200, whole)
     assert process.peak() - idle < 5 * MEGABYTE
 
 
@@ -40,14 +34,14 @@ OTHER_NAMES = ["evil.example", "evil.example:9464", "localhost.evil.example", "1
 
 
 @pytest.mark.parametrize("host", OWN_NAMES)
-def test_names_of_this_machine_are_served(addresses, host):
-    assert get(addresses, "/healthz", Host=host)[0] == 200
+def test_names_of_this_machine_are_served(server, host):
+    assert get(server, "/healthz", Host=host)[0] == 200
 
 
 @pytest.mark.parametrize("host", OTHER_NAMES)
-def test_names_of_other_sites_are_refused(addresses, host):
+def test_names_of_other_sites_are_refused(server, host):
     for path in ("/", "/healthz", "/status.json"):
-        status, body = get(addresses, path, Host=host)
+        status, body = get(server, path, Host=host)
         assert status == 403
         assert body == b"Host: expected localhost or a loopback address\n"
 
@@ -95,27 +89,27 @@ class SlowClient:
                     self._sockets[i] = self._connect()
 
 
-def test_slow_requests_do_not_delay_others(addresses):
-    with SlowClient(addresses.http, SLOW_CONNECTIONS) as slow:
+def test_slow_requests_do_not_delay_others(server):
+    with SlowClient(server.http, SLOW_CONNECTIONS) as slow:
         seconds = []
         # Until the server has closed every connection once, for its age or for newer ones.
         while slow.closed < SLOW_CONNECTIONS or len(seconds) < HEALTH_CHECKS:
             start = time.perf_counter()
-            assert get(addresses, "/healthz")[0] == 200
+            assert get(server, "/healthz")[0] == 200
             seconds.append(time.perf_counter() - start)
         print(f"/healthz: at most {1000 * max(seconds):.1f} ms in {len(seconds)} requests")
 
 
-def test_a_request_has_to_end_in_time(addresses):
-    host, _, port = addresses.http.rpartition(":")
+def test_a_request_has_to_end_in_time(server):
+    host, _, port = server.http.rpartition(":")
     with socket.create_connection((host, int(port)), timeout=60) as slow:
         slow.sendall(b"GET /healthz HTTP/1.1\r\n")
         assert slow.recv(1) == b""
 
 
-def exchange(addresses, *pieces):
+def exchange(server, *pieces):
     """Sends bytes, as far as the server takes them, and returns the first line of its answer."""
-    host, _, port = addresses.http.rpartition(":")
+    host, _, port = server.http.rpartition(":")
     with socket.create_connection((host, int(port)), timeout=60) as connection:
         with contextlib.suppress(OSError):
             for piece in pieces:
@@ -123,16 +117,16 @@ def exchange(addresses, *pieces):
         return connection.makefile("rb").readline()
 
 
-def test_long_headers_are_not_stored(addresses):
-    process = Process(addresses.process.pid)
+def test_long_headers_are_not_stored(server):
+    process = Process(server.process.pid)
     idle = process.memory()
     process.reset_peak()
     header = [b"GET / HTTP/1.1\r\nX: ", b"a" * 20_000]
-    assert exchange(addresses, *header) == b"HTTP/1.1 431 Request Header Fields Too Large\r\n"
+    assert exchange(server, *header) == b"HTTP/1.1 431 Request Header Fields Too Large\r\n"
     with contextlib.suppress(ConnectionError):
-        exchange(addresses, b"GET / HTTP/1.1\r\nX: ", *([b"a" * MEGABYTE] * 64))
+        exchange(server, b"GET / HTTP/1.1\r\nX: ", *([b"a" * MEGABYTE] * 64))
     assert process.peak() - idle < 5 * MEGABYTE
-    assert get(addresses, "/healthz")[0] == 200
+    assert get(server, "/healthz")[0] == 200
 
 
 @pytest.mark.parametrize(
@@ -151,5 +145,5 @@ def test_long_headers_are_not_stored(addresses):
         (b"\x16\x03\x01", b"HTTP/1.1 400 Bad Request\r\n"),
     ],
 )
-def test_request_lines(addresses, request_line, answer):
-    assert exchange(addresses, request_line, b"\r\n\r\n") == answer
+def test_request_lines(server, request_line, answer):
+    assert exchange(server, request_line, b"\r\n\r\n") == answer

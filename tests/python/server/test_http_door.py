@@ -5,7 +5,6 @@ import contextlib
 import gzip
 import http.client
 import json
-import pathlib
 import socket
 import ssl
 import threading
@@ -20,6 +19,7 @@ from security import (
     tls_flags,
 )
 from serving import DEADLINE_SECONDS, http_call, running_server, series
+from test_call_costs import schedule_of
 from test_grpc_web import BINARY, framed, parts
 from test_http_inference import infer_body
 
@@ -237,16 +237,10 @@ def test_long_bodies_delay_neither_health_nor_short_ones(server):
 
 def test_bodies_are_read_on_workers(server):
     """No time is measured: the thread of the HTTP port itself uses less processor time than the bodies take."""
-    def seconds(names):
-        total = 0
-        for task in pathlib.Path(f"/proc/{server.process.pid}/task").iterdir():
-            if (task / "comm").read_text().strip() in names:
-                total += int((task / "schedstat").read_text().split()[0])
-        return total / 1e9
-
+    pid = server.process.pid
     body = gzip.compress(nested(1_200_000))
-    workers, loops = seconds({"worker"}), seconds({"http", "loop"})
+    workers, loops = schedule_of(pid, "worker")[0], schedule_of(pid, "http", "loop")[0]
     for _ in range(5):
         ask(server.http, "POST", INFER, body, Content_Encoding="gzip")
-    workers, loops = seconds({"worker"}) - workers, seconds({"http", "loop"}) - loops
+    workers, loops = schedule_of(pid, "worker")[0] - workers, schedule_of(pid, "http", "loop")[0] - loops
     assert loops < workers / 4, (loops, workers)

@@ -4,25 +4,15 @@ It measures time, so it is a slow test: CI asks test_call_costs, which threads a
 """
 
 import contextlib
-import pathlib
 
 from security import POLICY, service_with
-from test_call_costs import INFERENCE, METHODS, UNARY, called, servers, wait_for_threads, with_session
+from test_call_costs import INFERENCE, METHODS, UNARY, called, schedule_of, servers, wait_for_threads, with_session
 
 __all__ = ["servers"]  # a fixture
 
 LOOP_SECONDS = 2e-4
 MOST_TIMES = 8
 MOST_TRIES = 60
-
-
-def loop_seconds(pid):
-    """Returns the processor time of the event loops so far."""
-    total = 0
-    for task in pathlib.Path(f"/proc/{pid}/task").iterdir():
-        if (task / "comm").read_text().strip() == "loop":
-            total += int((task / "schedstat").read_text().split()[0])
-    return total / 1e9
 
 
 def test_no_call_takes_a_loop_for_long(servers):
@@ -43,10 +33,10 @@ def test_no_call_takes_a_loop_for_long(servers):
             tries = []
             while len(tries) < MOST_TRIES and min(tries, default=1) > limit:
                 wait_for_threads(pid)
-                before = loop_seconds(pid)
+                before = schedule_of(pid, "loop")[0]
                 called(services[service], name, request)
                 wait_for_threads(pid)
-                tries.append(loop_seconds(pid) - before)
+                tries.append(schedule_of(pid, "loop")[0] - before)
             print(f"{name:24} {1e6 * min(tries):7.0f} us {len(tries)}")
             return min(tries)
 

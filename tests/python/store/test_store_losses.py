@@ -336,14 +336,11 @@ def three(redis):
 
 
 def remove(redis, i):
-    """Redis removes the session, and its connections break, so that all servers look what is there."""
+    """Redis removes the session, and its connections break, so that all servers look what is there; one writes its copy."""
     keys = redis.command(f"KEYS ss:{{{i:032x}}}:*")
     redis.command("DEL " + " ".join(key.decode() for key in keys))
     redis.command("CLIENT KILL TYPE normal")
-
-
-def is_stored(redis, i):
-    return redis.command(f"EXISTS ss:{{{i:032x}}}:o") == 1
+    until(lambda: redis.command(f"EXISTS ss:{{{i:032x}}}:o") == 1)
 
 
 @pytest.mark.parametrize("i", KINDS)
@@ -355,7 +352,6 @@ def test_the_newest_copy_replaces_an_older_one_of_any_owner(redis, three, undist
     second.kill()
     third.stop()
     remove(redis, i)
-    until(lambda: is_stored(redis, i))
     third.resume()
     answers += decisions(third, i, 12, 14) + decisions(first, i, 14, 16)
     assert answers == undisturbed[i][:16]
@@ -369,7 +365,6 @@ def test_the_newest_copy_replaces_what_was_made_of_an_older_one(redis, three, un
     answers = decisions(first, i, 0, 4) + decisions(third, i, 4, 12)
     third.stop()
     remove(redis, i)
-    until(lambda: is_stored(redis, i))
     assert decisions(second, i, 4, 6) == undisturbed[i][4:6]  # sent again
     third.resume()
     answers += decisions(third, i, 12, 14) + decisions(second, i, 14, 16)
@@ -384,7 +379,6 @@ def test_an_older_copy_replaces_nothing(redis, three, undisturbed, i):
     answers = decisions(first, i, 0, 4) + decisions(second, i, 4, 5)
     second.stop()
     remove(redis, i)
-    until(lambda: is_stored(redis, i))
     answers += decisions(first, i, 4, 8)[1:]
     second.resume()
     until(lambda: metric(second, "spikeserve_store_fences_total") + metric(second, "spikeserve_store_reseeds_total") > 0)
@@ -401,7 +395,6 @@ def test_the_end_of_an_episode_makes_a_copy_newer(redis, three):
     second.kill()
     third.stop()
     remove(redis, 0)
-    until(lambda: is_stored(redis, 0))
     third.resume()
     until_answered(lambda: third.Act(**acting(0, 1, 0)))
     assert until_answered(lambda: third.GetSession(session_id=opening(0)["session_id"])).episode == 1
@@ -435,6 +428,5 @@ def test_a_copy_that_was_given_up_is_not_forgotten_for_an_older_one(redis, three
     decisions(first, 0, 4, 12)
     first.stop()
     remove(redis, 0)
-    until(lambda: is_stored(redis, 0))
     first.resume()
     assert decision_instead_of(first, 0, 20) == 12
