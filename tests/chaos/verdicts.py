@@ -4,10 +4,11 @@ usage: python -m tests.chaos.verdicts [--episodes=N] [--heads=N] [--latest=SECON
 
 Three servers share a Redis. Two fleets of four robots play the same episodes on two policies of equal weights. One fleet sends its
 rewards with the ends; the other gets them as verdicts in the same order, 1 to --latest seconds after the ends (half of them within
-2 s), each twice. Servers are killed during these calls. Nothing is played between an end and its verdict: the heads are equal, bit
-for bit, or the exit status is 1. There are --heads such pairs, because one would wait for a day. With a lag the verdicts come
---lag rounds later, and the decisions of these rounds are made with an older head; the difference is printed. A round takes at
-least half a second, because of the limit for one contributor. Needs the variable SPIKESERVE_PROGRAM.
+2 s), each twice. Servers are killed during these calls. Nothing is played between an end and its verdict: each verdict is answered
+as the end in time was, refusals and rollbacks of the guard included, and the heads are equal, bit for bit, or the exit status is
+1. There are --heads such pairs, because one would wait for a day. With a lag the verdicts come --lag rounds later, and the decisions
+of these rounds are made with an older head; the difference is printed. A round takes at least half a second, because of the limit
+for one contributor. Needs the variable SPIKESERVE_PROGRAM.
 """
 
 import argparse
@@ -29,13 +30,12 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "python")]
 import numpy as np
 import spikeserve
 from replicated import running_fleet
-from security import until
 from serving import SHIPPED_POLICIES
 
-PATIENT = spikeserve.ClientOptions(connect_timeout=60.0, retry=spikeserve.RetryOptions(max_elapsed=60.0))
+PATIENCE = 1200.0  # seconds for servers that wait for a processor
+PATIENT = spikeserve.ClientOptions(connect_timeout=PATIENCE, retry=spikeserve.RetryOptions(max_elapsed=PATIENCE))
 ROBOTS = 4  # with five, some would be held out
 STEPS = 3
-WINDOW = 20  # episodes that the guard judges together; it may begin to count anew behind them
 MOMENTS = 3  # of a round, at which a replica may be killed
 ROUND_SECONDS = 0.55  # 120 contributions a minute are accepted of a session
 
@@ -52,33 +52,46 @@ class FleetOfRobots:
             )
             for i in range(ROBOTS)
         ]
+        self.counts = (0, 0, 0)  # updates since the last rollback, refusals, rollbacks: what the answers say
 
     def end(self, rewards):
-        for session, reward in zip(self.sessions, rewards, strict=True):
-            session.end_episode(reward, terminated=True)
+        """Returns what the head has made of the episodes; None: they wait for their verdicts."""
+        ends = [session.end_episode(r, terminated=True) for session, r in zip(self.sessions, rewards, strict=True)]
+        return [self.count(ended.learning) for ended in ends]
 
     def judge(self, number, rewards):
-        """Sends each verdict twice, as a judge that was restarted would."""
+        """Sends each verdict twice, as a judge that was restarted would. Returns what the head has made of the episodes."""
+        learned = []
         for session, reward in zip(self.sessions, rewards, strict=True):
             answers = [self.client.amend_episode(session.session_id, number, "judge", reward=reward) for _ in range(2)]
-            assert answers[0] == answers[1] and answers[0].learning.updates == 1, answers
+            assert answers[0] == answers[1] and answers[0].episode_return == reward, answers
+            learned.append(self.count(answers[0].learning))
+        return learned
+
+    def count(self, learning):
+        if learning is not None:
+            updates, rejected, rollbacks = self.counts
+            updates = 0 if learning.rolled_back else updates + learning.updates
+            self.counts = updates, rejected + learning.rejected_updates, rollbacks + learning.rolled_back
+        return learning
 
     def head(self, admin):
         head = admin.get_head(policy=self.policy, version=1, include_weights=True)
         return np.array(head.delta), (head.updates, head.rejected_updates, head.rollbacks)
 
-    def settle(self, admins, rounds):
-        """Waits until all replicas decide with the head of the contributions of so many rounds, as those of one server would."""
+    def settle(self, admins):
+        """Waits until all replicas decide with the head that has taken all episodes, as those of one server would."""
+        deadline = time.monotonic() + PATIENCE
+        for admin in admins:
+            while (found := self.head_at(admin)) != self.counts:
+                assert time.monotonic() < deadline, f"{self.policy}: expected {self.counts}, received {found}"
+                time.sleep(0.1)  # servers read the log that often
 
-        def is_settled():
-            try:
-                heads = [admin.get_head(policy=self.policy, version=1) for admin in admins]
-            except spikeserve.SpikeserveError:  # a busy machine
-                return False
-            same = all(h.delta_norm == heads[0].delta_norm and h.rollbacks == heads[0].rollbacks for h in heads)
-            return same and all((h.updates - rounds * ROBOTS) % WINDOW == 0 for h in heads)
-
-        until(is_settled, 600)
+    def head_at(self, admin):
+        try:
+            return self.head(admin)[1]
+        except spikeserve.SpikeserveError:  # a busy machine
+            return None
 
 
 class Killer:
@@ -100,6 +113,16 @@ class Killer:
         with self.changed:
             self.rounds -= 1
             return self.rounds >= 0
+
+    @contextlib.contextmanager
+    def ending(self):
+        """Lets nobody play on after a failure."""
+        try:
+            yield
+        except BaseException:
+            with self.changed:
+                self.rounds = 0
+            raise
 
     @contextlib.contextmanager
     def playing(self):
@@ -143,6 +166,7 @@ class Pair:
         self.timely = FleetOfRobots(client, f"timely-{number}")
         self.late = FleetOfRobots(client, f"late-{number}", verdict_seconds=3600.0)
         self.ended = []  # when the episodes of each round ended
+        self.learned = []  # what the timely fleet's head has made of them
         self.judged = 0  # rounds
 
     def rewards(self, number):
@@ -152,23 +176,24 @@ class Pair:
         number = len(self.ended)
         both = self.timely.sessions + self.late.sessions
         with killer.playing() as admins:
-            self.timely.settle(admins, number)
-            self.late.settle(admins, self.judged)
+            self.timely.settle(admins)
+            self.late.settle(admins)
             for t in range(STEPS):
                 noise = np.random.default_rng((self.number, number, t)).uniform(-0.2, 0.2, (ROBOTS, 4))
                 for decision in self.client.act_batch(both, np.concatenate([noise, noise]), [0.0] * len(both)):
                     assert decision.step == t, decision
         killer.strike()
-        self.timely.end(self.rewards(number))
+        self.learned.append(self.timely.end(self.rewards(number)))
         killer.strike()
-        self.late.end([0.0] * ROBOTS)
+        assert self.late.end([0.0] * ROBOTS) == [None] * ROBOTS
         self.ended.append(time.monotonic())
 
-    def judge(self, killer):
+    def judge(self, killer, lag):
         """Returns how many seconds late the verdicts of the next round are."""
         killer.strike()
         seconds = time.monotonic() - self.ended[self.judged]
-        self.late.judge(self.judged, self.rewards(self.judged))
+        learned = self.late.judge(self.judged, self.rewards(self.judged))
+        assert lag > 0 or learned == self.learned[self.judged], (self.number, learned, self.learned[self.judged])
         self.judged += 1
         return seconds
 
@@ -176,13 +201,14 @@ class Pair:
 def play(pair, killer, arguments):
     """Plays rounds while there are some left. Returns how many seconds late the verdicts were."""
     chance, late = random.Random(1000 * arguments.seed + pair.number), []
-    while killer.take_round():
-        pair.play(killer)
-        time.sleep(arguments.latest ** chance.random() ** 4 if arguments.latest else 0.0)
-        if len(pair.ended) - pair.judged > arguments.lag:
-            late.append(pair.judge(killer))
-        time.sleep(max(0.0, pair.ended[-1] + ROUND_SECONDS - time.monotonic()))
-    return late + [pair.judge(killer) for _ in range(len(pair.ended) - pair.judged)]
+    with killer.ending():
+        while killer.take_round():
+            pair.play(killer)
+            time.sleep(arguments.latest ** chance.random() ** 4 if arguments.latest else 0.0)
+            if len(pair.ended) - pair.judged > arguments.lag:
+                late.append(pair.judge(killer, arguments.lag))
+            time.sleep(max(0.0, pair.ended[-1] + ROUND_SECONDS - time.monotonic()))
+        return late + [pair.judge(killer, arguments.lag) for _ in range(len(pair.ended) - pair.judged)]
 
 
 def main():
