@@ -89,13 +89,17 @@ absl::Status AgentSession::TakeControl(const Seat& seat, bool takes_over) {
   const SeatChange change = before == nullptr ? SeatChange::kTaken : SeatChange::kTakenOver;
   RETURN_IF_ERROR(seat_.Take(seat, takes_over, &session_));
   if (has_ended) served_->observer->OnSeat(SeatChange::kEnded);
-  if (!renews) served_->observer->OnSeat(change);
+  if (!renews) {
+    ++session_.interventions;
+    served_->observer->OnSeat(change);
+  }
   for (const auto& listener : listeners_) listener->OnChange(session_);
   return absl::OkStatus();
 }
 
 absl::Status AgentSession::ReturnControl(absl::string_view lease_id) {
   RETURN_IF_ERROR(seat_.Return(lease_id, &session_));
+  ++session_.interventions;
   served_->observer->OnSeat(SeatChange::kReturned);
   for (const auto& listener : listeners_) listener->OnChange(session_);
   return absl::OkStatus();
@@ -105,6 +109,7 @@ std::optional<int64_t> AgentSession::UndoCorrections(absl::string_view operator_
                                                      absl::Duration ago) {
   const auto undone = head_.UndoCorrections(operator_id, ago, &session_);
   if (undone.value_or(0) > 0) {
+    ++session_.interventions;
     for (const auto& listener : listeners_) listener->OnChange(session_);
   }
   return undone;

@@ -92,6 +92,7 @@ void AgentSession::Judge(const WaitingEpisode& ended, std::vector<double> reward
   std::vector<Verdict>& verdicts = session_.verdicts;
   if (verdicts.size() >= Session::kMostVerdicts) verdicts.erase(verdicts.begin());
   verdicts.push_back(std::move(verdict));
+  ++session_.interventions;
   Report(&SessionListener::OnVerdict, episode_return, ended.target_return);
 }
 

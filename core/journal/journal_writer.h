@@ -26,7 +26,8 @@ struct JournalRecord {
   Kind kind = Kind::kEntry;
   std::string bytes;       // empty for kClose and kConfirm
   uint64_t decisions = 0;  // of the session, with this record
-  uint64_t changes = 0;    // the same and the ends of episodes
+  int64_t episodes = 0;    // that have ended, likewise
+  uint64_t changes = 0;    // Session::changes(), likewise
   size_t records = 0;      // of the journal in the store, with this one
   uint64_t position = 0;   // of the record in all that its owner writes, from 1
   uint64_t base = 0;       // position of the snapshot that the journal begins with; 0: claimed

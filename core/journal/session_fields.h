@@ -141,11 +141,12 @@ SPIKESERVE_FIELDS(Seat, operator_id, lease_id, lease_seconds, left_seconds, acti
 SPIKESERVE_FIELDS(Verdict, episode, id, digest, episode_return, learning)
 
 inline size_t MoreFields(const Session& session) {
+  if (session.interventions > 0) return 5;
   if (!session.verdicts.empty()) return 4;
   if (session.seat.has_value()) return 3;
   if (session.step > 0 && session.executed_source != StepSource()) return 2;
   return session.wiring != WiringState() ? 1 : 0;
 }
-SPIKESERVE_MORE_FIELDS(Session, wiring, executed_source, seat, verdicts)
+SPIKESERVE_MORE_FIELDS(Session, wiring, executed_source, seat, verdicts, interventions)
 
 }  // namespace spikeserve

@@ -33,10 +33,11 @@ SessionJournal::SessionJournal(Key key, Durability durability, uint64_t decision
       missing_(!is_whole),
       first_valid_(is_whole ? 0 : kNoPosition),
       decisions_(decisions),
-      durable_changes_(decisions + static_cast<uint64_t>(key_.ended)),
+      durable_changes_(decisions + static_cast<uint64_t>(key_.ended) + key_.interventions),
       stored_as_(key_.stored_as.empty() ? &key_.id : &key_.stored_as),
       epoch_(key_.epoch),
       replaces_(key_.claimed_from),
+      episodes_(key_.ended),
       changes_(durable_changes_),
       records_(records),
       acknowledged_({.base = 0, .records = records}) {
@@ -131,7 +132,8 @@ void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, const Se
                            const std::shared_ptr<FleetContribution>& contribution) {
   if (session != nullptr) {
     decisions_.store(session->decisions, std::memory_order_relaxed);
-    changes_ = session->decisions + static_cast<uint64_t>(session->episode);
+    episodes_ = session->episode;
+    changes_ = session->changes();
   }
   const bool is_snapshot =
       kind != JournalRecord::Kind::kEntry && kind != JournalRecord::Kind::kConfirm;
@@ -140,6 +142,7 @@ void SessionJournal::Write(JournalRecord::Kind kind, std::string bytes, const Se
   JournalRecord record = {.kind = kind,
                           .bytes = std::move(bytes),
                           .decisions = decisions_.load(std::memory_order_relaxed),
+                          .episodes = episodes_,
                           .changes = changes_,
                           .records = records_,
                           .journal = shared_from_this()};
@@ -212,8 +215,7 @@ void SessionJournal::OnWritten(const JournalRecord& record, const absl::Status& 
     if (!loss_.ok()) lost_ = true;
     if (outcome.ok()) {
       durable_decisions_.store(record.decisions, std::memory_order_release);
-      durable_episodes_.store(static_cast<int64_t>(record.changes - record.decisions),
-                              std::memory_order_release);
+      durable_episodes_.store(record.episodes, std::memory_order_release);
       durable_changes_.store(record.changes, std::memory_order_release);
       is_set_back_.store(false, std::memory_order_release);
       if (stored_ >= contribution_position_) contribution = std::exchange(contribution_, nullptr);

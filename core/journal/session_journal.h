@@ -50,8 +50,9 @@ class SessionJournal final : public SessionListener,
     uint64_t epoch = 1;  // when this owner began: 1 for a new session; a claim adds to it
     // Names the policy file without which a server cannot continue; empty: any server may try.
     std::string policy_file = "";
-    uint64_t claimed_from = 0;  // epoch of the owner before; 0: none
-    int64_t ended = 0;          // episodes that the session has ended before this owner
+    uint64_t claimed_from = 0;   // epoch of the owner before; 0: none
+    int64_t ended = 0;           // episodes that the session has ended before this owner
+    uint64_t interventions = 0;  // Session::interventions before this owner
     // The id under which the store has the session; empty: `id`. Another one if the store has a
     // session of another tenant under `id` (SecondStoredId).
     std::string stored_as = "";
@@ -78,8 +79,8 @@ class SessionJournal final : public SessionListener,
   uint64_t replaces() const { return replaces_.load(std::memory_order_acquire); }
   // Returns true from OnSetBack() until the store has acknowledged a record.
   bool is_set_back() const { return is_set_back_.load(std::memory_order_acquire); }
-  // Returns how often the session has changed, as far as the store has acknowledged it: decisions
-  // and ends of episodes. A store that has less has lost something.
+  // Returns Session::changes(), as far as the store has acknowledged it. A store that has less has
+  // lost something.
   uint64_t durable_changes() const { return durable_changes_.load(std::memory_order_acquire); }
   // Returns true if this owner opened the session, and false if it claimed it.
   bool is_new() const { return is_new_; }
@@ -198,6 +199,7 @@ class SessionJournal final : public SessionListener,
   std::atomic<uint64_t> replaces_;
   std::atomic<bool> is_set_back_ = false;
   // Guarded by the session's lock: what the store has, with what waits.
+  int64_t episodes_;
   uint64_t changes_;
   size_t records_;
   uint64_t base_ = 0;

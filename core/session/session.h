@@ -114,8 +114,12 @@ struct Session {
   WiringState wiring;
   std::optional<Seat> seat;       // absent: no operator acts in the policy's place
   std::vector<Verdict> verdicts;  // the last kMostVerdicts, oldest first
+  uint64_t interventions = 0;     // verdicts, hand-overs of control and undone corrections
 
   static constexpr size_t kMostVerdicts = 64;
+
+  // Returns how often the session has changed: of two copies, the one with less has lost something.
+  uint64_t changes() const { return decisions + static_cast<uint64_t>(episode) + interventions; }
 };
 
 }  // namespace spikeserve

@@ -71,7 +71,7 @@ struct SessionUsage {
   UsageCounts booked;          // of what this process has counted
   UsageTotals totals = {};     // that were booked last
   UsageTotals seen = {};       // totals at the last look, which may not be stored yet
-  double seen_changes = -1.0;  // decisions and ends of episodes then; negative: not looked at yet
+  double seen_changes = -1.0;  // Session::changes() then; negative: not looked at yet
   double booked_at = 0.0;      // seconds of the clock
 };
 

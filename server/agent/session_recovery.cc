@@ -63,8 +63,7 @@ bool IsGivenUp(const SessionEntry& entry) {
 // Replaces `session`, which was claimed, by the copy that this server had given up, if the store
 // had acknowledged more of that. Returns whether it did.
 bool GoOnFrom(SessionEntry& former, Session* session) {
-  const uint64_t changes = session->decisions + static_cast<uint64_t>(session->episode);
-  if (!IsGivenUp(former) || former.journal->durable_changes() <= changes) return false;
+  if (!IsGivenUp(former) || former.journal->durable_changes() <= session->changes()) return false;
   absl::MutexLock lock(&former.mutex);
   *session = former.agent.session();
   return true;
@@ -182,6 +181,7 @@ absl::Status SessionRecovery::Restore(const Key& key, std::shared_ptr<SessionQuo
                           .policy_file = PolicyFileOf(*served),
                           .claimed_from = claimed->claimed_from,
                           .ended = restored.session.episode,
+                          .interventions = restored.session.interventions,
                           .stored_as = claimed->stored_as},
       durability, restored.session.decisions, &journals_, claimed->records.size(),
       /*is_whole=*/restored.after_gap == 0 && !is_set_back);
@@ -213,6 +213,7 @@ absl::Status SessionRecovery::TakeBack(const Key& key, std::shared_ptr<SessionQu
   journal.epoch = entry.journal->epoch();
   journal.stored_as = entry.journal->stored_as();
   journal.ended = session.episode;
+  journal.interventions = session.interventions;
   extras.journal =
       std::make_shared<SessionJournal>(std::move(journal), session.options.durability,
                                        session.decisions, &journals_, 0, /*is_whole=*/false);

@@ -61,8 +61,7 @@ UsageCounts CountsOf(SessionEntry& entry, absl::Duration now)
 UsageTotals StoredTotals(SessionEntry& entry) ABSL_EXCLUSIVE_LOCKS_REQUIRED(entry.mutex) {
   SessionUsage& usage = entry.usage;
   const Session& session = entry.agent.session();
-  const double changes =
-      static_cast<double>(session.decisions) + static_cast<double>(session.episode);
+  const auto changes = static_cast<double>(session.changes());
   const auto stored = static_cast<double>(entry.journal->durable_changes());
   UsageTotals totals = usage.totals;
   if (usage.seen_changes >= 0.0 && usage.seen_changes <= stored) totals = usage.seen;

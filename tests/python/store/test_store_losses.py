@@ -11,6 +11,7 @@ from redis_servers import WITHOUT_REDIS
 from security import POLICY, code_of, fails_with, until
 from serving import method_of, metric, run
 from stored_sessions import (
+    LEARNING,
     STEPS,
     Restartable,
     acting,
@@ -398,6 +399,35 @@ def test_the_end_of_an_episode_makes_a_copy_newer(redis, three):
     third.resume()
     until_answered(lambda: third.Act(**acting(0, 1, 0)))
     assert until_answered(lambda: third.GetSession(session_id=opening(0)["session_id"])).episode == 1
+
+
+@pytest.mark.parametrize("change", ["verdict", "hand-over"])
+def test_what_is_no_decision_makes_a_copy_newer(redis, three, change):
+    """The first server writes what it had two owners ago: as many decisions and ends, but not what came since."""
+    first, second, third = three
+    session = {"session_id": opening(6)["session_id"]}
+    verdict = session | {"episode": 0, "amendment_id": "judge"}
+    first.OpenSession(**opening(6) | {"learning": LEARNING[3] | {"verdict_seconds": 3600.0}})
+    decisions(first, 6, 0, STEPS)
+    first.EndEpisode(**ending(6, 0))
+    first.Act(**acting(6, 1, 0))
+    lease = first.admin.TakeControl(**session, operator_id="ann", lease_seconds=60.0).lease_id
+    for server in (second, third):
+        until_answered(lambda at=server: at.Act(**acting(6, 1, 0)))
+    if change == "verdict":
+        until_answered(lambda: third.AmendEpisode(**verdict, reward=1.0))
+    else:
+        third.admin.ReturnControl(**session, lease_id=lease)
+    second.kill()
+    third.stop()
+    remove(redis, 6)
+    until(lambda: is_stored(redis, 6))
+    third.resume()
+    answer = until_answered(lambda: third.Act(**acting(6, 1, 1)))
+    if change == "verdict":
+        assert code_of(third.AmendEpisode, **verdict, reward=2.0) == grpc.StatusCode.ALREADY_EXISTS
+    else:
+        assert answer.source.operator_id == ""
 
 
 def test_a_copy_that_was_given_up_while_redis_lost_its_record_goes_on(redis):
