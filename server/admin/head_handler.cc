@@ -224,7 +224,7 @@ absl::Status AdminHandler::UndoOfSession(CallContext& context,
   const auto undone =
       entry->agent.UndoCorrections(request.operator_id(), absl::Seconds(request.seconds()));
   if (!undone.has_value()) return ForgottenCorrections(request);
-  AddConfirmation(*entry, /*has_decided=*/*undone > 0, &context.commits);
+  AddCommit(*entry, *undone > 0 ? Await::kOwned : Await::kConfirmed, &context.commits);
   response->set_updates(*undone);
   response->set_head_drift(entry->agent.HeadDrift());
   return absl::OkStatus();

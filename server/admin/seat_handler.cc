@@ -65,6 +65,11 @@ absl::Status CheckReachable(const SessionEntry& entry) {
   return entry.journal == nullptr ? absl::OkStatus() : entry.journal->CheckReachable();
 }
 
+// Returns what the answer to a change of the seat waits for: a refusal, that the session is here.
+Await AwaitOf(const absl::Status& status) {
+  return status.ok() ? Await::kStored : Await::kConfirmed;
+}
+
 }  // namespace
 
 absl::StatusOr<std::shared_ptr<SessionEntry>> AdminHandler::Find(const CallContext& context,
@@ -92,9 +97,10 @@ absl::Status AdminHandler::TakeControl(CallContext& context, const v1::TakeContr
   if (taken != nullptr && taken->lease_id != seat.lease_id) {
     response->set_relieved_operator_id(taken->operator_id);
   }
-  RETURN_IF_ERROR(entry->agent.TakeControl(seat, request.take_over()));
+  const auto status = entry->agent.TakeControl(seat, request.take_over());
+  AddCommit(*entry, AwaitOf(status), &context.commits);
+  RETURN_IF_ERROR(status);
   entry->was_taken.store(true, std::memory_order_relaxed);
-  AddStored(*entry, &context.commits);
   response->set_lease_id(seat.lease_id);
   response->set_operator_id(seat.operator_id);
   *response->mutable_action_space() = ToProto(space);
@@ -113,8 +119,8 @@ absl::Status AdminHandler::SteerSession(CallContext& context,
   if (request.has_action()) {
     ASSIGN_OR_RETURN(action, ActionFromProto(request.action(), agent.policy().action_space));
   }
+  AddCommit(*entry, Await::kConfirmed, &context.commits);
   RETURN_IF_ERROR(agent.Steer(request.lease_id(), request.has_action() ? &action : nullptr));
-  AddConfirmation(*entry, /*has_decided=*/false, &context.commits);
   const Session& session = agent.session();
   response->set_steps(session.seat->steps);
   response->set_agreed_steps(session.seat->agreed_steps);
@@ -130,8 +136,9 @@ absl::Status AdminHandler::ReturnControl(CallContext& context,
   RETURN_IF_ERROR(CheckReachable(*entry));
   absl::MutexLock lock(&entry->mutex);
   const Seat seat = entry->agent.session().seat.value_or(Seat());
-  RETURN_IF_ERROR(entry->agent.ReturnControl(request.lease_id()));
-  AddStored(*entry, &context.commits);
+  const auto status = entry->agent.ReturnControl(request.lease_id());
+  AddCommit(*entry, AwaitOf(status), &context.commits);
+  RETURN_IF_ERROR(status);
   response->set_steps(seat.steps);
   response->set_agreed_steps(seat.agreed_steps);
   return absl::OkStatus();

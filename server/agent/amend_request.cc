@@ -126,8 +126,8 @@ absl::Status PolicyHandler::AmendSession(CallContext& context, const Amendment& 
     recording = session.options.recording;
     const bool waits = verdict.ok() || !absl::IsNotFound(verdict.status());
     if (waits) {
-      AddConfirmation(entry, entry.journal != nullptr && entry.journal->written() != before,
-                      &context.commits);
+      const bool has_written = entry.journal != nullptr && entry.journal->written() != before;
+      AddCommit(entry, has_written ? Await::kOwned : Await::kConfirmed, &context.commits);
     }
     const auto& contribution = entry.agent.contribution();
     if (verdict.ok() && !context.commits.empty() && contribution != nullptr &&

@@ -23,7 +23,7 @@ void AddCommits(DecisionRequest& act, bool has_decided)
   entry.mutex.AssertHeld();
   Commits& commits = act.context->commits;
   const size_t before = commits.size();
-  AddCommit(entry, act.step.place, has_decided, &commits);
+  AddCommit(entry, AwaitAt(act.step.place, has_decided), &commits);
   if (commits.size() == before || act.item < 0) return;
   if (act.status.ok()) {
     commits.back().item = act.item;

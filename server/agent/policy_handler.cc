@@ -207,7 +207,7 @@ absl::Status PolicyHandler::EndEpisode(CallContext& context, const v1::EndEpisod
     return SessionGate::Refused(context, step.place, status, *entry);
   }
   if (!status.ok()) return status;
-  AddCommit(*entry, step.place, /*has_decided=*/!step.result.is_retry, &context.commits);
+  AddCommit(*entry, AwaitAt(step.place, !step.result.is_retry), &context.commits);
   if (context.commits.empty()) {
     SessionGate::Trace(context.span, *entry, entry->agent.contribution());
   } else {

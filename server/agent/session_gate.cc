@@ -93,28 +93,16 @@ bool IsAhead(const Place& place, const Session& session) {
 
 }  // namespace
 
-void AddStored(const SessionEntry& entry, Commits* commits) {
+void AddCommit(const SessionEntry& entry, Await await, Commits* commits) {
   if (entry.journal == nullptr) return;
-  commits->push_back({entry.journal, entry.journal->written()});
-}
-
-void AddCommit(const SessionEntry& entry, Commits* commits) {
-  if (entry.journal == nullptr) return;
+  SessionJournal& journal = *entry.journal;
   const auto& last = entry.agent.session().last_answer;
   const bool of_operator = last.has_value() && last->source.kind == SourceKind::kOperator;
-  if (entry.journal->is_sync() || of_operator) AddStored(entry, commits);
-}
-
-void AddConfirmation(const SessionEntry& entry, bool has_decided, Commits* commits) {
-  if (entry.journal == nullptr) return;
-  if (!entry.journal->is_shared()) return AddCommit(entry, commits);
-  if (!has_decided) entry.journal->OnConfirm();
-  AddStored(entry, commits);
-}
-
-void AddCommit(const SessionEntry& entry, const Place& place, bool has_decided, Commits* commits) {
-  if (place.is_of_session()) return AddCommit(entry, commits);
-  AddConfirmation(entry, has_decided, commits);
+  const bool asks_whose = await >= Await::kOwned && journal.is_shared();
+  if (asks_whose && await == Await::kConfirmed) journal.OnConfirm();
+  if (asks_whose || await == Await::kStored || journal.is_sync() || of_operator) {
+    commits->push_back({entry.journal, journal.written()});
+  }
 }
 
 absl::Status CheckMayBeHeard(const SessionEntry& entry) {
@@ -178,7 +166,7 @@ void SessionGate::AwaitEarlier(const std::string& id, CallContext* context) cons
   const auto entry = store_.Peek(id, tenant);
   if (entry == nullptr || entry->tenant != tenant) return;
   absl::MutexLock lock(&entry->mutex);
-  AddCommit(*entry, &context->commits);
+  AddCommit(*entry, Await::kDurable, &context->commits);
 }
 
 absl::Status SessionGate::MovedError() {
@@ -288,8 +276,8 @@ void SessionGate::OnDurable(GatedRequest& request, const absl::Status& status,
       continue;  // the store has taken it since
     } else if (commits[i].item >= 0) {
       request.FailItem(commits[i].item, outcomes[i]);
-    } else if (status.ok()) {
-      ended = outcomes[i];
+    } else if (status.ok() || commits[i].journal->lost()) {
+      ended = outcomes[i];  // the copy of another server may not refuse the request
     }
   }
   Leave(request, ended);

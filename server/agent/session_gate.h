@@ -65,24 +65,25 @@ class GatedRequest {
   CallContext call_context_;
 };
 
-// The functions below are called under the session's lock, so that an answer waits for what it
-// tells.
+// What an answer about a session waits for.
+enum class Await {
+  kDurable,    // what the durability of the session says
+  kStored,     // also all that was written, whatever the durability is
+  kOwned,      // as kStored if other servers use the store, which so says whose the session is
+  kConfirmed,  // as kOwned, with a query, because the request has written nothing
+};
 
-// Waits for everything that was written to the session's journal, whatever its durability is.
-void AddStored(const SessionEntry& entry, Commits* commits);
+// Returns what fits a request at `place`: one that does not name its decision may be for another
+// copy of the session.
+inline Await AwaitAt(const Place& place, bool has_written) {
+  if (place.is_of_session()) return Await::kDurable;
+  return has_written ? Await::kOwned : Await::kConfirmed;
+}
 
-// Adds what an answer about the session must wait for. An operator is heard only in what the store
-// has: the next owner of the session would go on with the operator before, who was relieved.
-void AddCommit(const SessionEntry& entry, Commits* commits) ABSL_SHARED_LOCKS_REQUIRED(entry.mutex);
-
-// As AddCommit, for requests that do not name their decision: whatever the durability is, also
-// waits until the store confirms that this server still owns the session, with the last decision or
-// with a query of its own. Does nothing more than AddCommit if no other server uses the store.
-void AddConfirmation(const SessionEntry& entry, bool has_decided, Commits* commits)
-    ABSL_SHARED_LOCKS_REQUIRED(entry.mutex);
-
-// As the one of these that fits a request at `place`.
-void AddCommit(const SessionEntry& entry, const Place& place, bool has_decided, Commits* commits)
+// Adds what the answer must wait for, under the session's lock, so that it waits for what it tells.
+// An operator is heard only in what the store has: the next owner of the session would go on with
+// the operator before, who was relieved.
+void AddCommit(const SessionEntry& entry, Await await, Commits* commits)
     ABSL_SHARED_LOCKS_REQUIRED(entry.mutex);
 
 // Returns UNAVAILABLE if an operator has control whom no answer may tell of, because the store

@@ -12,7 +12,7 @@ import pytest
 import spikeserve
 from cpp_pilot import CppPilot
 from redis_servers import WITHOUT_REDIS
-from replicated import running_fleet
+from replicated import claim, running_fleet
 from restartable_server import restartable_server
 from security import ADMIN, OBSERVATION, TOKENS, code_of, entry, fails_with, service_with, until
 from serving import http_call, running_server, series
@@ -303,6 +303,28 @@ def test_a_hand_over_that_the_store_lacks_is_not_heard():
                 control.release()
             taken.release()
             assert act() == ""
+
+
+@WITHOUT_REDIS
+@pytest.mark.parametrize("call", ["take", "steer", "return"])
+def test_a_former_owner_refuses_nobody(call):
+    """It does not know yet that the session has moved, nor who has its seat now: operators are heard at the new owner."""
+    with running_fleet(replicas=2) as fleet, contextlib.ExitStack() as stack:
+        former, ann = stack.enter_context(operating(fleet.replicas[0].address))
+        owner, bob = stack.enter_context(operating(fleet.replicas[1].address, "bob"))
+        session = former.open_session("cartpole", spikeserve.SessionOptions(durability="SYNC"))
+        ann.take(session.session_id, lease=60.0)
+        claim(owner, session.session_id)
+        control = bob.take(session.session_id, lease=60.0, take_over=True)
+        _, everywhere = stack.enter_context(operating(fleet.addresses))  # asks the former owner first
+        control._operator = everywhere
+        if call == "take":
+            bob._of_session("ReturnControl", session_id=session.session_id, lease_id=control.lease_id)
+            everywhere.take(session.session_id)
+        elif call == "steer":
+            control.act(1)
+        else:
+            control.release()
 
 
 def test_control_is_in_the_store_before_it_is_confirmed(tmp_path):
