@@ -24,6 +24,9 @@
 namespace spikeserve {
 namespace {
 
+// Sessions that are read in one round trip; their journals have megabytes together.
+constexpr size_t kReadTogether = 64;
+
 int64_t SizeOf(absl::Span<const std::string> records) {
   int64_t bytes = 0;
   for (const std::string& record : records) bytes += static_cast<int64_t>(record.size());
@@ -61,9 +64,12 @@ void AddKey(absl::string_view key, RedisKeys* keys) {
               : static_cast<void>(keys->lists[id].insert(part));
 }
 
-absl::StatusOr<std::optional<RedisSession>> ReadHash(RedisClient& client, const std::string& id) {
-  ASSIGN_OR_RETURN(const auto reply,
-                   client.Run({"HMGET", RedisHashKey(id), "epoch", "owner", "tenant", "state"}));
+void AppendHash(RedisClient& client, const std::string& id) {
+  client.Append({"HMGET", RedisHashKey(id), "epoch", "owner", "tenant", "state"});
+}
+
+absl::StatusOr<std::optional<RedisSession>> ReadHash(RedisClient& client) {
+  ASSIGN_OR_RETURN(const auto reply, client.Read());
   if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 4 ||
       reply->element[0]->type != REDIS_REPLY_STRING) {
     return std::nullopt;
@@ -72,8 +78,13 @@ absl::StatusOr<std::optional<RedisSession>> ReadHash(RedisClient& client, const 
   return RedisSession{.epoch = text(0), .owner = text(1), .tenant = text(2), .state = text(3)};
 }
 
-absl::StatusOr<std::vector<std::string>> ReadList(RedisClient& client, const std::string& key) {
-  ASSIGN_OR_RETURN(const auto reply, client.Run({"LRANGE", key, "0", "-1"}));
+void AppendList(RedisClient& client, const std::string& id, absl::string_view epoch,
+                bool whole = true) {
+  client.Append({"LRANGE", absl::StrCat(RedisListPrefix(id), epoch), "0", whole ? "-1" : "0"});
+}
+
+absl::StatusOr<std::vector<std::string>> ReadList(RedisClient& client) {
+  ASSIGN_OR_RETURN(const auto reply, client.Read());
   std::vector<std::string> items;
   for (size_t i = 0; i < reply->elements; ++i) {
     items.emplace_back(TextOf(*reply->element[i]));
@@ -95,14 +106,16 @@ absl::Status CheckRedisSession(RedisClient& client, const std::string& id, Store
   // A server may take the session over between the two commands, which renames the list.
   constexpr int kTries = 3;
   for (int i = 0; i < kTries; ++i) {
-    ASSIGN_OR_RETURN(const auto session, ReadHash(client, id));
+    AppendHash(client, id);
+    ASSIGN_OR_RETURN(const auto session, ReadHash(client));
     if (!session.has_value()) return absl::OkStatus();  // expired meanwhile
     *epoch = session->epoch;
     if (session->state == "closed") {
       ++report->closed;
       return absl::OkStatus();
     }
-    ASSIGN_OR_RETURN(const auto records, ReadList(client, RedisListPrefix(id) + *epoch));
+    AppendList(client, id, *epoch);
+    ASSIGN_OR_RETURN(const auto records, ReadList(client));
     if (records.empty() && i + 1 < kTries) continue;
     ++report->open;
     const bool alive = std::find(report->replicas.begin(), report->replicas.end(),
@@ -240,19 +253,29 @@ absl::StatusOr<StoreReport> CheckRedisStore(const RedisOptions& options) {
 }
 
 absl::Status VisitOwnerless(
-    const RedisOptions& options,
+    const RedisOptions& options, bool whole,
     absl::FunctionRef<void(const std::string& id, const std::vector<std::string>& records)> visit) {
   ASSIGN_OR_RETURN(auto client, RedisClient::Connect(options));
   ASSIGN_OR_RETURN(const auto living, ReadLiving(*client));
   RedisKeys keys;
   RETURN_IF_ERROR(
       client->ScanKeys(kRedisSessionKeys, [&](absl::string_view key) { AddKey(key, &keys); }));
-  for (const std::string& id : keys.sessions) {
-    ASSIGN_OR_RETURN(const auto session, ReadHash(*client, id));
-    if (!session.has_value() || session->state != "open") continue;
-    if (std::find(living.begin(), living.end(), session->owner) != living.end()) continue;
-    ASSIGN_OR_RETURN(const auto records, ReadList(*client, RedisListPrefix(id) + session->epoch));
-    visit(id, records);
+  const std::vector<std::string> ids(keys.sessions.begin(), keys.sessions.end());
+  for (size_t i = 0; i < ids.size(); i += kReadTogether) {
+    const auto some = absl::MakeSpan(ids).subspan(i, kReadTogether);
+    for (const std::string& id : some) AppendHash(*client, id);
+    std::vector<absl::string_view> asked;
+    for (const std::string& id : some) {
+      ASSIGN_OR_RETURN(const auto session, ReadHash(*client));
+      if (!session.has_value() || session->state != "open") continue;
+      if (std::find(living.begin(), living.end(), session->owner) != living.end()) continue;
+      AppendList(*client, id, session->epoch, whole);
+      asked.push_back(id);
+    }
+    for (const absl::string_view id : asked) {
+      ASSIGN_OR_RETURN(const auto records, ReadList(*client));
+      visit(std::string(id), records);
+    }
   }
   return absl::OkStatus();
 }

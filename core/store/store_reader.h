@@ -49,9 +49,10 @@ absl::Status CheckJournal(absl::string_view id, absl::string_view tenant,
 absl::StatusOr<StoreReport> CheckFileStore(const std::string& directory);
 absl::StatusOr<StoreReport> CheckRedisStore(const RedisOptions& options);
 
-// Calls `visit` with the id and the records of each open session whose owner is not alive.
+// Calls `visit` with the id and the records of each open session whose owner is not alive: the
+// whole journal, or only the snapshot with which it begins.
 absl::Status VisitOwnerless(
-    const RedisOptions& options,
+    const RedisOptions& options, bool whole,
     absl::FunctionRef<void(const std::string& id, const std::vector<std::string>& records)> visit);
 
 }  // namespace spikeserve

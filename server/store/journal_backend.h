@@ -54,9 +54,9 @@ class JournalBackend {
   virtual std::optional<int64_t> StoredSessions() const { return std::nullopt; }
 
   using Visit = std::function<void(const std::string& id, const std::vector<std::string>& records)>;
-  // Calls `visit` with the journal of each open session that no other living server has: it may be
-  // the caller's own. Safe to call from many threads. Returns UNAVAILABLE if the store cannot be
-  // read.
+  // Calls `visit` with the first snapshot, at least, of each open session that no other living
+  // server has: it may be the caller's own. Safe to call from many threads. Returns UNAVAILABLE if
+  // the store cannot be read.
   virtual absl::Status VisitUnowned(const Visit&) { return absl::OkStatus(); }
 
   // Makes sure that the store can be reached. Returns true if it may have lost something since the

@@ -84,7 +84,9 @@ class RedisBackend final : public JournalBackend {
         owner_(std::move(owner)) {}
 
   bool IsShared() const override { return true; }
-  absl::Status VisitUnowned(const Visit& visit) override { return VisitOwnerless(options_, visit); }
+  absl::Status VisitUnowned(const Visit& visit) override {
+    return VisitOwnerless(options_, /*whole=*/false, visit);
+  }
   absl::StatusOr<bool> Connect() override;
   absl::Status CheckKeepsRecords() const override {
     return may_evict_ ? absl::OkStatus() : durability_.CheckKeepsKeys();

@@ -77,9 +77,10 @@ absl::Status UsageStores::Open() {
     reads = std::make_shared<RedisUsageStore>(*redis);
     find_ownerless = [options = *redis, label = usage_options_.label] {
       std::vector<SessionTotals> found;
-      const auto status = VisitOwnerless(options, [&](const auto& id, const auto& records) {
-        if (!records.empty()) AddTotals(id, records, label, &found);
-      });
+      const auto status =
+          VisitOwnerless(options, /*whole=*/true, [&](const auto& id, const auto& records) {
+            if (!records.empty()) AddTotals(id, records, label, &found);
+          });
       return status.ok() ? absl::StatusOr<std::vector<SessionTotals>>(std::move(found)) : status;
     };
     return absl::OkStatus();
