@@ -10,13 +10,9 @@
 namespace spikeserve {
 namespace {
 
-// Returns the requests of the first of `acts`, as many as may be decided together.
-absl::InlinedVector<DecisionRequest*, kMaxSessionsPerGroup> FirstOf(
-    absl::Span<const std::shared_ptr<QueuedAct>> acts) {
-  absl::InlinedVector<DecisionRequest*, kMaxSessionsPerGroup> requests;
-  for (const auto& act : acts.subspan(0, kMaxSessionsPerGroup)) requests.push_back(&act->act());
-  return requests;
-}
+// What may be decided together.
+template <typename T>
+using Group = absl::InlinedVector<T, kMaxSessionsPerGroup>;
 
 }  // namespace
 
@@ -153,19 +149,6 @@ void ActQueue::Deliver(Waiting decided) {
   decided.from->loop_.events().Post([act = std::move(decided.act)] { act->Leave(); });
 }
 
-ActQueue::Acts ActQueue::HoldBack(ActQueue* from, Acts acts) {
-  if (waiting_.empty()) return acts;
-  Acts others;
-  for (auto& act : acts) {
-    if (waiting_.contains(act->act().request->session_id())) {
-      Wait(from, std::move(act));
-    } else {
-      others.push_back(std::move(act));
-    }
-  }
-  return others;
-}
-
 void ActQueue::DecideWaiting(StepBudget* budget) {
   const std::string id = std::move(turns_.front());
   turns_.pop_front();
@@ -192,27 +175,38 @@ void ActQueue::DecideWaiting(StepBudget* budget) {
   deferred.Run();
 }
 
-ActQueue::Acts ActQueue::DecideGroup(ActQueue* from, Acts* acts, DeferredWork* deferred,
-                                     StepBudget* budget) {
-  Acts decided;
-  *acts = HoldBack(from, std::move(*acts));
-  if (acts->empty()) return decided;
-  const auto end = acts->begin() + handler_.ActGroup(FirstOf(*acts), deferred, budget);
-  for (auto act = acts->begin(); act != end; ++act) {
-    if ((*act)->act().is_decided()) {
-      decided.push_back(std::move(*act));
+ActQueue::Acts ActQueue::DecideGroup(ActQueue* from, absl::Span<std::shared_ptr<QueuedAct>>* acts,
+                                     DeferredWork* deferred, StepBudget* budget) {
+  Group<std::shared_ptr<QueuedAct>> group;
+  Group<DecisionRequest*> requests;
+  size_t next = 0;
+  for (; next < acts->size() && group.size() < kMaxSessionsPerGroup; ++next) {
+    std::shared_ptr<QueuedAct>& act = (*acts)[next];
+    if (!waiting_.empty() && waiting_.contains(act->act().request->session_id())) {
+      Wait(from, std::move(act));
     } else {
-      Wait(from, std::move(*act));
+      requests.push_back(&act->act());
+      group.push_back(std::move(act));
     }
   }
-  acts->erase(acts->begin(), end);
+  Acts decided;
+  const size_t end = group.empty() ? 0 : handler_.ActGroup(requests, deferred, budget);
+  for (size_t i = 0; i < end; ++i) {
+    if (group[i]->act().is_decided()) {
+      decided.push_back(std::move(group[i]));
+    } else {
+      Wait(from, std::move(group[i]));
+    }
+  }
+  for (; group.size() > end; group.pop_back()) (*acts)[--next] = std::move(group.back());
+  acts->remove_prefix(next);
   return decided;
 }
 
 void ActQueue::Decide(Acts acts, StepBudget* budget) {
-  while (!acts.empty()) {
+  for (auto rest = absl::MakeSpan(acts); !rest.empty();) {
     DeferredWork deferred;
-    for (const auto& act : DecideGroup(this, &acts, &deferred, budget)) act->Leave();
+    for (const auto& act : DecideGroup(this, &rest, &deferred, budget)) act->Leave();
     loop_.FlushWrites();
     deferred.Run();
   }
@@ -221,8 +215,8 @@ void ActQueue::Decide(Acts acts, StepBudget* budget) {
 void ActQueue::DecideForeign(const std::shared_ptr<Foreign>& foreign, StepBudget* budget) {
   Acts acts = std::exchange(foreign->acts, {});
   DeferredWork deferred;
-  while (!acts.empty()) {
-    for (auto& act : DecideGroup(foreign->from, &acts, &deferred, budget)) {
+  for (auto rest = absl::MakeSpan(acts); !rest.empty();) {
+    for (auto& act : DecideGroup(foreign->from, &rest, &deferred, budget)) {
       foreign->acts.push_back(std::move(act));
     }
   }

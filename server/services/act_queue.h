@@ -13,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "absl/types/span.h"
 #include "server/agent/policy_handler.h"
 #include "server/agent/session_gate.h"
 #include "server/services/call_messages.h"
@@ -109,16 +110,15 @@ class ActQueue {
     std::shared_ptr<QueuedAct> act;
   };
 
-  // Takes the next group from `acts`, which came from the loop of `from`, and returns those that
+  // Removes the next group from `acts`, which came from the loop of `from`, and returns those that
   // are decided. The others wait, and those behind them for their sessions.
-  Acts DecideGroup(ActQueue* from, Acts* acts, DeferredWork* deferred, StepBudget* budget);
+  Acts DecideGroup(ActQueue* from, absl::Span<std::shared_ptr<QueuedAct>>* acts,
+                   DeferredWork* deferred, StepBudget* budget);
   void Decide(Acts acts, StepBudget* budget);
   void DecideBatchGroup(StepBudget* budget);
   void DecideForeign(const std::shared_ptr<Foreign>& foreign, StepBudget* budget);
   // Lets a request wait for its turn, behind the others of its session.
   void Wait(ActQueue* from, std::shared_ptr<QueuedAct> act);
-  // Queues every request whose session already has a pending one. Returns the rest.
-  Acts HoldBack(ActQueue* from, Acts acts);
   // Handles a part of the first request of one session that waits.
   void DecideWaiting(StepBudget* budget);
   // Takes over session `id`, for whose first request that waits it is not here.
