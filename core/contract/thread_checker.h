@@ -30,14 +30,24 @@ class ABSL_LOCKABLE ThreadChecker {
   ThreadChecker& operator=(const ThreadChecker&) = delete;
 
   // Confines to the calling thread until Release(). REQUIRES: no thread is bound.
-  void Bind();
+  void Bind() {
+    const std::thread::id before = thread_.exchange(std::this_thread::get_id());
+    SPIKESERVE_DCHECK(before == std::thread::id());
+  }
+
   // Ends the confinement, for example because the thread will not run again and another one
   // destroys the objects. REQUIRES: the calling thread is bound.
-  void Release();
+  void Release() {
+    const std::thread::id before = thread_.exchange(std::thread::id());
+    SPIKESERVE_DCHECK(before == std::this_thread::get_id());
+  }
 
   // Returns whether the caller may use what is confined: it runs on the bound thread, or no thread
   // is bound, so that nothing runs at the same time.
-  bool IsCurrent() const;
+  bool IsCurrent() const {
+    const std::thread::id bound = thread_.load();
+    return bound == std::thread::id() || bound == std::this_thread::get_id();
+  }
 
   // Aborts in debug builds unless IsCurrent(). Tells the analysis that the capability is held.
   void AssertCurrent() const ABSL_ASSERT_EXCLUSIVE_LOCK() { SPIKESERVE_DCHECK(IsCurrent()); }

@@ -4,6 +4,7 @@
 // Free functions, safe to call from many threads.
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 #include <span>
 #include <string>
@@ -18,10 +19,29 @@ struct InvalidObservation {
   float value = 0.0f;
 
   // Returns "field: expected X, received Y".
-  std::string ToString() const;
+  std::string ToString() const {
+    if (received != expected) {
+      return "observation: expected " + std::to_string(expected) + " numbers, received " +
+             std::to_string(received);
+    }
+    const char* const number = std::isnan(value) ? "nan" : value < 0.0f ? "-inf" : "inf";
+    return "observation[" + std::to_string(element) + "]: expected a finite number, received " +
+           number;
+  }
 };
 
 // Returns whether `observation` has `size` numbers that are finite; otherwise fills `why`.
-bool IsObservation(std::span<const float> observation, size_t size, InvalidObservation* why);
+inline bool IsObservation(std::span<const float> observation, size_t size,
+                          InvalidObservation* why) {
+  *why = {.expected = size, .received = observation.size()};
+  if (observation.size() != size) return false;
+  for (size_t i = 0; i < size; ++i) {
+    if (std::isfinite(observation[i])) continue;
+    why->element = i;
+    why->value = observation[i];
+    return false;
+  }
+  return true;
+}
 
 }  // namespace spikeserve::robot

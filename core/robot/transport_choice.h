@@ -34,14 +34,37 @@ class TransportChoice {
   TransportChoice(bool is_allowed, Time period) : is_allowed_(is_allowed), period_(period) {}
 
   // The server offers a channel until then.
-  void Offer(Time until);
+  void Offer(Time until) {
+    if (!is_allowed_) return;
+    // Another key of a channel that works continues it.
+    if (until_ == kLongAgo) is_doubted_ = true;
+    until_ = until;
+    unanswered_ = 0;
+  }
+
   void Withdraw() { until_ = kLongAgo; }
 
   bool is_offered(Time now) const { return now < until_; }
-  Ways Choose(Time now) const;
+  Ways Choose(Time now) const {
+    if (!is_offered(now)) return {};
+    if (!is_doubted_) return {.stream = false, .datagram = true};
+    return {.stream = true, .datagram = unanswered_ < kTries || now - sent_at_ >= kProbe};
+  }
 
-  void OnSent(Time now);
-  void OnAnswer(Time sent, Time now);
+  void OnSent(Time now) {
+    ++unanswered_;
+    sent_at_ = now;
+  }
+
+  void OnAnswer(Time sent, Time now) {
+    const Time took = now - sent;
+    const Time error = took - round_trip_.value_or(took / 2);
+    deviation_ = round_trip_.has_value() ? deviation_ + (abs(error) - deviation_) / 4 : error;
+    round_trip_ = round_trip_.has_value() ? *round_trip_ + error / 8 : took;
+    is_doubted_ = false;
+    unanswered_ = disorders_ = 0;
+  }
+
   // Datagrams are refused. An error about their order may only mean that a newer one was faster.
   void OnError(bool is_order) {
     if (!is_order || ++disorders_ >= kDisorders) is_doubted_ = true;
@@ -51,7 +74,11 @@ class TransportChoice {
     return round_trip_.has_value() && sent + *round_trip_ + 4 * deviation_ < now;
   }
   // Notices if `waiting`, which are not answered, are overdue.
-  void Check(const InFlight& waiting, Time now);
+  // One that was lost alone is not overdue: the answer to the next one comes first.
+  void Check(const InFlight& waiting, Time now) {
+    if (waiting.empty() || !round_trip_.has_value()) return;
+    if (waiting.front().sent + *round_trip_ * 5 / 4 + period_ < now) is_doubted_ = true;
+  }
 
  private:
   const bool is_allowed_;
