@@ -7,6 +7,7 @@
 #include <string>
 
 #include "absl/status/status.h"
+#include "absl/time/time.h"
 
 namespace spikeserve {
 
@@ -32,6 +33,7 @@ struct JournalRecord {
   uint64_t position = 0;   // of the record in all that its owner writes, from 1
   uint64_t base = 0;       // position of the snapshot that the journal begins with; 0: claimed
   std::shared_ptr<SessionJournal> journal;
+  absl::Duration queued = {};  // when the writer has queued it, by its clock
 };
 
 // Implementations are thread-safe.

@@ -96,12 +96,11 @@ JournalStore::JournalStore(std::unique_ptr<JournalBackend> backend, const Clock*
 JournalStore::~JournalStore() { Stop(absl::ZeroDuration()); }
 
 void JournalStore::Write(JournalRecord record) {
-  const absl::Duration now = clock_->Now();
+  record.queued = clock_->Now();
   backlog_bytes_.fetch_add(BacklogOf(record), std::memory_order_relaxed);
   absl::MutexLock lock(&mutex_);
   const bool was_urgent = IsUrgent();
   queue_.records.push_back(std::move(record));
-  queue_.queued.push_back(now);
   if (idle_ || (!was_urgent && IsUrgent())) changed_.NotifyAll();
 }
 
@@ -161,7 +160,7 @@ bool JournalStore::IsUrgent() const {
 }
 
 absl::Duration JournalStore::IdleInterval() const {
-  if (waiting_.records.empty()) return kIdleInterval;
+  if (waiting_.empty()) return kIdleInterval;
   return std::clamp(try_refused_at_ - clock_->Now(), absl::ZeroDuration(), kIdleInterval);
 }
 
@@ -178,7 +177,7 @@ std::optional<JournalStore::Work> JournalStore::Next() {
   }
   if (stopping_ && queue_.records.empty() && queue_.claims.empty()) {
     const absl::Duration now = clock_->Now();
-    if (waiting_.records.empty() || now >= stop_by_) return std::nullopt;
+    if (waiting_.empty() || now >= stop_by_) return std::nullopt;
     changed_.Wait(&mutex_, std::min(try_refused_at_, stop_by_) - now, [] { return false; });
   }
   Work work = std::exchange(queue_, {});
@@ -190,9 +189,9 @@ void JournalStore::Run() {
   while (true) {
     std::optional<Work> work = Next();
     if (!work.has_value()) return;
-    const bool all_written = KeepJournals() && WriteRecords(&*work);
-    RunClaims(std::exchange(work->claims, {}));
-    if (!all_written && !WaitToRetry(*std::move(work))) return DropClaims();
+    const bool all_written = KeepJournals() && WriteRecords(&work->records);
+    RunClaims(std::move(work->claims));
+    if (!all_written && !WaitToRetry(std::move(work->records))) return DropClaims();
   }
 }
 
@@ -268,114 +267,84 @@ void JournalStore::DropClaims() {
   for (ClaimRequest& request : work.claims) request.claimed(stopped);
 }
 
-size_t JournalStore::SkipReplaced(size_t first, size_t end, Work* work) {
-  // From the end, so that the others keep their order.
-  size_t kept = end;
-  for (size_t i = end; i > first; --i) {
-    JournalRecord& record = work->records[i - 1];
-    if (!record.journal->IsReplaced(record)) {
-      --kept;
-      if (kept == i - 1) continue;
-      std::swap(work->records[kept], record);
-      std::swap(work->queued[kept], work->queued[i - 1]);
-    }
+size_t JournalStore::SkipReplaced(size_t first, size_t end, std::vector<JournalRecord>* records) {
+  const auto part = absl::MakeSpan(*records).subspan(first, end - first);
+  const auto kept = std::stable_partition(
+      part.begin(), part.end(),
+      [](const JournalRecord& record) { return record.journal->IsReplaced(record); });
+  for (auto replaced = part.begin(); replaced != kept; ++replaced) {
+    backlog_bytes_.fetch_sub(BacklogOf(*replaced), std::memory_order_relaxed);
   }
-  for (size_t i = first; i < kept; ++i) {
-    backlog_bytes_.fetch_sub(BacklogOf(work->records[i]), std::memory_order_relaxed);
-  }
-  return kept;
+  return first + static_cast<size_t>(kept - part.begin());
 }
 
-bool JournalStore::TryRefusedAgain(Work* work) {
+bool JournalStore::TryRefusedAgain(std::vector<JournalRecord>* records) {
   // The end of a session makes its other records superfluous.
   const auto ends = [this](const JournalRecord& record) {
     return record.kind == JournalRecord::Kind::kClose &&
            waiting_journals_.contains(record.journal.get());
   };
   const bool is_due = clock_->Now() >= try_refused_at_;
-  if (!is_due && std::ranges::none_of(work->records, ends)) return waiting_.records.empty();
-  std::ranges::move(work->records, std::back_inserter(waiting_.records));
-  std::ranges::move(work->queued, std::back_inserter(waiting_.queued));
-  work->records = std::exchange(waiting_.records, {});
-  work->queued = std::exchange(waiting_.queued, {});
+  if (!is_due && std::ranges::none_of(*records, ends)) return waiting_.empty();
+  std::ranges::move(*records, std::back_inserter(waiting_));
+  *records = std::exchange(waiting_, {});
   waiting_journals_.clear();
   return true;
 }
 
-bool JournalStore::WriteRecords(Work* work) {
-  const bool tried = TryRefusedAgain(work);
+bool JournalStore::WriteRecords(std::vector<JournalRecord>* records) {
+  const bool tried = TryRefusedAgain(records);
   size_t first = 0;
   absl::Status failure;
-  while (first < work->records.size() && failure.ok()) {
-    const size_t end = std::min(first + kMostRecords, work->records.size());
-    Work batch = TakeBatch(SkipReplaced(first, end, work), end, work);
+  while (first < records->size() && failure.ok()) {
+    const size_t end = std::min(first + kMostRecords, records->size());
+    auto batch = TakeBatch(SkipReplaced(first, end, records), end, records);
     first = end;
     const auto ends = [](const JournalRecord& record) {
       return record.kind == JournalRecord::Kind::kClose;
     };
     const bool is_kept = sessions_.load(std::memory_order_acquire) != nullptr;
-    if (is_kept && before_ends_ != nullptr && std::ranges::any_of(batch.records, ends)) {
+    if (is_kept && before_ends_ != nullptr && std::ranges::any_of(batch, ends)) {
       before_ends_();
     }
-    const auto outcomes = backend_->Write(batch.records);
+    const auto outcomes = backend_->Write(batch);
     failure = outcomes.status();
     if (failure.ok()) {
-      TakeBatchOutcomes(std::move(batch), *outcomes);
+      TakeOutcomes(std::move(batch), *outcomes);
     } else {
-      first -= batch.records.size();
-      std::ranges::move(batch.records, work->records.begin() + static_cast<ptrdiff_t>(first));
-      std::ranges::move(batch.queued, work->queued.begin() + static_cast<ptrdiff_t>(first));
+      first -= batch.size();
+      std::ranges::move(batch, records->begin() + static_cast<ptrdiff_t>(first));
     }
   }
   backlog_gauge_.Set(static_cast<double>(backlog_bytes_.load(std::memory_order_relaxed)));
-  const auto done = static_cast<ptrdiff_t>(first);
-  work->records.erase(work->records.begin(), work->records.begin() + done);
-  work->queued.erase(work->queued.begin(), work->queued.begin() + done);
+  records->erase(records->begin(), records->begin() + static_cast<ptrdiff_t>(first));
   if (failure.ok()) NoteRefusals(tried);
   SetReachable(failure);
   return failure.ok();
 }
 
-JournalStore::Work JournalStore::TakeBatch(size_t first, size_t end, Work* work) {
-  Work batch;
-  for (size_t i = first; i < end; ++i) {
-    JournalRecord& record = work->records[i];
+std::vector<JournalRecord> JournalStore::TakeBatch(size_t first, size_t end,
+                                                   std::vector<JournalRecord>* records) {
+  std::vector<JournalRecord> batch;
+  for (JournalRecord& record : absl::MakeSpan(*records).subspan(first, end - first)) {
     if (waiting_journals_.contains(record.journal.get())) {
-      Refuse(std::move(record), work->queued[i]);
+      Refuse(std::move(record));
     } else {
-      batch.records.push_back(std::move(record));
-      batch.queued.push_back(work->queued[i]);
+      batch.push_back(std::move(record));
     }
   }
   return batch;
 }
 
-void JournalStore::TakeBatchOutcomes(Work batch, const std::vector<absl::Status>& outcomes) {
-  Work taken;
-  std::vector<absl::Status> others;
-  for (size_t i = 0; i < outcomes.size(); ++i) {
-    if (absl::IsUnavailable(outcomes[i])) {
-      refusal_ = outcomes[i];
-      Refuse(std::move(batch.records[i]), batch.queued[i]);
-    } else {
-      taken.records.push_back(std::move(batch.records[i]));
-      taken.queued.push_back(batch.queued[i]);
-      others.push_back(outcomes[i]);
-    }
-  }
-  TakeOutcomes(taken.records, taken.queued, others);
-}
-
-void JournalStore::Refuse(JournalRecord record, absl::Duration queued) {
+void JournalStore::Refuse(JournalRecord record) {
   const auto journal = record.journal;
-  waiting_.records.push_back(std::move(record));
-  waiting_.queued.push_back(queued);
+  waiting_.push_back(std::move(record));
   waiting_journals_.insert(journal.get());
   journal->OnUnreachable(WithRetryDelay(refusal_, kLongestRetry));
 }
 
 void JournalStore::NoteRefusals(bool tried) {
-  const bool refuses = !waiting_.records.empty();
+  const bool refuses = !waiting_.empty();
   if (tried && refuses) try_refused_at_ = clock_->Now() + refused_delay_;
   if (tried) refused_delay_ = refuses ? std::min(2 * refused_delay_, kLongestRetry) : kRefusedRetry;
   if (refuses == std::exchange(said_refusal_, refuses)) return;
@@ -387,17 +356,18 @@ void JournalStore::NoteRefusals(bool tried) {
   }
 }
 
-void JournalStore::TakeOutcomes(absl::Span<const JournalRecord> batch,
-                                absl::Span<const absl::Duration> queued,
+void JournalStore::TakeOutcomes(std::vector<JournalRecord> batch,
                                 const std::vector<absl::Status>& outcomes) {
-  const absl::Duration now = clock_->Now();
-  const auto written = std::ranges::count_if(outcomes, &absl::Status::ok);
-  written_.Increment(static_cast<double>(written));
-  refused_.Increment(static_cast<double>(batch.size()) - static_cast<double>(written));
   std::vector<std::shared_ptr<SessionJournal>> missing;
-  for (size_t i = 0; i < batch.size(); ++i) {
-    const JournalRecord& record = batch[i];
-    Count(record, outcomes[i], now - queued[i]);
+  for (size_t i = 0; i < outcomes.size(); ++i) {
+    JournalRecord& record = batch[i];
+    if (absl::IsUnavailable(outcomes[i])) {
+      refusal_ = outcomes[i];
+      Refuse(std::move(record));
+      continue;
+    }
+    (outcomes[i].ok() ? written_ : refused_).Increment();
+    Count(record, outcomes[i]);
     backlog_bytes_.fetch_sub(BacklogOf(record), std::memory_order_relaxed);
     record.journal->OnWritten(record, outcomes[i]);
     if (record.journal->missing()) missing.push_back(record.journal);
@@ -405,9 +375,8 @@ void JournalStore::TakeOutcomes(absl::Span<const JournalRecord> batch,
   WriteAgain(missing);
 }
 
-void JournalStore::Count(const JournalRecord& record, const absl::Status& outcome,
-                         absl::Duration latency) {
-  acknowledgement_.Observe(absl::ToDoubleSeconds(latency));
+void JournalStore::Count(const JournalRecord& record, const absl::Status& outcome) {
+  acknowledgement_.Observe(absl::ToDoubleSeconds(clock_->Now() - record.queued));
   const bool reseeds = record.kind == JournalRecord::Kind::kOpen && record.position > 1;
   if (outcome.ok() && reseeds) reseeds_.Increment();
   if (absl::IsAborted(outcome) && !record.journal->lost()) fences_.Increment();
@@ -445,14 +414,12 @@ void JournalStore::SetReachable(const absl::Status& status) {
   }
 }
 
-bool JournalStore::WaitToRetry(Work work) {
+bool JournalStore::WaitToRetry(std::vector<JournalRecord> records) {
   std::vector<std::shared_ptr<SessionJournal>> journals;
   {
     absl::MutexLock lock(&mutex_);
-    std::move(queue_.records.begin(), queue_.records.end(), std::back_inserter(work.records));
-    std::move(queue_.queued.begin(), queue_.queued.end(), std::back_inserter(work.queued));
-    queue_.records = std::move(work.records);
-    queue_.queued = std::move(work.queued);
+    std::ranges::move(queue_.records, std::back_inserter(records));
+    queue_.records = std::move(records);
     for (const JournalRecord& record : queue_.records) journals.push_back(record.journal);
   }
   const absl::Status away = CheckReachable();

@@ -104,7 +104,6 @@ class JournalStore final : public JournalWriter {
   };
   struct Work {
     std::vector<JournalRecord> records;
-    std::vector<absl::Duration> queued;  // when each of `records` was queued
     std::vector<ClaimRequest> claims;
   };
 
@@ -122,29 +121,28 @@ class JournalStore final : public JournalWriter {
   void WriteAgain(const std::vector<std::shared_ptr<SessionJournal>>& journals);
   // Moves those of the records [first, end) that a later snapshot replaces to the front, leaves
   // them out, and returns the index of the first other one.
-  size_t SkipReplaced(size_t first, size_t end, Work* work);
+  size_t SkipReplaced(size_t first, size_t end, std::vector<JournalRecord>* records);
   // Returns true if all records were written or refused.
-  bool WriteRecords(Work* work);
+  bool WriteRecords(std::vector<JournalRecord>* records);
   // Takes the records [first, end), except those of sessions in `waiting_`, which get behind them.
-  Work TakeBatch(size_t first, size_t end, Work* work);
+  std::vector<JournalRecord> TakeBatch(size_t first, size_t end,
+                                       std::vector<JournalRecord>* records);
   // Takes the outcomes of a batch, and puts those that are to be written again into `waiting_`.
-  void TakeBatchOutcomes(Work batch, const std::vector<absl::Status>& outcomes);
-  void Refuse(JournalRecord record, absl::Duration queued);
-  // Moves what was refused to the front of `work`, if it is to be tried again now. Returns false if
-  // it is to be tried later.
-  bool TryRefusedAgain(Work* work);
+  void TakeOutcomes(std::vector<JournalRecord> batch, const std::vector<absl::Status>& outcomes);
+  void Refuse(JournalRecord record);
+  // Moves what was refused to the front of `records`, if it is to be tried again now. Returns false
+  // if it is to be tried later.
+  bool TryRefusedAgain(std::vector<JournalRecord>* records);
   // Says whether the store refuses records, and sets when they are tried again if they were now.
   void NoteRefusals(bool tried);
-  void TakeOutcomes(absl::Span<const JournalRecord> batch, absl::Span<const absl::Duration> queued,
-                    const std::vector<absl::Status>& outcomes);
-  void Count(const JournalRecord& record, const absl::Status& outcome, absl::Duration latency);
+  void Count(const JournalRecord& record, const absl::Status& outcome);
   void RunClaims(std::vector<ClaimRequest> requests);
   // Refuses what waits when the store gives up.
   void DropClaims() ABSL_LOCKS_EXCLUDED(mutex_);
   void SetReachable(const absl::Status& status);
   // Puts the records back to the front of the queue, fails the waits for records that are
   // given up, and waits before the next try. Returns false if the store stops and gives up.
-  bool WaitToRetry(Work work) ABSL_LOCKS_EXCLUDED(mutex_);
+  bool WaitToRetry(std::vector<JournalRecord> records) ABSL_LOCKS_EXCLUDED(mutex_);
 
   const std::unique_ptr<JournalBackend> backend_;
   const bool is_shared_;
@@ -169,7 +167,7 @@ class JournalStore final : public JournalWriter {
 
   // Of the thread:
   absl::Duration retry_delay_;
-  Work waiting_;                                      // records that the store did not take
+  std::vector<JournalRecord> waiting_;                // that the store did not take
   std::set<const SessionJournal*> waiting_journals_;  // their journals
   absl::Status refusal_;                              // of the last one of them
   bool said_refusal_ = false;
