@@ -37,18 +37,125 @@ class Salvage {
   Salvage(const std::string& damaged, MDB_env* target, FileRepair* repair)
       : damaged_(damaged), target_(target), repair_(*repair) {}
 
-  absl::Status Run();
+  absl::Status Run() {
+    RETURN_IF_ERROR(Open());
+    ASSIGN_OR_RETURN(const auto damage,
+                     ScanLmdbFile(
+                         damaged_,
+                         [this](absl::string_view table, absl::string_view key,
+                                absl::string_view value) { CopyKey(table, key, value); },
+                         [this](absl::string_view table) { OnGap(table); }));
+    for (const auto step :
+         {&Salvage::MarkIncomplete, &Salvage::NameSessions, &Salvage::MarkSessionsWithoutRecords}) {
+      if (failure_.ok()) failure_ = (this->*step)();
+    }
+    if (failure_.ok()) failure_ = transaction_->Commit();
+    if (failure_.ok() && repair_.sessions == 0) {
+      return absl::DataLossError(absl::StrCat(damaged_,
+                                              ": expected sessions, received none that can "
+                                              "be read: ",
+                                              Describe(damage)));
+    }
+    return failure_;
+  }
 
  private:
-  absl::Status Open();
-  void CopyKey(absl::string_view table, absl::string_view key, absl::string_view value);
-  void OnGap(absl::string_view table);
+  absl::Status Open() {
+    ASSIGN_OR_RETURN(transaction_, LmdbTransaction::Begin(target_));
+    ASSIGN_OR_RETURN(const auto sessions, transaction_->OpenTable(kSessionsTable));
+    ASSIGN_OR_RETURN(const auto records, transaction_->OpenTable(kRecordsTable));
+    sessions_ = sessions;
+    records_ = records;
+    return absl::OkStatus();
+  }
+
+  void CopyKey(absl::string_view table, absl::string_view key, absl::string_view value) {
+    const bool is_record = table == kRecordsTable;
+    const size_t size = kStoredIdBytes + (is_record ? kNumberBytes : 0);
+    if (!failure_.ok() || key.size() != size || (!is_record && table != kSessionsTable)) return;
+    if (is_record) last_record_ = std::string(key);
+    failure_ = transaction_->Put(is_record ? records_ : sessions_, key, value);
+  }
+
+  void OnGap(absl::string_view table) {
+    if (table != kRecordsTable || last_record_.empty()) return;
+    uint64_t number = 0;
+    for (size_t i = kStoredIdBytes; i < last_record_.size(); ++i) {
+      number = number << 8 | static_cast<uint8_t>(last_record_[i]);
+    }
+    ends_[last_record_.substr(0, kStoredIdBytes)] = number + 1;
+  }
+
   // Puts a damaged record behind each journal that may lack its end, as a power cut leaves it.
-  absl::Status MarkIncomplete();
-  absl::Status MarkSessionsWithoutRecords();
+  absl::Status MarkIncomplete() {
+    for (const auto& entry : ends_) {
+      const auto& id = entry.first;
+      const uint64_t end = entry.second;
+      RETURN_IF_ERROR(transaction_->Get(records_, StoredRecordKey(id, end)).status());
+      // What follows was read, so what is missing lies between: the journal shows it.
+      bool is_last = true;
+      auto status = transaction_->Scan(records_, id, [&](absl::string_view key, absl::string_view) {
+        is_last = is_last && key < StoredRecordKey(id, end);
+      });
+      if (status.ok() && is_last) {
+        status = transaction_->Put(records_, StoredRecordKey(id, end), DamagedRecord());
+      }
+      if (!status.ok()) return status;
+      ++repair_.incomplete;
+    }
+    return absl::OkStatus();
+  }
+
+  absl::Status MarkSessionsWithoutRecords() {
+    std::vector<std::string> ids;
+    auto status = transaction_->Scan(
+        sessions_, "", [&](absl::string_view id, absl::string_view) { ids.emplace_back(id); });
+    repair_.sessions = static_cast<int64_t>(ids.size());
+    for (const std::string& id : ids) {
+      if (!status.ok()) return status;
+      ASSIGN_OR_RETURN(const auto records, Records(id));
+      if (!records.empty()) continue;
+      ++repair_.without;
+      status = transaction_->Put(records_, StoredRecordKey(id, 0), DamagedRecord());
+    }
+    return status;
+  }
+
   // A session whose description is lost has the tenant of its snapshot.
-  absl::Status NameSessions();
-  absl::StatusOr<std::vector<std::string>> Records(const std::string& id);
+  absl::Status NameSessions() {
+    std::map<std::string, std::vector<std::string>> keys;  // by session without a description
+    absl::Status status =
+        transaction_->Scan(records_, "", [&](absl::string_view key, absl::string_view) {
+          const std::string id(key.substr(0, kStoredIdBytes));
+          const auto known = transaction_->Get(sessions_, id);
+          if (known.ok() && !known->has_value()) keys[id].emplace_back(key);
+        });
+    for (const auto& [id, own] : keys) {
+      if (!status.ok()) return status;
+      ASSIGN_OR_RETURN(auto records, Records(id));
+      CutDamagedEnd(&records).IgnoreError();
+      const auto journal = ParseJournal(records);
+      if (journal.ok()) {
+        const StoredSession session = {
+            .tenant = journal->snapshot.options.tenant, .epoch = 1, .written_seconds = 0};
+        status = transaction_->Put(sessions_, id, codec::Serialize(kStoredSessionFormat, session));
+        continue;
+      }
+      ++repair_.unnamed;
+      for (const std::string& key : own) {
+        if (status.ok()) status = transaction_->Delete(records_, key);
+      }
+    }
+    return status;
+  }
+
+  absl::StatusOr<std::vector<std::string>> Records(const std::string& id) {
+    std::vector<std::string> records;
+    RETURN_IF_ERROR(transaction_->Scan(
+        records_, id,
+        [&](absl::string_view, absl::string_view bytes) { records.push_back(OpenRecord(bytes)); }));
+    return records;
+  }
 
   const std::string damaged_;
   MDB_env* const target_;
@@ -61,123 +168,6 @@ class Salvage {
       ends_;  // by session: behind its last record, which may be missing
   absl::Status failure_;
 };
-
-absl::Status Salvage::Run() {
-  RETURN_IF_ERROR(Open());
-  ASSIGN_OR_RETURN(const auto damage,
-                   ScanLmdbFile(
-                       damaged_,
-                       [this](absl::string_view table, absl::string_view key,
-                              absl::string_view value) { CopyKey(table, key, value); },
-                       [this](absl::string_view table) { OnGap(table); }));
-  for (const auto step :
-       {&Salvage::MarkIncomplete, &Salvage::NameSessions, &Salvage::MarkSessionsWithoutRecords}) {
-    if (failure_.ok()) failure_ = (this->*step)();
-  }
-  if (failure_.ok()) failure_ = transaction_->Commit();
-  if (failure_.ok() && repair_.sessions == 0) {
-    return absl::DataLossError(absl::StrCat(damaged_,
-                                            ": expected sessions, received none that can "
-                                            "be read: ",
-                                            Describe(damage)));
-  }
-  return failure_;
-}
-
-absl::Status Salvage::Open() {
-  ASSIGN_OR_RETURN(transaction_, LmdbTransaction::Begin(target_));
-  ASSIGN_OR_RETURN(const auto sessions, transaction_->OpenTable(kSessionsTable));
-  ASSIGN_OR_RETURN(const auto records, transaction_->OpenTable(kRecordsTable));
-  sessions_ = sessions;
-  records_ = records;
-  return absl::OkStatus();
-}
-
-void Salvage::CopyKey(absl::string_view table, absl::string_view key, absl::string_view value) {
-  const bool is_record = table == kRecordsTable;
-  const size_t size = kStoredIdBytes + (is_record ? kNumberBytes : 0);
-  if (!failure_.ok() || key.size() != size || (!is_record && table != kSessionsTable)) return;
-  if (is_record) last_record_ = std::string(key);
-  failure_ = transaction_->Put(is_record ? records_ : sessions_, key, value);
-}
-
-void Salvage::OnGap(absl::string_view table) {
-  if (table != kRecordsTable || last_record_.empty()) return;
-  uint64_t number = 0;
-  for (size_t i = kStoredIdBytes; i < last_record_.size(); ++i) {
-    number = number << 8 | static_cast<uint8_t>(last_record_[i]);
-  }
-  ends_[last_record_.substr(0, kStoredIdBytes)] = number + 1;
-}
-
-absl::Status Salvage::MarkIncomplete() {
-  for (const auto& entry : ends_) {
-    const auto& id = entry.first;
-    const uint64_t end = entry.second;
-    RETURN_IF_ERROR(transaction_->Get(records_, StoredRecordKey(id, end)).status());
-    // What follows was read, so what is missing lies between: the journal shows it.
-    bool is_last = true;
-    auto status = transaction_->Scan(records_, id, [&](absl::string_view key, absl::string_view) {
-      is_last = is_last && key < StoredRecordKey(id, end);
-    });
-    if (status.ok() && is_last) {
-      status = transaction_->Put(records_, StoredRecordKey(id, end), DamagedRecord());
-    }
-    if (!status.ok()) return status;
-    ++repair_.incomplete;
-  }
-  return absl::OkStatus();
-}
-
-absl::StatusOr<std::vector<std::string>> Salvage::Records(const std::string& id) {
-  std::vector<std::string> records;
-  RETURN_IF_ERROR(transaction_->Scan(records_, id, [&](absl::string_view, absl::string_view bytes) {
-    records.push_back(OpenRecord(bytes));
-  }));
-  return records;
-}
-
-absl::Status Salvage::NameSessions() {
-  std::map<std::string, std::vector<std::string>> keys;  // by session without a description
-  absl::Status status =
-      transaction_->Scan(records_, "", [&](absl::string_view key, absl::string_view) {
-        const std::string id(key.substr(0, kStoredIdBytes));
-        const auto known = transaction_->Get(sessions_, id);
-        if (known.ok() && !known->has_value()) keys[id].emplace_back(key);
-      });
-  for (const auto& [id, own] : keys) {
-    if (!status.ok()) return status;
-    ASSIGN_OR_RETURN(auto records, Records(id));
-    CutDamagedEnd(&records).IgnoreError();
-    const auto journal = ParseJournal(records);
-    if (journal.ok()) {
-      const StoredSession session = {
-          .tenant = journal->snapshot.options.tenant, .epoch = 1, .written_seconds = 0};
-      status = transaction_->Put(sessions_, id, codec::Serialize(kStoredSessionFormat, session));
-      continue;
-    }
-    ++repair_.unnamed;
-    for (const std::string& key : own) {
-      if (status.ok()) status = transaction_->Delete(records_, key);
-    }
-  }
-  return status;
-}
-
-absl::Status Salvage::MarkSessionsWithoutRecords() {
-  std::vector<std::string> ids;
-  auto status = transaction_->Scan(
-      sessions_, "", [&](absl::string_view id, absl::string_view) { ids.emplace_back(id); });
-  repair_.sessions = static_cast<int64_t>(ids.size());
-  for (const std::string& id : ids) {
-    if (!status.ok()) return status;
-    ASSIGN_OR_RETURN(const auto records, Records(id));
-    if (!records.empty()) continue;
-    ++repair_.without;
-    status = transaction_->Put(records_, StoredRecordKey(id, 0), DamagedRecord());
-  }
-  return status;
-}
 
 // Puts `from` in the place of `to`, whose file gets the name `kept` too. A crash leaves either.
 absl::Status Replace(const std::string& directory, const std::string& from, const std::string& to,

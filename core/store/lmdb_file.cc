@@ -67,7 +67,27 @@ class Scan {
  public:
   Scan(int file, LmdbVisitor visit, LmdbGapVisitor gap) : file_(file), visit_(visit), gap_(gap) {}
 
-  absl::Status Run();
+  absl::Status Run() {
+    RETURN_IF_ERROR(ChooseMeta());
+    taken_.assign(meta_.last_page + 1, false);
+    const auto check_free = [this](const Node& node, absl::string_view value) {
+      CheckFreePages(node, value);
+    };
+    WalkTable(meta_.free, {.name = "", .order = Order::kNumber, .visit = check_free});
+    const auto walk_named = [this](const Node& named, absl::string_view value) {
+      if (named.flags != kTableNode || value.size() != kTableBytes) {
+        return Report(meta_.main.root, "expected the description of a table");
+      }
+      const std::string name(named.key);
+      const auto visit = [&](const Node& node, absl::string_view bytes) {
+        visit_(name, node.key, bytes);
+      };
+      WalkTable(Table::Parse(value), {.name = name, .order = Order::kBytes, .visit = visit});
+    };
+    WalkTable(meta_.main, {.name = "", .order = Order::kBytes, .visit = walk_named});
+    return absl::OkStatus();
+  }
+
   std::vector<LmdbDamage> TakeDamage() { return std::move(damage_); }
 
  private:
@@ -91,27 +111,222 @@ class Scan {
     Visit visit;
   };
 
-  std::optional<Meta> ReadMeta(uint64_t page, size_t offset);
-  absl::Status ChooseMeta();
-  std::string ReadBytes(uint64_t offset, size_t count) const;
-  void Report(uint64_t page, std::string reason);
-  // Returns false and reports `page` if it is none, or was met before.
-  bool Take(uint64_t page);
-  void WalkTable(const Table& table, const Walk& walk);
-  void WalkPage(uint64_t number, int levels, const Bounds& bounds, const Walk& walk);
-  // Returns the number of keys, or nullopt if the header is damaged.
-  std::optional<size_t> CheckHeader(uint64_t number, absl::string_view page, uint16_t kind);
-  std::optional<Node> ParseNode(uint64_t number, absl::string_view page, size_t index,
-                                bool is_branch);
-  void WalkBranch(uint64_t number, absl::string_view page, size_t keys, int levels,
-                  const Bounds& bounds, const Walk& walk);
-  void WalkLeaf(uint64_t number, absl::string_view page, size_t keys, const Bounds& bounds,
-                const Walk& walk);
-  // Returns the value of a node of a leaf, or nullopt if its overflow pages are damaged.
-  std::optional<std::string> ReadValue(absl::string_view page, const Node& node);
-  void CheckFreePages(const Node& node, absl::string_view value);
+  std::optional<Meta> ReadMeta(uint64_t page, size_t offset) {
+    const std::string bytes = ReadBytes(offset, kHeaderBytes + kMetaBytes);
+    const absl::string_view meta = absl::string_view(bytes).substr(kHeaderBytes);
+    const Meta parsed = {.page_bytes = Load<uint32_t>(meta, 24),
+                         .free = Table::Parse(meta.substr(24)),
+                         .main = Table::Parse(meta.substr(24 + kTableBytes)),
+                         .last_page = Load<uint64_t>(meta, 24 + 2 * kTableBytes),
+                         .transaction = Load<uint64_t>(meta, 32 + 2 * kTableBytes)};
+    const bool is_meta = (Load<uint16_t>(bytes, 10) & kMetaPage) != 0 &&
+                         Load<uint32_t>(meta, 0) == kMagic && Load<uint32_t>(meta, 4) == kFormat;
+    const uint64_t size = parsed.page_bytes;
+    const bool is_power = size >= 512 && size <= 65536 && (size & (size - 1)) == 0;
+    if (is_meta && is_power && parsed.last_page < kMostStoreBytes / size) return parsed;
+    Report(page, "expected a description of the file");
+    return std::nullopt;
+  }
 
-  static bool IsBefore(absl::string_view a, absl::string_view b, Order order);
+  // The two descriptions are written in turn, so the newer one is that of the last transaction.
+  absl::Status ChooseMeta() {
+    auto first = ReadMeta(0, 0);
+    const auto page_bytes =
+        first.has_value() ? first->page_bytes : static_cast<uint64_t>(sysconf(_SC_PAGESIZE));
+    auto second = ReadMeta(1, page_bytes);
+    if (!first.has_value() && !second.has_value()) {
+      return absl::DataLossError("expected a file of LMDB, received one without its first pages");
+    }
+    const bool is_second =
+        !first.has_value() || (second.has_value() && second->transaction > first->transaction);
+    meta_ = is_second ? *second : *first;
+    return absl::OkStatus();
+  }
+
+  // Bytes behind the end of the file, or of a broken disk, are zeros.
+  std::string ReadBytes(uint64_t offset, size_t count) const {
+    std::string bytes(count, '\0');
+    size_t done = 0;
+    while (done < count) {
+      const ssize_t received =
+          pread(file_, bytes.data() + done, count - done, static_cast<off_t>(offset + done));
+      if (received < 0 && errno == EINTR) continue;
+      if (received <= 0) break;
+      done += static_cast<size_t>(received);
+    }
+    return bytes;
+  }
+
+  void Report(uint64_t page, std::string reason) {
+    damage_.push_back({.page = page, .reason = std::move(reason)});
+  }
+
+  // Returns false and reports `page` if it is none, or was met before.
+  bool Take(uint64_t page) {
+    if (page < 2 || page > meta_.last_page) {
+      Report(page, absl::StrCat("expected a page from 2 to ", meta_.last_page));
+      return false;
+    }
+    if (taken_[page]) {
+      Report(page, "expected one use, received two");
+      return false;
+    }
+    taken_[page] = true;
+    return true;
+  }
+
+  void WalkTable(const Table& table, const Walk& walk) {
+    if (table.root == kNoPage) return;
+    if (table.depth < 1 || table.depth > kMostDepth) {
+      Report(table.root,
+             absl::StrCat("expected 1 to ", kMostDepth, " levels, received ", table.depth));
+      return gap_(walk.name);
+    }
+    WalkPage(table.root, table.depth, {}, walk);
+  }
+
+  void WalkPage(uint64_t number, int levels, const Bounds& bounds, const Walk& walk) {
+    if (!Take(number)) return gap_(walk.name);
+    const bool is_branch = levels > 1;
+    const std::string page = ReadBytes(number * meta_.page_bytes, meta_.page_bytes);
+    const auto keys = CheckHeader(number, page, is_branch ? kBranchPage : kLeafPage);
+    if (!keys.has_value()) return gap_(walk.name);
+    return is_branch ? WalkBranch(number, page, *keys, levels, bounds, walk)
+                     : WalkLeaf(number, page, *keys, bounds, walk);
+  }
+
+  // Returns the number of keys, or nullopt if the header is damaged.
+  std::optional<size_t> CheckHeader(uint64_t number, absl::string_view page, uint16_t kind) {
+    const auto own = Load<uint64_t>(page, 0);
+    const auto flags = Load<uint16_t>(page, 10);
+    const size_t lower = Load<uint16_t>(page, 12);
+    const size_t upper = Load<uint16_t>(page, 14);
+    if (own != number) {
+      Report(number, absl::StrCat("expected its own number, received ", own));
+    } else if (flags != kind) {
+      Report(number, absl::StrCat("expected the kind ", kind, ", received ", flags));
+    } else if (lower < kHeaderBytes + 2 || lower % 2 != 0 || lower > upper || upper > page.size()) {
+      Report(number,
+             absl::StrCat("expected keys and values, received them at ", lower, " and ", upper));
+    } else {
+      return (lower - kHeaderBytes) / 2;
+    }
+    return std::nullopt;
+  }
+
+  std::optional<Node> ParseNode(uint64_t number, absl::string_view page, size_t index,
+                                bool is_branch) {
+    const size_t at = Load<uint16_t>(page, kHeaderBytes + 2 * index);
+    const size_t lowest = Load<uint16_t>(page, 14);
+    if (at >= lowest && at % 2 == 0 && at + kNodeBytes <= page.size()) {
+      const uint64_t low = Load<uint32_t>(page, at);
+      const auto flags = Load<uint16_t>(page, at + 4);
+      const size_t key_bytes = Load<uint16_t>(page, at + 6);
+      Node node = {.flags = is_branch ? uint16_t{0} : flags,
+                   .size = is_branch ? low | uint64_t{flags} << 32 : low,
+                   .value_at = at + kNodeBytes + key_bytes,
+                   .key = {}};
+      const bool is_big = node.flags == kBigNode;
+      const uint64_t in_page = is_branch ? 0 : is_big ? sizeof(uint64_t) : node.size;
+      const bool is_known = is_branch || flags == 0 || is_big || flags == kTableNode;
+      if (is_known && key_bytes <= kMostKeyBytes && node.value_at + in_page <= page.size()) {
+        node.key = page.substr(at + kNodeBytes, key_bytes);
+        return node;
+      }
+    }
+    Report(number, absl::StrCat("expected key ", index, " within the page"));
+    return std::nullopt;
+  }
+
+  void WalkBranch(uint64_t number, absl::string_view page, size_t keys, int levels,
+                  const Bounds& bounds, const Walk& walk) {
+    // The key of the first child is not used: it has everything before the second one.
+    std::vector<std::optional<Node>> nodes;
+    for (size_t i = 0; i < keys; ++i) {
+      nodes.push_back(ParseNode(number, page, i, /*is_branch=*/true));
+      if (i == 0 || !nodes[i].has_value()) continue;
+      const bool in_order = i == 1 || !nodes[i - 1].has_value() ||
+                            IsBefore(nodes[i - 1]->key, nodes[i]->key, walk.order);
+      if (!in_order) Report(number, absl::StrCat("expected key ", i, " behind the one before"));
+    }
+    for (size_t i = 0; i < keys; ++i) {
+      if (!nodes[i].has_value()) {
+        gap_(walk.name);
+        continue;
+      }
+      Bounds inner = bounds;
+      if (i > 0) inner.from = std::string(nodes[i]->key);
+      if (i + 1 < keys && nodes[i + 1].has_value()) inner.to = std::string(nodes[i + 1]->key);
+      WalkPage(nodes[i]->size, levels - 1, inner, walk);
+    }
+  }
+
+  void WalkLeaf(uint64_t number, absl::string_view page, size_t keys, const Bounds& bounds,
+                const Walk& walk) {
+    std::string last = bounds.from;
+    for (size_t i = 0; i < keys; ++i) {
+      const auto node = ParseNode(number, page, i, /*is_branch=*/false);
+      if (!node.has_value()) {
+        gap_(walk.name);
+        continue;
+      }
+      const bool is_first = i == 0;
+      const bool in_order = is_first ? last.empty() || !IsBefore(node->key, last, walk.order)
+                                     : IsBefore(last, node->key, walk.order);
+      const bool in_bounds = !bounds.to.has_value() || IsBefore(node->key, *bounds.to, walk.order);
+      if (!in_order || !in_bounds) {
+        Report(number, absl::StrCat("expected key ", i, " between its neighbours"));
+        gap_(walk.name);
+        continue;
+      }
+      last = std::string(node->key);
+      if (const auto value = ReadValue(page, *node); value.has_value()) {
+        walk.visit(*node, *value);
+      } else {
+        gap_(walk.name);
+      }
+    }
+  }
+
+  // Returns the value of a node of a leaf, or nullopt if its overflow pages are damaged.
+  std::optional<std::string> ReadValue(absl::string_view page, const Node& node) {
+    if (node.flags != kBigNode) return std::string(page.substr(node.value_at, node.size));
+    const auto first = Load<uint64_t>(page, node.value_at);
+    const uint64_t least = (kHeaderBytes - 1 + node.size) / meta_.page_bytes + 1;
+    if (!Take(first)) return std::nullopt;
+    const std::string header = ReadBytes(first * meta_.page_bytes, kHeaderBytes);
+    const uint64_t pages = Load<uint32_t>(header, 12);
+    const bool is_whole = Load<uint64_t>(header, 0) == first &&
+                          Load<uint16_t>(header, 10) == kOverflowPage && pages >= least &&
+                          first + pages - 1 <= meta_.last_page;
+    if (!is_whole) {
+      Report(first, absl::StrCat("expected the first of at least ", least, " pages with a value"));
+      return std::nullopt;
+    }
+    for (uint64_t other = first + 1; other < first + pages; ++other) {
+      if (!Take(other)) return std::nullopt;
+    }
+    return ReadBytes(first * meta_.page_bytes + kHeaderBytes, node.size);
+  }
+
+  // A value is the number of pages and then their numbers, in descending order.
+  void CheckFreePages(const Node& node, absl::string_view value) {
+    const size_t count = value.size() / sizeof(uint64_t);
+    const bool has_count =
+        node.key.size() == sizeof(uint64_t) && count >= 1 && Load<uint64_t>(value, 0) < count;
+    if (!has_count) return Report(meta_.free.root, "expected a list of free pages");
+    for (uint64_t i = 1; i <= Load<uint64_t>(value, 0); ++i) {
+      if (!Take(Load<uint64_t>(value, i * sizeof(uint64_t)))) return;
+    }
+  }
+
+  static bool IsBefore(absl::string_view a, absl::string_view b, Order order) {
+    if (order == Order::kBytes) return a < b;
+    const auto number = [](absl::string_view key) {
+      return key.size() == sizeof(uint64_t) ? Load<uint64_t>(key, 0) : 0;
+    };
+    return number(a) < number(b);
+  }
 
   const int file_;
   const LmdbVisitor visit_;
@@ -120,241 +335,6 @@ class Scan {
   std::vector<bool> taken_;  // by page
   std::vector<LmdbDamage> damage_;
 };
-
-absl::Status Scan::Run() {
-  RETURN_IF_ERROR(ChooseMeta());
-  taken_.assign(meta_.last_page + 1, false);
-  const auto check_free = [this](const Node& node, absl::string_view value) {
-    CheckFreePages(node, value);
-  };
-  WalkTable(meta_.free, {.name = "", .order = Order::kNumber, .visit = check_free});
-  const auto walk_named = [this](const Node& named, absl::string_view value) {
-    if (named.flags != kTableNode || value.size() != kTableBytes) {
-      return Report(meta_.main.root, "expected the description of a table");
-    }
-    const std::string name(named.key);
-    const auto visit = [&](const Node& node, absl::string_view bytes) {
-      visit_(name, node.key, bytes);
-    };
-    WalkTable(Table::Parse(value), {.name = name, .order = Order::kBytes, .visit = visit});
-  };
-  WalkTable(meta_.main, {.name = "", .order = Order::kBytes, .visit = walk_named});
-  return absl::OkStatus();
-}
-
-// The two descriptions are written in turn, so the newer one is that of the last transaction.
-absl::Status Scan::ChooseMeta() {
-  auto first = ReadMeta(0, 0);
-  const auto page_bytes =
-      first.has_value() ? first->page_bytes : static_cast<uint64_t>(sysconf(_SC_PAGESIZE));
-  auto second = ReadMeta(1, page_bytes);
-  if (!first.has_value() && !second.has_value()) {
-    return absl::DataLossError("expected a file of LMDB, received one without its first pages");
-  }
-  const bool is_second =
-      !first.has_value() || (second.has_value() && second->transaction > first->transaction);
-  meta_ = is_second ? *second : *first;
-  return absl::OkStatus();
-}
-
-std::optional<Meta> Scan::ReadMeta(uint64_t page, size_t offset) {
-  const std::string bytes = ReadBytes(offset, kHeaderBytes + kMetaBytes);
-  const absl::string_view meta = absl::string_view(bytes).substr(kHeaderBytes);
-  const Meta parsed = {.page_bytes = Load<uint32_t>(meta, 24),
-                       .free = Table::Parse(meta.substr(24)),
-                       .main = Table::Parse(meta.substr(24 + kTableBytes)),
-                       .last_page = Load<uint64_t>(meta, 24 + 2 * kTableBytes),
-                       .transaction = Load<uint64_t>(meta, 32 + 2 * kTableBytes)};
-  const bool is_meta = (Load<uint16_t>(bytes, 10) & kMetaPage) != 0 &&
-                       Load<uint32_t>(meta, 0) == kMagic && Load<uint32_t>(meta, 4) == kFormat;
-  const uint64_t size = parsed.page_bytes;
-  const bool is_power = size >= 512 && size <= 65536 && (size & (size - 1)) == 0;
-  if (is_meta && is_power && parsed.last_page < kMostStoreBytes / size) return parsed;
-  Report(page, "expected a description of the file");
-  return std::nullopt;
-}
-
-// Bytes behind the end of the file, or of a broken disk, are zeros.
-std::string Scan::ReadBytes(uint64_t offset, size_t count) const {
-  std::string bytes(count, '\0');
-  size_t done = 0;
-  while (done < count) {
-    const ssize_t received =
-        pread(file_, bytes.data() + done, count - done, static_cast<off_t>(offset + done));
-    if (received < 0 && errno == EINTR) continue;
-    if (received <= 0) break;
-    done += static_cast<size_t>(received);
-  }
-  return bytes;
-}
-
-void Scan::Report(uint64_t page, std::string reason) {
-  damage_.push_back({.page = page, .reason = std::move(reason)});
-}
-
-bool Scan::Take(uint64_t page) {
-  if (page < 2 || page > meta_.last_page) {
-    Report(page, absl::StrCat("expected a page from 2 to ", meta_.last_page));
-    return false;
-  }
-  if (taken_[page]) {
-    Report(page, "expected one use, received two");
-    return false;
-  }
-  taken_[page] = true;
-  return true;
-}
-
-void Scan::WalkTable(const Table& table, const Walk& walk) {
-  if (table.root == kNoPage) return;
-  if (table.depth < 1 || table.depth > kMostDepth) {
-    Report(table.root,
-           absl::StrCat("expected 1 to ", kMostDepth, " levels, received ", table.depth));
-    return gap_(walk.name);
-  }
-  WalkPage(table.root, table.depth, {}, walk);
-}
-
-void Scan::WalkPage(uint64_t number, int levels, const Bounds& bounds, const Walk& walk) {
-  if (!Take(number)) return gap_(walk.name);
-  const bool is_branch = levels > 1;
-  const std::string page = ReadBytes(number * meta_.page_bytes, meta_.page_bytes);
-  const auto keys = CheckHeader(number, page, is_branch ? kBranchPage : kLeafPage);
-  if (!keys.has_value()) return gap_(walk.name);
-  return is_branch ? WalkBranch(number, page, *keys, levels, bounds, walk)
-                   : WalkLeaf(number, page, *keys, bounds, walk);
-}
-
-std::optional<size_t> Scan::CheckHeader(uint64_t number, absl::string_view page, uint16_t kind) {
-  const auto own = Load<uint64_t>(page, 0);
-  const auto flags = Load<uint16_t>(page, 10);
-  const size_t lower = Load<uint16_t>(page, 12);
-  const size_t upper = Load<uint16_t>(page, 14);
-  if (own != number) {
-    Report(number, absl::StrCat("expected its own number, received ", own));
-  } else if (flags != kind) {
-    Report(number, absl::StrCat("expected the kind ", kind, ", received ", flags));
-  } else if (lower < kHeaderBytes + 2 || lower % 2 != 0 || lower > upper || upper > page.size()) {
-    Report(number,
-           absl::StrCat("expected keys and values, received them at ", lower, " and ", upper));
-  } else {
-    return (lower - kHeaderBytes) / 2;
-  }
-  return std::nullopt;
-}
-
-std::optional<Scan::Node> Scan::ParseNode(uint64_t number, absl::string_view page, size_t index,
-                                          bool is_branch) {
-  const size_t at = Load<uint16_t>(page, kHeaderBytes + 2 * index);
-  const size_t lowest = Load<uint16_t>(page, 14);
-  if (at >= lowest && at % 2 == 0 && at + kNodeBytes <= page.size()) {
-    const uint64_t low = Load<uint32_t>(page, at);
-    const auto flags = Load<uint16_t>(page, at + 4);
-    const size_t key_bytes = Load<uint16_t>(page, at + 6);
-    Node node = {.flags = is_branch ? uint16_t{0} : flags,
-                 .size = is_branch ? low | uint64_t{flags} << 32 : low,
-                 .value_at = at + kNodeBytes + key_bytes,
-                 .key = {}};
-    const bool is_big = node.flags == kBigNode;
-    const uint64_t in_page = is_branch ? 0 : is_big ? sizeof(uint64_t) : node.size;
-    const bool is_known = is_branch || flags == 0 || is_big || flags == kTableNode;
-    if (is_known && key_bytes <= kMostKeyBytes && node.value_at + in_page <= page.size()) {
-      node.key = page.substr(at + kNodeBytes, key_bytes);
-      return node;
-    }
-  }
-  Report(number, absl::StrCat("expected key ", index, " within the page"));
-  return std::nullopt;
-}
-
-bool Scan::IsBefore(absl::string_view a, absl::string_view b, Order order) {
-  if (order == Order::kBytes) return a < b;
-  const auto number = [](absl::string_view key) {
-    return key.size() == sizeof(uint64_t) ? Load<uint64_t>(key, 0) : 0;
-  };
-  return number(a) < number(b);
-}
-
-void Scan::WalkBranch(uint64_t number, absl::string_view page, size_t keys, int levels,
-                      const Bounds& bounds, const Walk& walk) {
-  // The key of the first child is not used: it has everything before the second one.
-  std::vector<std::optional<Node>> nodes;
-  for (size_t i = 0; i < keys; ++i) {
-    nodes.push_back(ParseNode(number, page, i, /*is_branch=*/true));
-    if (i == 0 || !nodes[i].has_value()) continue;
-    const bool in_order = i == 1 || !nodes[i - 1].has_value() ||
-                          IsBefore(nodes[i - 1]->key, nodes[i]->key, walk.order);
-    if (!in_order) Report(number, absl::StrCat("expected key ", i, " behind the one before"));
-  }
-  for (size_t i = 0; i < keys; ++i) {
-    if (!nodes[i].has_value()) {
-      gap_(walk.name);
-      continue;
-    }
-    Bounds inner = bounds;
-    if (i > 0) inner.from = std::string(nodes[i]->key);
-    if (i + 1 < keys && nodes[i + 1].has_value()) inner.to = std::string(nodes[i + 1]->key);
-    WalkPage(nodes[i]->size, levels - 1, inner, walk);
-  }
-}
-
-void Scan::WalkLeaf(uint64_t number, absl::string_view page, size_t keys, const Bounds& bounds,
-                    const Walk& walk) {
-  std::string last = bounds.from;
-  for (size_t i = 0; i < keys; ++i) {
-    const auto node = ParseNode(number, page, i, /*is_branch=*/false);
-    if (!node.has_value()) {
-      gap_(walk.name);
-      continue;
-    }
-    const bool is_first = i == 0;
-    const bool in_order = is_first ? last.empty() || !IsBefore(node->key, last, walk.order)
-                                   : IsBefore(last, node->key, walk.order);
-    const bool in_bounds = !bounds.to.has_value() || IsBefore(node->key, *bounds.to, walk.order);
-    if (!in_order || !in_bounds) {
-      Report(number, absl::StrCat("expected key ", i, " between its neighbours"));
-      gap_(walk.name);
-      continue;
-    }
-    last = std::string(node->key);
-    if (const auto value = ReadValue(page, *node); value.has_value()) {
-      walk.visit(*node, *value);
-    } else {
-      gap_(walk.name);
-    }
-  }
-}
-
-std::optional<std::string> Scan::ReadValue(absl::string_view page, const Node& node) {
-  if (node.flags != kBigNode) return std::string(page.substr(node.value_at, node.size));
-  const auto first = Load<uint64_t>(page, node.value_at);
-  const uint64_t least = (kHeaderBytes - 1 + node.size) / meta_.page_bytes + 1;
-  if (!Take(first)) return std::nullopt;
-  const std::string header = ReadBytes(first * meta_.page_bytes, kHeaderBytes);
-  const uint64_t pages = Load<uint32_t>(header, 12);
-  const bool is_whole = Load<uint64_t>(header, 0) == first &&
-                        Load<uint16_t>(header, 10) == kOverflowPage && pages >= least &&
-                        first + pages - 1 <= meta_.last_page;
-  if (!is_whole) {
-    Report(first, absl::StrCat("expected the first of at least ", least, " pages with a value"));
-    return std::nullopt;
-  }
-  for (uint64_t other = first + 1; other < first + pages; ++other) {
-    if (!Take(other)) return std::nullopt;
-  }
-  return ReadBytes(first * meta_.page_bytes + kHeaderBytes, node.size);
-}
-
-// A value is the number of pages and then their numbers, in descending order.
-void Scan::CheckFreePages(const Node& node, absl::string_view value) {
-  const size_t count = value.size() / sizeof(uint64_t);
-  const bool has_count =
-      node.key.size() == sizeof(uint64_t) && count >= 1 && Load<uint64_t>(value, 0) < count;
-  if (!has_count) return Report(meta_.free.root, "expected a list of free pages");
-  for (uint64_t i = 1; i <= Load<uint64_t>(value, 0); ++i) {
-    if (!Take(Load<uint64_t>(value, i * sizeof(uint64_t)))) return;
-  }
-}
 
 // Closes a file.
 class OpenFile {
