@@ -12,18 +12,28 @@
 #include "absl/time/time.h"
 #include "client/src/replicas.h"
 #include "spikeserve/retry.h"
+#include "spikeserve/status.h"
+#include "spikeserve/unacknowledged.h"
 
 namespace spikeserve {
 
 // Returns whether another replica may have the session of a request that failed: this one does not
 // know it, or misses more decisions than a session keeps. It wrote what it had once, after the
 // store has lost the session. `decision` is that of the request; 0: it has none.
-bool IsElsewhere(const absl::Status& error, uint64_t decision);
+inline bool IsElsewhere(const absl::Status& error, uint64_t decision) {
+  const auto expected = ExpectedDecision(error);
+  return absl::IsNotFound(error) ||
+         (expected.has_value() && *expected + Unacknowledged::kMostDecisions < decision);
+}
 
 class Attempts {
  public:
   // The arguments must outlive the object.
-  Attempts(Replicas* replicas, Route* route, const RetryOptions& retry);
+  Attempts(Replicas* replicas, Route* route, const RetryOptions& retry)
+      : replicas_(replicas),
+        route_(route),
+        schedule_(retry, route->key),
+        replica_(replicas->Choose(*route)) {}
 
   // The replica of the next attempt.
   Replica& replica() const { return *replica_; }
@@ -44,7 +54,24 @@ class Attempts {
   // that has not been asked yet to one that did not know it. So it is lost when all replicas say so
   // in a row.
   std::optional<absl::Duration> DelayAfter(const absl::Status& error, absl::Duration timeout,
-                                           bool is_elsewhere);
+                                           bool is_elsewhere) {
+    if (!replicas_->MayMove(*route_) || !(is_elsewhere || IsRetryable(error))) {
+      return schedule_.DelayAfter(error);
+    }
+    if (is_elsewhere) {
+      without_.insert(replica_);
+      if (without_.size() == replicas_->size()) return std::nullopt;
+    } else {
+      without_.clear();
+      const bool is_silent = absl::IsDeadlineExceeded(error);
+      is_silent ? replicas_->Failed(*replica_, timeout) : replicas_->Failed(*replica_);
+    }
+    tried_.insert(replica_);
+    const bool all_tried = tried_.size() == replicas_->size();
+    if (all_tried) tried_ = without_;
+    replica_ = replicas_->Choose(*route_, tried_);
+    return schedule_.NextDelay(all_tried ? RetryAfter(error) : std::nullopt);
+  }
 
  private:
   Replicas* const replicas_;

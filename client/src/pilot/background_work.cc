@@ -154,8 +154,8 @@ void Pilot::Controller::OpenStream() {
     absl::MutexLock lock(&mutex_);
     session_.OnStreamOpened(IndexOf(replica_));
   }
-  piloting::ActionStream::Listener* const listener = this;
-  stream_ = std::make_unique<piloting::ActionStream>(&replica_->connection, *route_, listener);
+  ActionStream::Listener* const listener = this;
+  stream_ = std::make_unique<ActionStream>(&replica_->connection, *route_, listener);
 }
 
 void Pilot::Controller::CloseStream() {
@@ -165,7 +165,7 @@ void Pilot::Controller::CloseStream() {
   if (session_.OnStreamClosed(is_renewed, SteadyTime())) replicas_->Failed(*replica_);
 }
 
-void Pilot::Controller::OnReply(const v1::ActResponse& reply) {
+void Pilot::Controller::OnReply(v1::ActResponse&& reply) {
   const robot::Now now = piloting::ReadClocks();
   robot::Error error;
   const robot::Reply view = piloting::ReplyOf(reply, &error);
@@ -175,10 +175,7 @@ void Pilot::Controller::OnReply(const v1::ActResponse& reply) {
     replicas_->Answered(*route_, *replica_);
   }
   const robot::Received received = session_.OnReply(view, now);
-  if (received.settled.has_value()) Complete(*received.settled, reply.ended());
-  if (reply.has_datagrams()) TakeChannel(reply.datagrams());
-  if (received.has_work) background_->Wake(this);
-  has_event_.notify_all();
+  Take(received, reply);
 }
 
 void Pilot::Controller::OnEnd(const absl::Status& status) {
@@ -195,6 +192,10 @@ void Pilot::Controller::OnDatagram(uint64_t number, const v1::ActResponse& reply
   const robot::Reply view = piloting::ReplyOf(reply, &error);
   absl::MutexLock lock(&mutex_);
   const robot::Received received = session_.OnDatagram(number, view, now);
+  Take(received, reply);
+}
+
+void Pilot::Controller::Take(const robot::Received& received, const v1::ActResponse& reply) {
   if (received.settled.has_value()) Complete(*received.settled, reply.ended());
   if (reply.has_datagrams()) TakeChannel(reply.datagrams());
   if (received.has_work) background_->Wake(this);

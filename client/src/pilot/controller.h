@@ -22,7 +22,7 @@
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "absl/types/span.h"
-#include "client/src/pilot/action_stream.h"
+#include "client/src/action_stream.h"
 #include "client/src/pilot/background_thread.h"
 #include "client/src/pilot/datagram_link.h"
 #include "client/src/pilot/server_call.h"
@@ -32,7 +32,7 @@
 
 namespace spikeserve {
 
-class Pilot::Controller : private piloting::ActionStream::Listener,
+class Pilot::Controller : private ActionStream::Listener,
                           private piloting::DatagramLink::Listener,
                           private piloting::BackgroundThread::Worker {
  public:
@@ -87,13 +87,16 @@ class Pilot::Controller : private piloting::ActionStream::Listener,
   bool TakeExported(const v1::ExportSessionResponse& exported)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void TakeOpened(const v1::OpenSessionResponse& opened) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Passes on what the session has `received` with `reply`.
+  void Take(const robot::Received& received, const v1::ActResponse& reply)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void TakeChannel(const v1::DatagramChannel& channel) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void Send(const robot::Task& task, v1::ActRequest* request);
   void Stop() ABSL_LOCKS_EXCLUDED(mutex_);
   size_t IndexOf(const Replica* replica) const;
 
   // On threads of gRPC.
-  void OnReply(const v1::ActResponse& reply) override ABSL_LOCKS_EXCLUDED(mutex_);
+  void OnReply(v1::ActResponse&& reply) override ABSL_LOCKS_EXCLUDED(mutex_);
   void OnEnd(const absl::Status& status) override ABSL_LOCKS_EXCLUDED(mutex_);
 
   // On the thread of the datagrams.
@@ -121,7 +124,7 @@ class Pilot::Controller : private piloting::ActionStream::Listener,
 
   // Of the background thread, and after it of Close.
   v1::OpenSessionRequest opening_;  // has an id while it is under way
-  std::unique_ptr<piloting::ActionStream> stream_;
+  std::unique_ptr<ActionStream> stream_;
   std::unique_ptr<piloting::ServerCall> call_;  // one at a time
   Replica* replica_ = nullptr;                  // of the stream
 

@@ -3,65 +3,23 @@
 from __future__ import annotations
 
 import queue
-import threading
 import time
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import grpc
 from numpy.typing import ArrayLike
 
 from spikeserve.connection import Connection
 from spikeserve.coroutines import blocking, finish
-from spikeserve.errors import SpikeserveError, error_of_call
-from spikeserve.open_requests import stream_ended, stream_silent
+from spikeserve.errors import SpikeserveError
+from spikeserve.open_requests import stream_silent
 from spikeserve.session import Session
+from spikeserve.stream_call import StreamCall
 from spikeserve.stream_core import StreamCore
 from spikeserve.values import Decision, ExecutedLike
 from spikeserve.wire import Message
 
 if TYPE_CHECKING:
     from typing_extensions import Self  # typing has it from Python 3.11 on
-
-
-class _Call:
-    """One call of ActStream. A thread reads its replies."""
-
-    def __init__(self, open_stream: Callable[[Iterable[Message]], Any]) -> None:
-        self._requests: queue.SimpleQueue[Message] = queue.SimpleQueue()
-        self._replies: queue.SimpleQueue[Message | SpikeserveError] = queue.SimpleQueue()
-        self._call = open_stream(iter(self._requests.get, None))
-        self._ended = False  # by this client
-        self._reader = threading.Thread(
-            target=self._read, name="spikeserve-act-stream", daemon=True
-        )
-        self._reader.start()
-
-    def send(self, request: Message) -> None:
-        self._requests.put(request)
-
-    def receive(self, timeout: float | None) -> Message | SpikeserveError | None:
-        """Returns the next reply, the error that ended the call, or None after `timeout`."""
-        try:
-            return self._replies.get(timeout=timeout)
-        except queue.Empty:
-            return None
-
-    def end(self) -> None:
-        self._ended = True
-        self._requests.put(None)
-        self._call.cancel()
-        self._reader.join()
-
-    def _read(self) -> None:
-        try:
-            for reply in self._call:
-                self._replies.put(reply)
-            self._replies.put(stream_ended())
-        except grpc.RpcError as error:
-            # A proxy may cancel the streams of a server that has ended.
-            is_cut = error.code() == grpc.StatusCode.CANCELLED and not self._ended
-            self._replies.put(stream_ended() if is_cut else error_of_call("ActStream", error))
 
 
 class ActStream(StreamCore[Session]):
@@ -78,8 +36,7 @@ class ActStream(StreamCore[Session]):
 
     def __init__(self, client: Connection) -> None:
         super().__init__(client)
-        self._reopens_at: float | None = None  # of time.monotonic(); None: the stream is whole
-        self._call = _Call(self._opener.open)
+        self._start_call()
 
     def __enter__(self) -> Self:
         return self
@@ -136,12 +93,22 @@ class ActStream(StreamCore[Session]):
         until_silent = self._open.seconds_until_silent()
         until_doubt = self._open.seconds_until_doubt()
         waits = [s for s in (until_due, until_end, until_silent, until_doubt) if s is not None]
-        reply = self._call.receive(min(waits) if waits else None)
-        if reply is None:
+        try:
+            return self._replies.get(timeout=min(waits) if waits else None)
+        except queue.Empty:
             self._open.doubt()
-        return stream_silent() if reply is None and self._open.is_silent() else reply
+            return stream_silent() if self._open.is_silent() else None
 
     def _open_call(self) -> None:
         self._call.end()
-        self._call = _Call(self._opener.open)
-        self._reopens_at = None
+        self._start_call()
+
+    def _start_call(self) -> None:
+        # The replies of the call, and the error that ended it.
+        replies: queue.SimpleQueue[Message | SpikeserveError] = queue.SimpleQueue()
+        call = StreamCall(
+            self._opener.open, lambda _, reply: replies.put(reply), lambda _, e: replies.put(e)
+        )
+        call.start()
+        self._call, self._replies = call, replies
+        self._reopens_at: float | None = None  # of time.monotonic(); None: the stream is whole

@@ -30,8 +30,8 @@ from spikeserve.piloting.robot_messages import (
     to_robot,
 )
 from spikeserve.piloting.server_session import ServerSession, nanoseconds
-from spikeserve.piloting.stream_call import StreamCall
 from spikeserve.replicas import Replica
+from spikeserve.stream_call import StreamCall
 from spikeserve.stream_opener import StreamOpener
 from spikeserve.values import EpisodeSummary
 from spikeserve.wire import METHODS, Message

@@ -39,7 +39,8 @@ class StreamCall:
         self._call = self._open_call(iter(self._requests.get, None))
         if self._is_cancelled:
             self._call.cancel()
-        threading.Thread(target=self._read, name="spikeserve-pilot-reader", daemon=True).start()
+        self._reader = threading.Thread(target=self._read, name="spikeserve-stream", daemon=True)
+        self._reader.start()
 
     def send(self, request: Message) -> None:
         """Sends a request."""
@@ -52,14 +53,19 @@ class StreamCall:
         if self._call is not None:
             self._call.cancel()
 
+    def end(self) -> None:
+        """Ends the call and waits for the return of `on_end`."""
+        self.cancel()
+        self._reader.join()
+
     def _read(self) -> None:
         error = stream_ended()
         try:
             for reply in self._call:
                 self._on_reply(self, reply)
         except grpc.RpcError as ended:
-            # A fresh connection, a proxy or this client has cancelled it.
-            is_cut = ended.code() == grpc.StatusCode.CANCELLED
+            # A fresh connection has cancelled it, or a proxy whose server has ended.
+            is_cut = ended.code() == grpc.StatusCode.CANCELLED and not self._is_cancelled
             error = error if is_cut else error_of_call("ActStream", ended)
         self._requests.put(None)  # lets the thread of gRPC that takes the requests end
         self._on_end(self, error)
