@@ -76,151 +76,29 @@ prometheus::Labels With(const prometheus::Labels& labels, const char* label,
 
 }  // namespace
 
-Metrics::Metrics()  // #lizard forgives(length): a table
-    : decisions_(
-          Register(BuildCounter(), "spikeserve_decisions_total",
-                   "Decisions computed. Retries are answered from storage and not counted.")),
-      spikes_per_decision_(Register(BuildHistogram(), "spikeserve_spikes_per_decision",
-                                    "Spikes of the new tokens of one decision.")),
-      spikes_(Register(BuildCounter(), "spikeserve_spikes_total",
-                       "Spikes emitted, by neuron population.")),
-      synaptic_operations_(Register(
-          BuildCounter(), "spikeserve_synaptic_operations_total",
-          "Effective synaptic operations as NeuroBench counts them: accumulate has a binary input, "
-          "multiply_accumulate an analog one. Attention products are counted separately, as kind "
-          "attention.")),
-      membrane_updates_(Register(BuildCounter(), "spikeserve_membrane_updates_total",
-                                 "Updates of the membranes of LIF neurons: neurons times ticks, "
-                                 "whether they fire or not.")),
-      other_operations_(
-          Register(BuildCounter(), "spikeserve_other_operations_total",
-                   "Operations that are neither synaptic nor of membranes, by kind: coder_gain, "
-                   "layer_norm_element, softmax_term, gate_product.")),
-      energy_(Register(BuildCounter(), "spikeserve_energy_joules_total",
-                       "Energy, estimated from counted events, not measured. The models are "
-                       "alternatives: do not add them. docs/reference/energy.md lists what each "
-                       "counts and leaves out. A policy to which a model does not apply has no "
-                       "series under it.")),
-      dense_energy_(
-          Register(BuildGauge(), "spikeserve_dense_energy_joules",
-                   "Energy of a decision of a dense policy in integers with the sizes of this one "
-                   "and a full window, by the models that apply to both.")),
-      decision_duration_(Register(BuildHistogram(), "spikeserve_decision_duration_seconds",
-                                  "Time to compute one decision, without network and queueing.")),
-      sessions_(Register(BuildGauge(), "spikeserve_sessions", "Open sessions.")),
-      policy_errors_(Register(BuildCounter(), "spikeserve_policy_errors_total",
-                              "Decisions that were refused or failed, of open sessions.")),
-      non_finite_(Register(BuildCounter(), "spikeserve_non_finite_answers_total",
+Metrics::Metrics()
+    : non_finite_(Register(BuildCounter(), "spikeserve_non_finite_answers_total",
                            "Answers that held NaN or infinity and were not sent. Without a "
                            "version: those of calls that make no decision.")),
-      episodes_(Register(BuildCounter(), "spikeserve_episodes_total", "Ended episodes.")),
-      steps_(
-          Register(BuildCounter(), "spikeserve_steps_total",
-                   "Executed actions of sessions, by who chose them: policy, operator, "
-                   "safety_layer, a fall-back of the robot (held, local, safe), hold, or unknown: "
-                   "the agent has executed another action than the answered one, and not said "
-                   "why.")),
-      seat_changes_(Register(BuildCounter(), "spikeserve_seat_changes_total",
-                             "Changes of who controls a session: an operator took it from the "
-                             "policy (taken) or from another operator (taken_over), returned it, "
-                             "or let the lease end (ended).")),
-      implausible_(Register(BuildCounter(), "spikeserve_implausible_reports_total",
-                            "What agents report and cannot be true: more beats than fit into the "
-                            "time, and returns of episodes far beyond those of the policy. It "
-                            "counts nowhere else.")),
-      episode_return_(Register(BuildHistogram(), "spikeserve_episode_return",
-                               "Plausible return of each ended episode, in the environment's "
-                               "units.")),
-      episode_return_mean_(
-          Register(BuildGauge(), "spikeserve_episode_return_mean",
-                   "Mean plausible return of the episodes that ended since the server started.")),
-      unusual_(Register(BuildCounter(), "spikeserve_unusual_observations_total",
-                        "Elements of observations further than --unusual_deviations standard "
-                        "deviations from the mean of the training data, by index in the "
-                        "observation. Long observations are counted by ranges of indices. "
-                        "return_to_go: far beyond the policy's returns. `name` is the feature.")),
-      wiring_(Register(BuildCounter(), "spikeserve_wiring_verdicts_total",
-                       "Verdicts that the observations of a session are wired otherwise than those "
-                       "of the training data, by cause.")),
-      learning_updates_(Register(BuildCounter(), "spikeserve_learning_updates_total",
-                                 "Action-head updates applied by sessions that learn.")),
-      learning_rejected_(Register(BuildCounter(), "spikeserve_learning_rejected_total",
-                                  "Action-head updates rejected; the head stays unchanged.")),
-      head_drift_(
-          Register(BuildGauge(), "spikeserve_head_drift_ratio",
-                   "|W - W_base| / |W_base| of the action head when the last learning "
-                   "episode ended. Scope session: the head of that session; scope fleet: the "
-                   "shared head.")),
-      modulator_mean_(Register(BuildGauge(), "spikeserve_modulator_mean",
-                               "mu of eq. 4.2: running mean of the returns that follow a decision, "
-                               "for the session whose learning episode ended last.")),
-      modulator_std_(Register(BuildGauge(), "spikeserve_modulator_std",
-                              "sigma of eq. 4.2: standard deviation of the returns whose mean is "
-                              "spikeserve_modulator_mean.")),
-      watched_return_(Register(BuildGauge(), "spikeserve_learning_return",
-                               "Interquartile mean of the episode returns in the last complete "
-                               "window that a guard evaluated.")),
-      rollbacks_(Register(BuildCounter(), "spikeserve_learning_rollbacks_total",
-                          "Rollbacks of an action head to its last good state by a guard.")),
-      policy_info_(Register(BuildGauge(), "spikeserve_policy_info",
-                            "Copies of a policy version in memory. The other series of a version "
-                            "begin with its first session, and all are removed when it is "
-                            "unloaded and its last session has ended.")),
       rpc_duration_(Register(
           BuildHistogram(), "spikeserve_rpc_duration_seconds",
           "Time to handle one call, measured on the server, by method and gRPC status code. For "
           "ActStream and ModelStreamInfer: one request on the stream. Act and ActStream also have "
           "the label policy, for the first 100 policies.")),
-      beats_(Register(BuildCounter(), "spikeserve_beats_total",
-                      "Beats of robots, as they report them, by the source of the action that was "
-                      "executed: fresh (an answer in time), held (the last action again), local "
-                      "(the engine on the robot) or safe.")),
-      late_answers_(Register(BuildCounter(), "spikeserve_late_answers_total",
-                             "Answers that took longer than a period, as robots report. They may "
-                             "still have been fresh.")),
-      cancelled_calls_(Register(BuildCounter(), "spikeserve_cancelled_calls_total",
-                                "Requests that robots gave up or that failed, as robots report.")),
-      reconnects_(Register(BuildCounter(), "spikeserve_robot_reconnects_total",
-                           "Connections that robots opened in the place of one that did not "
-                           "answer, as robots report.")),
-      invalid_observations_(Register(
-          BuildCounter(), "spikeserve_invalid_observations_total",
-          "Beats of robots without a valid observation, as they report them: its size was wrong or "
-          "a number not finite. The robot executed a held or a safe action.")),
-      appended_beats_(Register(
-          BuildCounter(), "spikeserve_appended_beats_total",
-          "Beats that were appended to sessions without a decision, by what is known of them: "
-          "observation, or reward alone.")),
-      expired_requests_(Register(BuildCounter(), "spikeserve_expired_requests_total",
-                                 "Requests that came too late for their answer to be of use.")),
-      repeated_requests_(Register(BuildCounter(), "spikeserve_repeated_requests_total",
-                                  "Requests for an answer that was given before: the first one was "
-                                  "late or lost.")),
-      conflicting_requests_(Register(
-          BuildCounter(), "spikeserve_conflicting_requests_total",
-          "Requests that repeat a step with another content, and were refused: two robots may use "
-          "one session_id.")),
-      missing_rewards_(Register(BuildCounter(), "spikeserve_missing_rewards_total",
-                                "Rewards after step 0 that requests left out. They count as 0.")),
-      action_age_(Register(BuildHistogram(), "spikeserve_action_age_seconds",
-                           "Time from the observation to the execution of the oldest action that "
-                           "a robot executed since its last report.")),
-      fresh_gap_(Register(BuildHistogram(), "spikeserve_fresh_gap_seconds",
-                          "Longest time of a robot without a fresh action since its last report.")),
-      reaped_idle_(&Register(BuildCounter(), "spikeserve_sessions_reaped_total",
-                             "Sessions that the server ended, by reason.")
-                        .Add({{"reason", "idle"}})),
-      sessions_limit_(&Register(BuildGauge(), "spikeserve_sessions_limit",
-                                "Limit on the open sessions of all policies together.")
-                           .Add({})),
+      reaped_idle_(Register(BuildCounter(), "spikeserve_sessions_reaped_total",
+                            "Sessions that the server ended, by reason.")
+                       .Add({{"reason", "idle"}})),
+      sessions_limit_(Register(BuildGauge(), "spikeserve_sessions_limit",
+                               "Limit on the open sessions of all policies together.")
+                          .Add({})),
+      recording_queue_episodes_(
+          Register(BuildGauge(), "spikeserve_recording_queue_episodes",
+                   "Recorded episodes that wait to be written. A crash loses them.")
+              .Add({})),
+      recording_queue_bytes_(Register(BuildGauge(), "spikeserve_recording_queue_bytes",
+                                      "Memory of the recorded episodes that wait to be written.")
+                                 .Add({})),
       rpc_durations_(AllMethods().size()) {
-  recording_queue_episodes_ =
-      &Register(BuildGauge(), "spikeserve_recording_queue_episodes",
-                "Recorded episodes that wait to be written. A crash loses them.")
-           .Add({});
-  recording_queue_bytes_ = &Register(BuildGauge(), "spikeserve_recording_queue_bytes",
-                                     "Memory of the recorded episodes that wait to be written.")
-                                .Add({});
   auto& stored = Register(BuildGauge(), "spikeserve_stored_bytes",
                           "Bytes on the disk, measured each minute, by folder: recordings, in "
                           "--record_dir, and policies, in --policies.");
@@ -245,12 +123,34 @@ Metrics::Metrics()  // #lizard forgives(length): a table
       .Set(1);
 }
 
-auto* Metrics::Add(VersionSeries& series, auto& family, const prometheus::Labels& labels,
-                   auto... buckets) {
-  auto* metric = &family.Add(labels, buckets...);
-  series.removals[metric] = [&family, metric] { family.Remove(metric); };
-  return metric;
-}
+// Adds series of a version, which are removed with it. A family is registered with its first one.
+struct Metrics::Adder {
+  prometheus::Registry& registry;
+  VersionSeries& series;
+  const prometheus::Labels& labels;
+
+  // Returns the series with one label more, unless `label` is null.
+  auto* Add(auto builder, const char* name, const char* help, const char* label,
+            absl::string_view value, const auto&... buckets) const {
+    auto& family = builder.Name(name).Help(help).Register(registry);
+    auto* metric = &family.Add(label == nullptr ? labels : With(labels, label, value), buckets...);
+    series.removals[metric] = [&family, metric] { family.Remove(metric); };
+    return metric;
+  }
+
+  prometheus::Counter* counter(const char* name, const char* help, const char* label = nullptr,
+                               absl::string_view value = "") const {
+    return Add(BuildCounter(), name, help, label, value);
+  }
+  prometheus::Gauge* gauge(const char* name, const char* help, const char* label = nullptr,
+                           absl::string_view value = "") const {
+    return Add(BuildGauge(), name, help, label, value);
+  }
+  prometheus::Histogram* histogram(const char* name, const char* help,
+                                   const Buckets& buckets) const {
+    return Add(BuildHistogram(), name, help, nullptr, "", buckets);
+  }
+};
 
 std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& name,
                                                             int64_t version, const Policy& policy,
@@ -266,15 +166,23 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
   for (size_t i = 0; i < kEnergyModels; ++i) {
     of.dense_energy[i] = DenseEnergy(static_cast<EnergyModel>(i), policy);
   }
-  const prometheus::Labels info = With(With(of.labels, "environment", policy.environment), "mode",
-                                       ToString(policy.config.mode));
+  const prometheus::Labels info = With(of.labels, "environment", policy.environment);
   PolicyMetrics::LoadedHandles loaded;
   {
     absl::MutexLock lock(&versions_mutex_);
     VersionSeries& series = versions_[key];
     ++series.observers;
-    loaded = {.info = Add(series, policy_info_, info),
-              .non_finite = Add(series, non_finite_, of.labels)};
+    loaded = {
+        .info = Adder{registry_, series, info}.gauge(
+            "spikeserve_policy_info",
+            "Copies of a policy version in memory. The other series of a version begin with its "
+            "first session, and all are removed when it is unloaded and its last session has "
+            "ended.",
+            "mode", ToString(policy.config.mode)),
+        .non_finite = &non_finite_.Add(of.labels)};
+    series.removals[loaded.non_finite] = [this, counter = loaded.non_finite] {
+      non_finite_.Remove(counter);
+    };
   }
   const prometheus::Labels labels = of.labels;
   return std::make_shared<PolicyMetrics>(
@@ -287,112 +195,222 @@ std::shared_ptr<SessionObserver> Metrics::NewPolicyObserver(const std::string& n
 
 PolicyMetrics::Handles Metrics::AddSessions(const std::string& version, const PolicySeries& of) {
   absl::MutexLock lock(&versions_mutex_);
-  VersionSeries& series = versions_[version];
-  const auto add = [&](auto& family, auto... buckets) {
-    return Add(series, family, of.labels, buckets...);
-  };
-  const auto add_with = [&](auto& family, const char* label, absl::string_view value) {
-    return Add(series, family, With(of.labels, label, value));
-  };
+  const Adder add = {registry_, versions_[version], of.labels};
   PolicyMetrics::Handles handles;
-  handles.decisions = add(decisions_);
-  handles.spikes_per_decision = add(spikes_per_decision_, Spikes());
-  for (size_t i = 0; i < kStages; ++i) {
-    handles.spikes[i] = add_with(spikes_, "stage", ToString(static_cast<Stage>(i)));
-  }
-  handles.accumulates = add_with(synaptic_operations_, "kind", "accumulate");
-  handles.multiply_accumulates = add_with(synaptic_operations_, "kind", "multiply_accumulate");
-  handles.attention_products = add_with(synaptic_operations_, "kind", "attention");
-  handles.membrane_updates = add(membrane_updates_);
-  handles.coder_gains = add_with(other_operations_, "kind", "coder_gain");
-  handles.layer_norm_elements = add_with(other_operations_, "kind", "layer_norm_element");
-  handles.softmax_terms = add_with(other_operations_, "kind", "softmax_term");
-  handles.gate_products = add_with(other_operations_, "kind", "gate_product");
-  handles.energy = {};
-  for (const auto& [model, name] : EnumNames(EnergyModel())) {
-    if (!Applies(model, of.config)) continue;
-    const size_t i = static_cast<size_t>(model);
-    handles.energy[i] = add_with(energy_, "energy_model", name);
-    if (of.dense_energy[i].has_value()) {
-      add_with(dense_energy_, "energy_model", name)->Set(*of.dense_energy[i]);
-    }
-  }
-  handles.decision_duration = add(decision_duration_, ComputeSeconds());
-  handles.sessions = add(sessions_);
-  handles.errors = add(policy_errors_);
-  handles.episodes = add(episodes_);
+  handles.decisions =
+      add.counter("spikeserve_decisions_total",
+                  "Decisions computed. Retries are answered from storage and not counted.");
+  handles.decision_duration = add.histogram(
+      "spikeserve_decision_duration_seconds",
+      "Time to compute one decision, without network and queueing.", ComputeSeconds());
+  handles.sessions = add.gauge("spikeserve_sessions", "Open sessions.");
+  handles.errors = add.counter("spikeserve_policy_errors_total",
+                               "Decisions that were refused or failed, of open sessions.");
+  handles.episodes = add.counter("spikeserve_episodes_total", "Ended episodes.");
   for (const auto& [source, name] : EnumNames(SourceKind())) {
-    handles.steps[static_cast<size_t>(source)] = add_with(steps_, "source", name);
+    handles.steps[static_cast<size_t>(source)] = add.counter(
+        "spikeserve_steps_total",
+        "Executed actions of sessions, by who chose them: policy, operator, safety_layer, a "
+        "fall-back of the robot (held, local, safe), hold, or unknown: the agent has executed "
+        "another action than the answered one, and not said why.",
+        "source", name);
   }
-  handles.implausible = add(implausible_);
-  handles.episode_return = add(episode_return_, Returns());
-  handles.episode_return_mean = add(episode_return_mean_);
-  const bool are_named = of.features.size() == of.elements.size();
-  for (size_t i = 0; i < of.elements.size(); ++i) {
-    prometheus::Labels labels = With(of.labels, "element", of.elements[i]);
-    if (are_named) labels = With(labels, "name", of.features[i].name);
-    handles.unusual.push_back(Add(series, unusual_, labels));
-  }
-  for (const auto& [cause, name] : EnumNames(WiringCause())) {
-    if (!of.checks_wiring) break;
-    handles.wiring[static_cast<size_t>(cause)] = add_with(wiring_, "cause", name);
-  }
-  handles.unusual_return = add_with(unusual_, "element", "return_to_go");
-  AddLearning(series, of.labels, &handles);
+  handles.implausible = add.counter(
+      "spikeserve_implausible_reports_total",
+      "What agents report and cannot be true: more beats than fit into the time, and returns of "
+      "episodes far beyond those of the policy. It counts nowhere else.");
+  handles.episode_return = add.histogram(
+      "spikeserve_episode_return",
+      "Plausible return of each ended episode, in the environment's units.", Returns());
+  handles.episode_return_mean =
+      add.gauge("spikeserve_episode_return_mean",
+                "Mean plausible return of the episodes that ended since the server started.");
+  AddWork(add, of, &handles);
+  AddUnusual(add, of, &handles);
+  AddLearning(add, &handles);
   return handles;
 }
 
-void Metrics::AddLearning(VersionSeries& series, const prometheus::Labels& labels,
-                          PolicyMetrics::Handles* handles) {
-  handles->learning_updates = Add(series, learning_updates_, labels);
+void Metrics::AddWork(const Adder& add, const PolicySeries& of, PolicyMetrics::Handles* handles) {
+  handles->spikes_per_decision = add.histogram(
+      "spikeserve_spikes_per_decision", "Spikes of the new tokens of one decision.", Spikes());
+  for (const auto& [stage, name] : EnumNames(Stage())) {
+    handles->spikes[static_cast<size_t>(stage)] = add.counter(
+        "spikeserve_spikes_total", "Spikes emitted, by neuron population.", "stage", name);
+  }
+  const auto synaptic = [&](const char* kind) {
+    return add.counter(
+        "spikeserve_synaptic_operations_total",
+        "Effective synaptic operations as NeuroBench counts them: accumulate has a binary input, "
+        "multiply_accumulate an analog one. Attention products are counted separately, as kind "
+        "attention.",
+        "kind", kind);
+  };
+  handles->accumulates = synaptic("accumulate");
+  handles->multiply_accumulates = synaptic("multiply_accumulate");
+  handles->attention_products = synaptic("attention");
+  handles->membrane_updates = add.counter(
+      "spikeserve_membrane_updates_total",
+      "Updates of the membranes of LIF neurons: neurons times ticks, whether they fire or not.");
+  const auto other = [&](const char* kind) {
+    return add.counter(
+        "spikeserve_other_operations_total",
+        "Operations that are neither synaptic nor of membranes, by kind: coder_gain, "
+        "layer_norm_element, softmax_term, gate_product.",
+        "kind", kind);
+  };
+  handles->coder_gains = other("coder_gain");
+  handles->layer_norm_elements = other("layer_norm_element");
+  handles->softmax_terms = other("softmax_term");
+  handles->gate_products = other("gate_product");
+  handles->energy = {};
+  for (const auto& [model, name] : EnumNames(EnergyModel())) {
+    if (!Applies(model, of.config)) continue;
+    const size_t i = static_cast<size_t>(model);
+    handles->energy[i] = add.counter(
+        "spikeserve_energy_joules_total",
+        "Energy, estimated from counted events, not measured. The models are alternatives: do not "
+        "add them. docs/reference/energy.md lists what each counts and leaves out. A policy to "
+        "which a model does not apply has no series under it.",
+        "energy_model", name);
+    if (!of.dense_energy[i].has_value()) continue;
+    add.gauge("spikeserve_dense_energy_joules",
+              "Energy of a decision of a dense policy in integers with the sizes of this one and a "
+              "full window, by the models that apply to both.",
+              "energy_model", name)
+        ->Set(*of.dense_energy[i]);
+  }
+}
+
+void Metrics::AddUnusual(const Adder& add, const PolicySeries& of,
+                         PolicyMetrics::Handles* handles) {
+  const auto unusual = [&](const Adder& adder, absl::string_view element) {
+    return adder.counter(
+        "spikeserve_unusual_observations_total",
+        "Elements of observations further than --unusual_deviations standard deviations from the "
+        "mean of the training data, by index in the observation. Long observations are counted by "
+        "ranges of indices. return_to_go: far beyond the policy's returns. `name` is the feature.",
+        "element", element);
+  };
+  const bool are_named = of.features.size() == of.elements.size();
+  for (size_t i = 0; i < of.elements.size(); ++i) {
+    const prometheus::Labels named =
+        are_named ? With(of.labels, "name", of.features[i].name) : of.labels;
+    handles->unusual.push_back(unusual({add.registry, add.series, named}, of.elements[i]));
+  }
+  handles->unusual_return = unusual(add, "return_to_go");
+  for (const auto& [cause, name] : EnumNames(WiringCause())) {
+    if (!of.checks_wiring) break;
+    handles->wiring[static_cast<size_t>(cause)] = add.counter(
+        "spikeserve_wiring_verdicts_total",
+        "Verdicts that the observations of a session are wired otherwise than those of the "
+        "training data, by cause.",
+        "cause", name);
+  }
+}
+
+void Metrics::AddLearning(const Adder& add, PolicyMetrics::Handles* handles) {
+  handles->learning_updates = add.counter("spikeserve_learning_updates_total",
+                                          "Action-head updates applied by sessions that learn.");
   const auto rejected = [&](UpdateOutcome outcome) {
-    return Add(series, learning_rejected_, With(labels, "reason", ToString(outcome)));
+    return add.counter("spikeserve_learning_rejected_total",
+                       "Action-head updates rejected; the head stays unchanged.", "reason",
+                       ToString(outcome));
   };
   handles->learning_rejected_non_finite = rejected(UpdateOutcome::kNonFinite);
   handles->learning_rejected_over_budget = rejected(UpdateOutcome::kOverBudget);
   handles->learning_rejected_held_out = rejected(UpdateOutcome::kHeldOut);
   for (const Scope scope : {Scope::kSession, Scope::kFleet}) {
-    const prometheus::Labels of = With(labels, "scope", ToString(scope));
+    const prometheus::Labels labels = With(add.labels, "scope", ToString(scope));
+    const Adder of_scope = {add.registry, add.series, labels};
     handles->learning[static_cast<size_t>(scope)] = {
-        .head_drift = Add(series, head_drift_, of),
-        .modulator_mean = Add(series, modulator_mean_, of),
-        .modulator_std = Add(series, modulator_std_, of),
-        .watched_return = Add(series, watched_return_, of),
-        .rollbacks = Add(series, rollbacks_, of)};
+        .head_drift = of_scope.gauge(
+            "spikeserve_head_drift_ratio",
+            "|W - W_base| / |W_base| of the action head when the last learning episode ended. "
+            "Scope session: the head of that session; scope fleet: the shared head."),
+        .modulator_mean = of_scope.gauge(
+            "spikeserve_modulator_mean",
+            "mu of eq. 4.2: running mean of the returns that follow a decision, for the session "
+            "whose learning episode ended last."),
+        .modulator_std =
+            of_scope.gauge("spikeserve_modulator_std",
+                           "sigma of eq. 4.2: standard deviation of the returns whose mean is "
+                           "spikeserve_modulator_mean."),
+        .watched_return = of_scope.gauge(
+            "spikeserve_learning_return",
+            "Interquartile mean of the episode returns in the last complete window that a guard "
+            "evaluated."),
+        .rollbacks =
+            of_scope.counter("spikeserve_learning_rollbacks_total",
+                             "Rollbacks of an action head to its last good state by a guard.")};
   }
 }
 
 RobotHandles Metrics::AddRobots(const std::string& version, const prometheus::Labels& labels) {
   absl::MutexLock lock(&versions_mutex_);
-  VersionSeries& series = versions_[version];
-  const auto add = [&](auto& family, auto... buckets) {
-    return Add(series, family, labels, buckets...);
+  const Adder add = {registry_, versions_[version], labels};
+  const auto beats = [&](const char* source) {
+    return add.counter(
+        "spikeserve_beats_total",
+        "Beats of robots, as they report them, by the source of the action that was executed: "
+        "fresh (an answer in time), held (the last action again), local (the engine on the robot) "
+        "or safe.",
+        "source", source);
   };
-  const auto add_with = [&](auto& family, const char* label, const char* value) {
-    return Add(series, family, With(labels, label, value));
+  const auto appended = [&](const char* known) {
+    return add.counter(
+        "spikeserve_appended_beats_total",
+        "Beats that were appended to sessions without a decision, by what is known of them: "
+        "observation, or reward alone.",
+        "known", known);
   };
-  return {.beats = {add_with(beats_, "source", "fresh"), add_with(beats_, "source", "held"),
-                    add_with(beats_, "source", "local"), add_with(beats_, "source", "safe")},
-          .late_answers = add(late_answers_),
-          .cancelled_calls = add(cancelled_calls_),
-          .reconnects = add(reconnects_),
-          .invalid_observations = add(invalid_observations_),
-          .appended = add_with(appended_beats_, "known", "observation"),
-          .skipped = add_with(appended_beats_, "known", "reward"),
-          .expired = add(expired_requests_),
-          .repeated = add(repeated_requests_),
-          .conflicting = add(conflicting_requests_),
-          .missing_rewards = add(missing_rewards_),
-          .age = add(action_age_, RobotSeconds()),
-          .gap = add(fresh_gap_, RobotSeconds())};
+  return {
+      .beats = {beats("fresh"), beats("held"), beats("local"), beats("safe")},
+      .late_answers = add.counter("spikeserve_late_answers_total",
+                                  "Answers that took longer than a period, as robots report. They "
+                                  "may still have been fresh."),
+      .cancelled_calls =
+          add.counter("spikeserve_cancelled_calls_total",
+                      "Requests that robots gave up or that failed, as robots report."),
+      .reconnects = add.counter("spikeserve_robot_reconnects_total",
+                                "Connections that robots opened in the place of one that did not "
+                                "answer, as robots report."),
+      .invalid_observations = add.counter(
+          "spikeserve_invalid_observations_total",
+          "Beats of robots without a valid observation, as they report them: its size was wrong or "
+          "a number not finite. The robot executed a held or a safe action."),
+      .appended = appended("observation"),
+      .skipped = appended("reward"),
+      .expired = add.counter("spikeserve_expired_requests_total",
+                             "Requests that came too late for their answer to be of use."),
+      .repeated = add.counter("spikeserve_repeated_requests_total",
+                              "Requests for an answer that was given before: the first one was "
+                              "late or lost."),
+      .conflicting = add.counter("spikeserve_conflicting_requests_total",
+                                 "Requests that repeat a step with another content, and were "
+                                 "refused: two robots may use one session_id."),
+      .missing_rewards =
+          add.counter("spikeserve_missing_rewards_total",
+                      "Rewards after step 0 that requests left out. They count as 0."),
+      .age = add.histogram("spikeserve_action_age_seconds",
+                           "Time from the observation to the execution of the oldest action that "
+                           "a robot executed since its last report.",
+                           RobotSeconds()),
+      .gap = add.histogram("spikeserve_fresh_gap_seconds",
+                           "Longest time of a robot without a fresh action since its last report.",
+                           RobotSeconds())};
 }
 
 SeatHandles Metrics::AddSeats(const std::string& version, const prometheus::Labels& labels) {
   absl::MutexLock lock(&versions_mutex_);
-  VersionSeries& series = versions_[version];
+  const Adder add = {registry_, versions_[version], labels};
   SeatHandles handles;
   for (const auto& [change, name] : EnumNames(SeatChange())) {
-    handles[static_cast<size_t>(change)] = Add(series, seat_changes_, With(labels, "change", name));
+    handles[static_cast<size_t>(change)] = add.counter(
+        "spikeserve_seat_changes_total",
+        "Changes of who controls a session: an operator took it from the policy (taken) or from "
+        "another operator (taken_over), returned it, or let the lease end (ended).",
+        "change", name);
   }
   return handles;
 }

@@ -89,7 +89,7 @@ class Metrics {
                   absl::string_view policy = "");
 
   // Counts sessions that were closed because they were idle for the time-to-live.
-  void CountReaped(int64_t sessions) { reaped_idle_->Increment(static_cast<double>(sessions)); }
+  void CountReaped(int64_t sessions) { reaped_idle_.Increment(static_cast<double>(sessions)); }
 
   void CountRecordedEpisode(RecordingOutcome outcome) {
     recorded_episodes_[static_cast<size_t>(outcome)]->Increment();
@@ -97,8 +97,8 @@ class Metrics {
 
   // Changes the gauges of the episodes that wait to be written.
   void AddRecordingQueue(int64_t episodes, int64_t bytes) {
-    recording_queue_episodes_->Increment(static_cast<double>(episodes));
-    recording_queue_bytes_->Increment(static_cast<double>(bytes));
+    recording_queue_episodes_.Increment(static_cast<double>(episodes));
+    recording_queue_bytes_.Increment(static_cast<double>(bytes));
   }
 
   // Exports the bytes in a folder, and their limit.
@@ -109,7 +109,7 @@ class Metrics {
   }
 
   // Exports the limit on open sessions.
-  void SetSessionsLimit(int64_t sessions) { sessions_limit_->Set(static_cast<double>(sessions)); }
+  void SetSessionsLimit(int64_t sessions) { sessions_limit_.Set(static_cast<double>(sessions)); }
 
   // Keeps the time series of versions whose observers end from now on. To be called when the server
   // ends: to remove a series takes time in proportion to those that there are, and with a thousand
@@ -150,14 +150,15 @@ class Metrics {
     std::array<std::optional<double>, kEnergyModels> dense_energy;
   };
 
-  static auto* Add(VersionSeries& series, auto& family, const prometheus::Labels& labels,
-                   auto... buckets);
+  struct Adder;
+
   // Add the series of the sessions, of the robots and of the operators of a version, which has an
   // observer.
   PolicyMetrics::Handles AddSessions(const std::string& version, const PolicySeries& of)
       ABSL_LOCKS_EXCLUDED(versions_mutex_);
-  void AddLearning(VersionSeries& series, const prometheus::Labels& labels,
-                   PolicyMetrics::Handles* handles);
+  static void AddWork(const Adder& add, const PolicySeries& of, PolicyMetrics::Handles* handles);
+  static void AddUnusual(const Adder& add, const PolicySeries& of, PolicyMetrics::Handles* handles);
+  static void AddLearning(const Adder& add, PolicyMetrics::Handles* handles);
   RobotHandles AddRobots(const std::string& version, const prometheus::Labels& labels)
       ABSL_LOCKS_EXCLUDED(versions_mutex_);
   SeatHandles AddSeats(const std::string& version, const prometheus::Labels& labels)
@@ -174,52 +175,13 @@ class Metrics {
       ABSL_GUARDED_BY(evidence_mutex_);
 
   prometheus::Registry registry_;  // owns everything below
-  prometheus::Family<prometheus::Counter>& decisions_;
-  prometheus::Family<prometheus::Histogram>& spikes_per_decision_;
-  prometheus::Family<prometheus::Counter>& spikes_;
-  prometheus::Family<prometheus::Counter>& synaptic_operations_;
-  prometheus::Family<prometheus::Counter>& membrane_updates_;
-  prometheus::Family<prometheus::Counter>& other_operations_;
-  prometheus::Family<prometheus::Counter>& energy_;
-  prometheus::Family<prometheus::Gauge>& dense_energy_;
-  prometheus::Family<prometheus::Histogram>& decision_duration_;
-  prometheus::Family<prometheus::Gauge>& sessions_;
-  prometheus::Family<prometheus::Counter>& policy_errors_;
   prometheus::Family<prometheus::Counter>& non_finite_;
-  prometheus::Family<prometheus::Counter>& episodes_;
-  prometheus::Family<prometheus::Counter>& steps_;
-  prometheus::Family<prometheus::Counter>& seat_changes_;
-  prometheus::Family<prometheus::Counter>& implausible_;
-  prometheus::Family<prometheus::Histogram>& episode_return_;
-  prometheus::Family<prometheus::Gauge>& episode_return_mean_;
-  prometheus::Family<prometheus::Counter>& unusual_;
-  prometheus::Family<prometheus::Counter>& wiring_;
-  prometheus::Family<prometheus::Counter>& learning_updates_;
-  prometheus::Family<prometheus::Counter>& learning_rejected_;
-  prometheus::Family<prometheus::Gauge>& head_drift_;
-  prometheus::Family<prometheus::Gauge>& modulator_mean_;
-  prometheus::Family<prometheus::Gauge>& modulator_std_;
-  prometheus::Family<prometheus::Gauge>& watched_return_;
-  prometheus::Family<prometheus::Counter>& rollbacks_;
-  prometheus::Family<prometheus::Gauge>& policy_info_;
   prometheus::Family<prometheus::Histogram>& rpc_duration_;
-  prometheus::Family<prometheus::Counter>& beats_;
-  prometheus::Family<prometheus::Counter>& late_answers_;
-  prometheus::Family<prometheus::Counter>& cancelled_calls_;
-  prometheus::Family<prometheus::Counter>& reconnects_;
-  prometheus::Family<prometheus::Counter>& invalid_observations_;
-  prometheus::Family<prometheus::Counter>& appended_beats_;
-  prometheus::Family<prometheus::Counter>& expired_requests_;
-  prometheus::Family<prometheus::Counter>& repeated_requests_;
-  prometheus::Family<prometheus::Counter>& conflicting_requests_;
-  prometheus::Family<prometheus::Counter>& missing_rewards_;
-  prometheus::Family<prometheus::Histogram>& action_age_;
-  prometheus::Family<prometheus::Histogram>& fresh_gap_;
-  prometheus::Counter* reaped_idle_;
-  prometheus::Gauge* sessions_limit_;
+  prometheus::Counter& reaped_idle_;
+  prometheus::Gauge& sessions_limit_;
+  prometheus::Gauge& recording_queue_episodes_;
+  prometheus::Gauge& recording_queue_bytes_;
   std::array<prometheus::Counter*, kRecordingOutcomes> recorded_episodes_;
-  prometheus::Gauge* recording_queue_episodes_;
-  prometheus::Gauge* recording_queue_bytes_;
   std::array<prometheus::Gauge*, kStoredFolders> stored_bytes_;
   std::array<prometheus::Gauge*, kStoredFolders> stored_bytes_limit_;
   absl::Mutex versions_mutex_;
