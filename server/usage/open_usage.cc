@@ -11,7 +11,6 @@
 #include "core/store/store_reader.h"
 #include "server/base/log.h"
 #include "server/store/open_store.h"
-#include "server/usage/redis_usage_store.h"
 
 namespace spikeserve {
 namespace {
@@ -73,8 +72,8 @@ absl::Status UsageStores::Open() {
   }
   ASSIGN_OR_RETURN(auto redis, RedisOptionsOf(store_options_));
   if (redis.has_value()) {
-    books = std::make_shared<RedisUsageStore>(*redis);
-    reads = std::make_shared<RedisUsageStore>(*redis);
+    books = NewRedisUsageStore(*redis);
+    reads = NewRedisUsageStore(*redis);
     find_ownerless = [options = *redis, label = usage_options_.label] {
       std::vector<SessionTotals> found;
       const auto status =

@@ -17,7 +17,7 @@
 #include "server/store/file_backend.h"
 #include "server/store/store_options.h"
 #include "server/usage/ledger.h"
-#include "server/usage/local_usage_store.h"
+#include "server/usage/usage_store.h"
 
 namespace spikeserve {
 

@@ -1,12 +1,25 @@
-#include "server/usage/redis_usage_store.h"
-
+// Keeps the ledger of all servers that share a Redis, in keys of one slot of a Cluster:
+//
+// - us:{u}:p, a hash: of each process, the number of its last batch and when that was.
+// - us:{u}:s, a hash: of each session, when it was booked last, and the totals that were.
+// - us:{u}:o<hour>, a hash: of each series, what it has used in an hour that is open; and under the
+//   empty field, the number of batches.
+// - us:{u}:t<month>, a hash: of each tenant, what it has used in a month.
+// - us:{u}:b, a hash: the other parts, packed; `<part>:r` has the revision of a part.
+// - us:{u}:h, a set: the parts that are open.
 #include <algorithm>
+#include <initializer_list>
+#include <utility>
 
+#include "absl/base/thread_annotations.h"
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "absl/strings/strip.h"
+#include "absl/synchronization/mutex.h"
 #include "core/base/status_macros.h"
+#include "core/store/redis_client.h"
+#include "server/usage/usage_store.h"
 
 namespace spikeserve {
 namespace {
@@ -128,121 +141,136 @@ absl::Status Unexpected(absl::string_view expected) {
   return absl::UnavailableError(absl::StrCat("ledger: expected ", expected));
 }
 
-}  // namespace
+class RedisUsageStore final : public UsageStore {
+ public:
+  explicit RedisUsageStore(RedisOptions options) : options_(std::move(options)) {}
 
-absl::StatusOr<RedisReply> RedisUsageStore::Run(
-    bool writes, std::initializer_list<absl::string_view> arguments) {
-  absl::MutexLock lock(&mutex_);
-  if (client_ == nullptr || !client_->is_usable()) {
-    ASSIGN_OR_RETURN(client_, RedisClient::Connect(options_));
-  }
-  auto reply = client_->Run(arguments);
-  if (reply.ok() && writes && options_.replicas > 0) {
-    RETURN_IF_ERROR(client_->WaitForReplicas());
-  }
-  if (!client_->is_usable()) client_ = nullptr;
-  return reply;
-}
-
-absl::Status RedisUsageStore::Book(const UsageBatch& batch) {
-  std::string series;
-  for (const auto& [key, counts] : batch.added) {
-    AppendSeries(key, &series);
-    AppendField(FormatCounts(counts), &series);
-  }
-  std::string sessions;
-  for (const SessionTotals& session : batch.totals) {
-    AppendField(session.session, &sessions);
-    AppendSeries(session.series, &sessions);
-    std::string totals;
-    for (const double total : session.totals) absl::StrAppendFormat(&totals, "%.17g ", total);
-    AppendField(totals, &sessions);
-  }
-  const std::string part = OpenPart(batch.time);
-  return Run(/*writes=*/true,
-             {"EVAL", kBook, "5", kProcessesKey, kSessionsKey, OpenKey(part),
-              RedisMonthKey(batch.time), kOpenKey, batch.source, absl::StrCat(batch.number),
-              absl::StrCat(absl::ToUnixSeconds(batch.time)), part, absl::StrCat(kMostSeries),
-              series, sessions})
-      .status();
-}
-
-absl::StatusOr<std::vector<std::pair<std::string, std::string>>> RedisUsageStore::ReadHash(
-    const std::string& key) {
-  ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/false, {"HGETALL", key}));
-  if (reply->type != REDIS_REPLY_ARRAY || reply->elements % 2 != 0) return Unexpected("a hash");
-  std::vector<std::pair<std::string, std::string>> fields;
-  for (size_t i = 0; i < reply->elements; i += 2) {
-    fields.emplace_back(TextOf(*reply->element[i]), TextOf(*reply->element[i + 1]));
-  }
-  return fields;
-}
-
-absl::StatusOr<std::map<std::string, UsageCounts>> RedisUsageStore::MonthOf(absl::Time time) {
-  ASSIGN_OR_RETURN(const auto fields, ReadHash(RedisMonthKey(time)));
-  std::map<std::string, UsageCounts> tenants;
-  for (const auto& [tenant, counts] : fields) tenants[tenant] = ParseCounts(counts);
-  return tenants;
-}
-
-absl::StatusOr<std::vector<std::string>> RedisUsageStore::Parts() {
-  std::vector<std::string> names;
-  ASSIGN_OR_RETURN(const auto open, Run(/*writes=*/false, {"SMEMBERS", kOpenKey}));
-  ASSIGN_OR_RETURN(const auto packed, Run(/*writes=*/false, {"HKEYS", kPackedKey}));
-  for (const auto* reply : {open.get(), packed.get()}) {
-    for (size_t i = 0; i < reply->elements; ++i) {
-      std::string name(TextOf(*reply->element[i]));
-      if (SpanOf(name).has_value()) names.push_back(std::move(name));
+  absl::Status Book(const UsageBatch& batch) override {
+    std::string series;
+    for (const auto& [key, counts] : batch.added) {
+      AppendSeries(key, &series);
+      AppendField(FormatCounts(counts), &series);
     }
+    std::string sessions;
+    for (const SessionTotals& session : batch.totals) {
+      AppendField(session.session, &sessions);
+      AppendSeries(session.series, &sessions);
+      std::string totals;
+      for (const double total : session.totals) absl::StrAppendFormat(&totals, "%.17g ", total);
+      AppendField(totals, &sessions);
+    }
+    const std::string part = OpenPart(batch.time);
+    return Run(/*writes=*/true,
+               {"EVAL", kBook, "5", kProcessesKey, kSessionsKey, OpenKey(part),
+                RedisMonthKey(batch.time), kOpenKey, batch.source, absl::StrCat(batch.number),
+                absl::StrCat(absl::ToUnixSeconds(batch.time)), part, absl::StrCat(kMostSeries),
+                series, sessions})
+        .status();
   }
-  std::ranges::sort(names);
-  return names;
-}
 
-absl::StatusOr<UsagePart> RedisUsageStore::Read(const std::string& part) {
-  UsagePart read = {.name = part};
-  const auto span = SpanOf(part);
-  if (!span.has_value()) return Unexpected("the name of a part");
-  if (part[0] == 'o') {
-    const int64_t hour = absl::ToInt64Hours(span->first - absl::UnixEpoch());
-    ASSIGN_OR_RETURN(const auto fields, ReadHash(OpenKey(part)));
-    for (const auto& [series, value] : fields) {
-      if (series.empty()) {
-        read.revision = value;
-      } else {
-        read.rows.push_back({.series = series, .hour = hour, .counts = ParseCounts(value)});
+  absl::StatusOr<std::map<std::string, UsageCounts>> MonthOf(absl::Time time) override {
+    ASSIGN_OR_RETURN(const auto fields, ReadHash(RedisMonthKey(time)));
+    std::map<std::string, UsageCounts> tenants;
+    for (const auto& [tenant, counts] : fields) tenants[tenant] = ParseCounts(counts);
+    return tenants;
+  }
+
+  absl::StatusOr<std::vector<std::string>> Parts() override {
+    std::vector<std::string> names;
+    ASSIGN_OR_RETURN(const auto open, Run(/*writes=*/false, {"SMEMBERS", kOpenKey}));
+    ASSIGN_OR_RETURN(const auto packed, Run(/*writes=*/false, {"HKEYS", kPackedKey}));
+    for (const auto* reply : {open.get(), packed.get()}) {
+      for (size_t i = 0; i < reply->elements; ++i) {
+        std::string name(TextOf(*reply->element[i]));
+        if (SpanOf(name).has_value()) names.push_back(std::move(name));
       }
     }
+    std::ranges::sort(names);
+    return names;
+  }
+
+  absl::StatusOr<UsagePart> Read(const std::string& part) override {
+    UsagePart read = {.name = part};
+    const auto span = SpanOf(part);
+    if (!span.has_value()) return Unexpected("the name of a part");
+    if (part[0] == 'o') {
+      const int64_t hour = absl::ToInt64Hours(span->first - absl::UnixEpoch());
+      ASSIGN_OR_RETURN(const auto fields, ReadHash(OpenKey(part)));
+      for (const auto& [series, value] : fields) {
+        if (series.empty()) {
+          read.revision = value;
+        } else {
+          read.rows.push_back({.series = series, .hour = hour, .counts = ParseCounts(value)});
+        }
+      }
+      return read;
+    }
+    ASSIGN_OR_RETURN(const auto reply,
+                     Run(/*writes=*/false, {"HMGET", kPackedKey, part, absl::StrCat(part, ":r")}));
+    if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 2) return Unexpected("two fields");
+    read.revision = std::string(TextOf(*reply->element[1]));
+    if (reply->element[0]->type == REDIS_REPLY_NIL) return read;
+    ASSIGN_OR_RETURN(read.rows, UnpackRows(TextOf(*reply->element[0])));
     return read;
   }
-  ASSIGN_OR_RETURN(const auto reply,
-                   Run(/*writes=*/false, {"HMGET", kPackedKey, part, absl::StrCat(part, ":r")}));
-  if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 2) return Unexpected("two fields");
-  read.revision = std::string(TextOf(*reply->element[1]));
-  if (reply->element[0]->type == REDIS_REPLY_NIL) return read;
-  ASSIGN_OR_RETURN(read.rows, UnpackRows(TextOf(*reply->element[0])));
-  return read;
-}
 
-absl::Status RedisUsageStore::Replace(const UsagePart& source, const UsagePart& target,
-                                      const std::string& packed) {
-  return Run(/*writes=*/true, {"EVAL", kReplace, "3", kPackedKey, OpenKey(source.name), kOpenKey,
-                               source.name, source.revision, target.name, target.revision, packed})
-      .status();
-}
-
-absl::Status RedisUsageStore::Forget(absl::Time time) {
-  const std::string seconds = absl::StrCat(absl::ToUnixSeconds(time));
-  for (const auto& [key, position] :
-       {std::pair(kProcessesKey, "2"), std::pair(kSessionsKey, "1")}) {
-    std::string cursor = "0";
-    do {
-      ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/true, {"EVAL", kForget, "1", key, cursor,
-                                                               seconds, position}));
-      cursor = std::string(TextOf(*reply));
-    } while (cursor != "0" && !cursor.empty());
+  absl::Status Replace(const UsagePart& source, const UsagePart& target,
+                       const std::string& packed) override {
+    return Run(/*writes=*/true,
+               {"EVAL", kReplace, "3", kPackedKey, OpenKey(source.name), kOpenKey, source.name,
+                source.revision, target.name, target.revision, packed})
+        .status();
   }
-  return absl::OkStatus();
+
+  absl::Status Forget(absl::Time time) override {
+    const std::string seconds = absl::StrCat(absl::ToUnixSeconds(time));
+    for (const auto& [key, position] :
+         {std::pair(kProcessesKey, "2"), std::pair(kSessionsKey, "1")}) {
+      std::string cursor = "0";
+      do {
+        ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/true, {"EVAL", kForget, "1", key, cursor,
+                                                                 seconds, position}));
+        cursor = std::string(TextOf(*reply));
+      } while (cursor != "0" && !cursor.empty());
+    }
+    return absl::OkStatus();
+  }
+
+ private:
+  absl::StatusOr<RedisReply> Run(bool writes, std::initializer_list<absl::string_view> arguments)
+      ABSL_LOCKS_EXCLUDED(mutex_) {
+    absl::MutexLock lock(&mutex_);
+    if (client_ == nullptr || !client_->is_usable()) {
+      ASSIGN_OR_RETURN(client_, RedisClient::Connect(options_));
+    }
+    auto reply = client_->Run(arguments);
+    if (reply.ok() && writes && options_.replicas > 0) {
+      RETURN_IF_ERROR(client_->WaitForReplicas());
+    }
+    if (!client_->is_usable()) client_ = nullptr;
+    return reply;
+  }
+
+  absl::StatusOr<std::vector<std::pair<std::string, std::string>>> ReadHash(
+      const std::string& key) {
+    ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/false, {"HGETALL", key}));
+    if (reply->type != REDIS_REPLY_ARRAY || reply->elements % 2 != 0) return Unexpected("a hash");
+    std::vector<std::pair<std::string, std::string>> fields;
+    for (size_t i = 0; i < reply->elements; i += 2) {
+      fields.emplace_back(TextOf(*reply->element[i]), TextOf(*reply->element[i + 1]));
+    }
+    return fields;
+  }
+
+  const RedisOptions options_;
+  absl::Mutex mutex_;
+  std::unique_ptr<RedisClient> client_ ABSL_GUARDED_BY(mutex_);
+};
+
+}  // namespace
+
+std::unique_ptr<UsageStore> NewRedisUsageStore(RedisOptions options) {
+  return std::make_unique<RedisUsageStore>(std::move(options));
 }
 
 }  // namespace spikeserve

@@ -10,6 +10,7 @@
 
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -17,6 +18,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "core/store/redis_options.h"
 #include "server/usage/usage_rows.h"
 
 namespace spikeserve {
@@ -65,6 +67,24 @@ class UsageStore {
   // Forgets the totals of sessions that were not booked since `time`.
   virtual absl::Status Forget(absl::Time time) = 0;
 };
+
+// Keeps the ledger of one server in memory and, if it has a folder, in LMDB there.
+//
+// Books into memory first: if the disk takes nothing, what is not written yet is tried again with
+// the next batch, and a crash loses it.
+class LocalUsageStore : public UsageStore {
+ public:
+  // Opens the ledger in `directory`, which is created if it does not exist; empty: memory alone.
+  // INVALID_ARGUMENT if the folder cannot be used.
+  static absl::StatusOr<std::unique_ptr<LocalUsageStore>> Open(const std::string& directory);
+
+  // Returns how many decisions of a session were booked.
+  virtual double BookedDecisions(const std::string& session) = 0;
+};
+
+// Keeps the ledger of all servers that share a Redis. Methods block for at most a few
+// RedisOptions::timeout.
+std::unique_ptr<UsageStore> NewRedisUsageStore(RedisOptions options);
 
 // Returns the rows that begin in [from, to).
 absl::StatusOr<std::vector<UsageRow>> ReadUsage(UsageStore& store, absl::Time from, absl::Time to);

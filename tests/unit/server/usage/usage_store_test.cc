@@ -12,7 +12,6 @@
 
 #include "absl/strings/str_cat.h"
 #include "gtest/gtest.h"
-#include "server/usage/local_usage_store.h"
 #include "server/usage/usage_rows.h"
 
 namespace spikeserve {
