@@ -39,11 +39,28 @@ class SharedAnswers {
   };
 
   // Adds a request for the page `key` to its round.
-  std::shared_ptr<Round> Join(const std::string& key);
+  std::shared_ptr<Round> Join(const std::string& key) {
+    absl::MutexLock lock(&mutex_);
+    std::erase_if(open_, [](const auto& item) { return item.second.expired(); });
+    std::weak_ptr<Round>& open = open_[key];
+    auto round = open.lock();
+    if (round == nullptr) open = round = std::make_shared<Round>(key);
+    return round;
+  }
 
   // Returns the page of a round, which `make` makes for the first of its requests.
   absl::StatusOr<std::string> Get(Round& round,
-                                  absl::FunctionRef<absl::StatusOr<std::string>()> make);
+                                  absl::FunctionRef<absl::StatusOr<std::string>()> make) {
+    absl::MutexLock lock(&round.mutex_);
+    if (!round.answer_.has_value()) {
+      {
+        absl::MutexLock open_lock(&mutex_);
+        open_.erase(round.key_);  // who arrives from now on waits for the next one
+      }
+      round.answer_ = make();
+    }
+    return *round.answer_;
+  }
 
  private:
   absl::Mutex mutex_;
