@@ -1,6 +1,7 @@
 #include "loadtest/load_options.h"
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 
@@ -14,39 +15,11 @@ absl::Status CheckRange(absl::string_view flag, int value, int least, int most) 
 
 }  // namespace
 
-absl::StatusOr<LoadMode> ParseLoadMode(absl::string_view name) {
-  if (name == "unary") return LoadMode::kUnary;
-  if (name == "stream") return LoadMode::kStream;
-  if (name == "batch") return LoadMode::kBatch;
-  return absl::InvalidArgumentError(
-      absl::StrCat("expected unary, stream or batch, received \"", name, "\""));
-}
-
-absl::StatusOr<v1::Durability> ParseDurability(absl::string_view name) {
-  if (name.empty()) return v1::DURABILITY_DEFAULT;
-  if (name == "none") return v1::NONE;
-  if (name == "async") return v1::ASYNC;
-  if (name == "sync") return v1::SYNC;
-  return absl::InvalidArgumentError(
-      absl::StrCat("expected none, async or sync, received \"", name, "\""));
-}
-
-absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(
-    absl::string_view name) {
-  if (name.empty()) return std::nullopt;
-  if (name == "session") return v1::LearningConfig::SESSION;
-  if (name == "fleet") return v1::LearningConfig::FLEET;
-  return absl::InvalidArgumentError(
-      absl::StrCat("expected session or fleet, received \"", name, "\""));
-}
-
 absl::Status LoadOptions::Validate() const {
   constexpr int kMany = 1'000'000;
   RETURN_IF_ERROR(CheckRange("sessions", sessions, 1, kMany));
   RETURN_IF_ERROR(CheckRange("streams", streams, 1, 1024));
-  if (auto status = CheckRange("episode_steps", episode_steps, 1, kMany); !status.ok()) {
-    return status;
-  }
+  RETURN_IF_ERROR(CheckRange("episode_steps", episode_steps, 1, kMany));
   RETURN_IF_ERROR(CheckRange("batch_size", batch_size, 0, kMany));
   if (!(observation_bound >= 0.0 && observation_bound <= 1e6)) {
     return InvalidArgument("--observation_bound", "0 to 1e6", observation_bound);

@@ -1,31 +1,28 @@
 // The options of a load test.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
 
 #include "absl/status/status.h"
-#include "absl/status/statusor.h"
-#include "absl/strings/string_view.h"
 #include "absl/time/time.h"
 #include "client/tools/default_server.h"
+#include "core/base/enum_names.h"
+#include "core/learning/learning_options.h"
+#include "core/session/durability.h"
 #include "spikeserve/channel.h"
-#include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
 
 // How requests are sent: one Act call each, one stream per caller, or ActBatch calls.
 enum class LoadMode { kUnary, kStream, kBatch };
 
-// Parses "unary", "stream" or "batch". INVALID_ARGUMENT reads "expected X, received Y".
-absl::StatusOr<LoadMode> ParseLoadMode(absl::string_view name);
-
-// Parses "none", "async", "sync", or "" for the default of the server. Errors as above.
-absl::StatusOr<v1::Durability> ParseDurability(absl::string_view name);
-
-// Parses "session", "fleet", or "" for sessions that do not learn. Errors as above.
-absl::StatusOr<std::optional<v1::LearningConfig::Scope>> ParseLearningScope(absl::string_view name);
+constexpr std::array<EnumName<LoadMode>, 3> EnumNames(LoadMode) {
+  return {
+      {{LoadMode::kUnary, "unary"}, {LoadMode::kStream, "stream"}, {LoadMode::kBatch, "batch"}}};
+}
 
 struct LoadOptions {
   SecurityOptions security;
@@ -38,10 +35,10 @@ struct LoadOptions {
   absl::Duration call_timeout = absl::Seconds(5);  // of one call; a reply on a stream: 4 times this
   std::string policy;                              // empty: the first policy of the server
   // The head that every session learns, with sampled actions; absent: frozen and greedy.
-  std::optional<v1::LearningConfig::Scope> learning_scope;
-  v1::Durability durability = v1::DURABILITY_DEFAULT;  // of every session
-  int episode_steps = 200;  // steps after which a session ends its episode
-  int batch_size = 0;       // largest number of requests in a batch; 0: all agents of a caller
+  std::optional<Scope> learning_scope;
+  std::optional<Durability> durability;  // of every session; absent: the default of the server
+  int episode_steps = 200;               // steps after which a session ends its episode
+  int batch_size = 0;  // largest number of requests in a batch; 0: all agents of a caller
   // The pause of a caller after an error; 0: none, so a server that refuses requests is flooded.
   absl::Duration pause_after_error = absl::Milliseconds(10);
   bool retry = false;              // the client repeats failed calls and reopens broken streams

@@ -10,6 +10,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
@@ -47,10 +48,16 @@ absl::StatusOr<std::vector<SimulatedAgent>> OpenAgents(const LoadOptions& option
     v1::OpenSessionRequest request;
     request.set_policy(policy);
     request.set_seed(seed);
-    request.set_durability(options.durability);
+    if (options.durability.has_value()) {
+      v1::Durability durability = v1::DURABILITY_DEFAULT;
+      v1::Durability_Parse(absl::AsciiStrToUpper(ToString(*options.durability)), &durability);
+      request.set_durability(durability);
+    }
     if (options.learning_scope.has_value()) {
       request.set_action_selection(v1::SAMPLE);
-      request.mutable_learning()->set_scope(*options.learning_scope);
+      const bool is_fleet = *options.learning_scope == Scope::kFleet;
+      request.mutable_learning()->set_scope(is_fleet ? v1::LearningConfig::FLEET
+                                                     : v1::LearningConfig::SESSION);
     }
     ASSIGN_OR_RETURN(auto session,
                      RemoteSession::Open(client, std::move(request), /*reopens=*/true, route));
@@ -136,17 +143,8 @@ struct LoadFlags {
   bool json = false;
 };
 
-template <typename T>
-absl::Status Store(const absl::StatusOr<T>& parsed, T* value) {
-  if (parsed.ok()) *value = *parsed;
-  return parsed.status();
-}
-
 void AddLoadFlags(FlagGroup load, LoadOptions* options) {
-  load.AddParsed(
-          "mode", "unary|stream|batch", "unary",
-          [=](const std::string& text) { return Store(ParseLoadMode(text), &options->mode); },
-          "How requests are sent")
+  load.Add("mode", EnumKind<LoadMode>(), &options->mode, "How requests are sent")
       .Add("sessions", "N", &options->sessions, "Open sessions")
       .Add("streams", "N", &options->streams,
            "Callers, each with a connection, that share the sessions")
@@ -164,18 +162,10 @@ void AddLoadFlags(FlagGroup load, LoadOptions* options) {
 
 void AddAgentFlags(FlagGroup agents, LoadOptions* options) {
   agents.Add("policy", "NAME", &options->policy, "Policy; default: the first one served")
-      .AddParsed(
-          "learning_scope", "session|fleet", "",
-          [=](const std::string& text) {
-            return Store(ParseLearningScope(text), &options->learning_scope);
-          },
-          "Head that learns; default: none")
-      .AddParsed(
-          "durability", "none|async|sync", "",
-          [=](const std::string& text) {
-            return Store(ParseDurability(text), &options->durability);
-          },
-          "What survives the loss of a server; default: the server's")
+      .Add("learning_scope", EnumKind<Scope>(), &options->learning_scope,
+           "Head that learns; default: none")
+      .Add("durability", EnumKind<Durability>(), &options->durability,
+           "What survives the loss of a server; default: the server's")
       .Add("episode_steps", "N", &options->episode_steps, "Steps of an episode")
       .Add("observation_bound", "X", &options->observation_bound,
            "Random observations are within plus and minus this")
