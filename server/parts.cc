@@ -282,9 +282,20 @@ absl::Status HttpDoor::Open(const ServerOptions& options, const Foundation& base
                                                    .clock = clock,
                                                    .limits = options.transport_limits,
                                                    .max_message_bytes = options.max_message_bytes});
-  inference = std::make_unique<const InferencePages>(calls.get());
-  grpc_web = std::make_unique<const GrpcWebPages>(calls.get());
-  seat = std::make_unique<const SeatPages>(calls.get());
+  for (const auto add : {NewSeatPages, NewGrpcWebPages, NewInferencePages}) {
+    call_pages.push_back(add(calls.get()));
+  }
+  const auto accept_body =
+      [this](const HttpRequest& request) -> std::variant<AcceptedBody, HttpResponse> {
+    if (const CallPages* of_call = CallPagesFor(request)) return of_call->AcceptBody(request);
+    return HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
+  };
+  const auto answer = [this](HttpRequest request, HttpServer::Done done) {
+    if (const CallPages* of_call = CallPagesFor(request)) {
+      return of_call->Answer(std::move(request), std::move(done));
+    }
+    pages.Answer(std::move(request), std::move(done));
+  };
   ASSIGN_OR_RETURN(
       server, HttpServer::Start({.listen = address,
                                  .tls = tls.get(),
@@ -292,28 +303,16 @@ absl::Status HttpDoor::Open(const ServerOptions& options, const Foundation& base
                                  .has_tokens = !options.tokens.empty(),
                                  .origins = *Origins::Parse("--http_origins", options.http_origins),
                                  .clock = clock,
-                                 .accept_body =
-                                     [this](const HttpRequest& request) {
-                                       if (SeatPages::Has(request.path)) {
-                                         return seat->AcceptBody(request);
-                                       }
-                                       return GrpcWebPages::Has(request)
-                                                  ? grpc_web->AcceptBody(request)
-                                                  : inference->AcceptBody(request);
-                                     }},
-                                [this](HttpRequest request, HttpServer::Done done) {
-                                  if (SeatPages::Has(request.path)) {
-                                    return seat->Answer(std::move(request), std::move(done));
-                                  }
-                                  if (GrpcWebPages::Has(request)) {
-                                    return grpc_web->Answer(std::move(request), std::move(done));
-                                  }
-                                  if (InferencePages::Has(request.path)) {
-                                    return inference->Answer(std::move(request), std::move(done));
-                                  }
-                                  pages.Answer(std::move(request), std::move(done));
-                                }));
+                                 .accept_body = accept_body},
+                                answer));
   return absl::OkStatus();
+}
+
+const CallPages* HttpDoor::CallPagesFor(const HttpRequest& request) const {
+  for (const auto& of_call : call_pages) {
+    if (of_call->Has(request)) return of_call.get();
+  }
+  return nullptr;
 }
 
 void MemoryTrimmer::Trim(int64_t closed_connections) {

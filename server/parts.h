@@ -45,11 +45,9 @@
 #include "server/transport/transport.h"
 #include "server/usage/ledger.h"
 #include "server/usage/open_usage.h"
-#include "server/web/grpc_web_pages.h"
+#include "server/web/call_pages.h"
 #include "server/web/http_call.h"
 #include "server/web/http_server.h"
-#include "server/web/inference_pages.h"
-#include "server/web/seat_pages.h"
 #include "server/web/status_pages.h"
 
 namespace spikeserve {
@@ -156,14 +154,14 @@ struct HttpDoor {
   // Opens the port unless --http_listen is empty. Its calls are on loops of `transport`.
   absl::Status Open(const ServerOptions& options, const Foundation& base, Transport* transport,
                     const Clock* clock);
+  // Returns the pages that answer a request; null: `pages` do.
+  const CallPages* CallPagesFor(const HttpRequest& request) const;
 
   StatusPages pages;
-  // The rest is null without --http_listen.
+  // The rest is null, or empty, without --http_listen.
   std::unique_ptr<HttpCalls> calls = nullptr;
-  std::unique_ptr<const InferencePages> inference = nullptr;
-  std::unique_ptr<const GrpcWebPages> grpc_web = nullptr;
-  std::unique_ptr<const SeatPages> seat = nullptr;
-  std::unique_ptr<TlsContext> tls = nullptr;  // null without TLS, too
+  std::vector<std::unique_ptr<const CallPages>> call_pages = {};  // the first that has a request
+  std::unique_ptr<TlsContext> tls = nullptr;                      // null without TLS, too
   std::unique_ptr<HttpServer> server = nullptr;
 };
 

@@ -1,10 +1,10 @@
-#include "server/web/grpc_web_pages.h"
-
 #include <algorithm>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
+#include <variant>
 
 #include "absl/algorithm/container.h"
 #include "absl/status/status.h"
@@ -17,6 +17,7 @@
 #include "core/contract/dcheck.h"
 #include "server/base/method.h"
 #include "server/transport/grpc_wire.h"
+#include "server/web/call_pages.h"
 
 namespace spikeserve {
 namespace {
@@ -109,55 +110,67 @@ absl::StatusOr<std::string> MessageOf(Form form, HttpRequest* request) {
   return bytes;
 }
 
+class GrpcWebPages final : public CallPages {
+ public:
+  explicit GrpcWebPages(HttpCalls* calls) : calls_(*calls) {}
+
+  bool Has(const HttpRequest& request) const override {
+    return request.is_post && FormOf(request.content_type).has_value();
+  }
+
+  std::variant<AcceptedBody, HttpResponse> AcceptBody(const HttpRequest& request) const override {
+    const Form form = *FormOf(request.content_type);
+    const Method* method = UnaryMethodAt(request.path);
+    if (method == nullptr) {
+      return ResponseOf(form, absl::UnimplementedError(absl::StrCat(
+                                  "path: expected a unary method, because gRPC-Web carries no "
+                                  "streams of requests, received ",
+                                  Quoted(request.path))));
+    }
+    absl::Duration delay;
+    const int64_t bytes = MessageBytes(form, LeastBody(request));
+    auto accepted = calls_.Admit(request, *method, bytes, &delay);
+    if (!accepted.ok()) {
+      const bool is_too_long =
+          absl::IsResourceExhausted(accepted.status()) && bytes > calls_.max_message_bytes();
+      HttpResponse refusal =
+          is_too_long ? TooLongError(request, BodyBytes(form, calls_.max_message_bytes()))
+                      : ResponseOf(form, accepted.status());
+      refusal.delay = delay;
+      return refusal;
+    }
+    accepted->longest =
+        static_cast<size_t>(BodyBytes(form, static_cast<int64_t>(accepted->longest)));
+    return *std::move(accepted);
+  }
+
+  void Answer(HttpRequest request, HttpServer::Done done) const override {
+    SPIKESERVE_DCHECK(FormOf(request.content_type).has_value());
+    const Form form = *FormOf(request.content_type);
+    absl::Duration timeout = absl::InfiniteDuration();
+    if (!request.grpc_timeout.empty()) {
+      const auto parsed = ParseTimeout(request.grpc_timeout);
+      if (!parsed.ok()) return done(ResponseOf(form, parsed.status()));
+      timeout = *parsed;
+    }
+    const Method* method = UnaryMethodAt(request.path);
+    calls_.Start({.method = method,
+                  .request = std::move(request),
+                  .read = [form](HttpRequest* body) { return MessageOf(form, body); },
+                  .timeout = timeout},
+                 [form, done = std::move(done)](const absl::StatusOr<std::string>& response) {
+                   done(ResponseOf(form, response));
+                 });
+  }
+
+ private:
+  HttpCalls& calls_;
+};
+
 }  // namespace
 
-bool GrpcWebPages::Has(const HttpRequest& request) {
-  return request.is_post && FormOf(request.content_type).has_value();
-}
-
-std::variant<AcceptedBody, HttpResponse> GrpcWebPages::AcceptBody(
-    const HttpRequest& request) const {
-  const Form form = *FormOf(request.content_type);
-  const Method* method = UnaryMethodAt(request.path);
-  if (method == nullptr) {
-    return ResponseOf(form, absl::UnimplementedError(absl::StrCat(
-                                "path: expected a unary method, because gRPC-Web carries no "
-                                "streams of requests, received ",
-                                Quoted(request.path))));
-  }
-  absl::Duration delay;
-  const int64_t bytes = MessageBytes(form, LeastBody(request));
-  auto accepted = calls_.Admit(request, *method, bytes, &delay);
-  if (!accepted.ok()) {
-    const bool is_too_long =
-        absl::IsResourceExhausted(accepted.status()) && bytes > calls_.max_message_bytes();
-    HttpResponse refusal = is_too_long
-                               ? TooLongError(request, BodyBytes(form, calls_.max_message_bytes()))
-                               : ResponseOf(form, accepted.status());
-    refusal.delay = delay;
-    return refusal;
-  }
-  accepted->longest = static_cast<size_t>(BodyBytes(form, static_cast<int64_t>(accepted->longest)));
-  return *std::move(accepted);
-}
-
-void GrpcWebPages::Answer(HttpRequest request, HttpServer::Done done) const {
-  SPIKESERVE_DCHECK(FormOf(request.content_type).has_value());
-  const Form form = *FormOf(request.content_type);
-  absl::Duration timeout = absl::InfiniteDuration();
-  if (!request.grpc_timeout.empty()) {
-    const auto parsed = ParseTimeout(request.grpc_timeout);
-    if (!parsed.ok()) return done(ResponseOf(form, parsed.status()));
-    timeout = *parsed;
-  }
-  const Method* method = UnaryMethodAt(request.path);
-  calls_.Start({.method = method,
-                .request = std::move(request),
-                .read = [form](HttpRequest* body) { return MessageOf(form, body); },
-                .timeout = timeout},
-               [form, done = std::move(done)](const absl::StatusOr<std::string>& response) {
-                 done(ResponseOf(form, response));
-               });
+std::unique_ptr<const CallPages> NewGrpcWebPages(HttpCalls* calls) {
+  return std::make_unique<const GrpcWebPages>(calls);
 }
 
 }  // namespace spikeserve

@@ -1,9 +1,8 @@
-#include "server/web/inference_pages.h"
-
 #include <memory>
 #include <optional>
 #include <string>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include "absl/strings/match.h"
@@ -15,6 +14,7 @@
 #include "inference/grpc_service.pb.h"
 #include "nlohmann/json.hpp"
 #include "server/inference/inference_json.h"
+#include "server/web/call_pages.h"
 
 namespace spikeserve {
 namespace {
@@ -197,52 +197,62 @@ void Infer(HttpCalls& calls, const PageRoute& route, HttpRequest request, HttpSe
               });
 }
 
+class InferencePages final : public CallPages {
+ public:
+  explicit InferencePages(HttpCalls* calls) : calls_(*calls) {}
+
+  bool Has(const HttpRequest& request) const override {
+    return request.path == "/v2" || absl::StartsWith(request.path, "/v2/");
+  }
+
+  std::variant<AcceptedBody, HttpResponse> AcceptBody(const HttpRequest& request) const override {
+    const auto route = RouteOf(request.path);
+    if (!route.has_value()) return UnknownPath();
+    if (route->page != Page::kInfer) {
+      return JsonError(405, "method: expected GET");
+    }
+    absl::Duration delay;
+    auto accepted = calls_.Admit(request, MethodOf(*route), LeastBody(request), &delay);
+    if (accepted.ok()) return *std::move(accepted);
+    if (!absl::IsResourceExhausted(accepted.status()) ||
+        LeastBody(request) <= calls_.max_message_bytes()) {
+      return ErrorResponse(accepted.status(), delay);
+    }
+    HttpResponse refusal = TooLongError(request, calls_.max_message_bytes());
+    refusal.delay = delay;
+    return refusal;
+  }
+
+  void Answer(HttpRequest request, HttpServer::Done done) const override {
+    const auto route = RouteOf(request.path);
+    if (!route.has_value()) return done(UnknownPath());
+    const bool infers = route->page == Page::kInfer;
+    if (infers != request.is_post) {
+      return done(JsonError(405, "method: expected POST"));
+    }
+    if (infers) return Infer(calls_, *route, std::move(request), std::move(done));
+    const Method* const method = &MethodOf(*route);
+    absl::Duration delay;
+    const auto admitted = calls_.Admit(request, *method, /*message_bytes=*/0, &delay);
+    if (!admitted.ok()) return done(ErrorResponse(admitted.status(), delay));
+    request.caller = admitted->caller;
+    calls_.Start(
+        {.method = method,
+         .request = std::move(request),
+         .read = [route = *route](HttpRequest* /*request*/) { return MessageOf(route); }},
+        [route = *route, done = std::move(done)](const absl::StatusOr<std::string>& response) {
+          done(response.ok() ? ResponseOf(route, *response) : ErrorResponse(response.status()));
+        });
+  }
+
+ private:
+  HttpCalls& calls_;
+};
+
 }  // namespace
 
-bool InferencePages::Has(absl::string_view path) {
-  return path == "/v2" || absl::StartsWith(path, "/v2/");
-}
-
-std::variant<AcceptedBody, HttpResponse> InferencePages::AcceptBody(
-    const HttpRequest& request) const {
-  if (!Has(request.path)) return HttpResponse{.code = 405, .body = "expected GET or HEAD\n"};
-  const auto route = RouteOf(request.path);
-  if (!route.has_value()) return UnknownPath();
-  if (route->page != Page::kInfer) {
-    return JsonError(405, "method: expected GET");
-  }
-  absl::Duration delay;
-  auto accepted = calls_.Admit(request, MethodOf(*route), LeastBody(request), &delay);
-  if (accepted.ok()) return *std::move(accepted);
-  if (!absl::IsResourceExhausted(accepted.status()) ||
-      LeastBody(request) <= calls_.max_message_bytes()) {
-    return ErrorResponse(accepted.status(), delay);
-  }
-  HttpResponse refusal = TooLongError(request, calls_.max_message_bytes());
-  refusal.delay = delay;
-  return refusal;
-}
-
-void InferencePages::Answer(HttpRequest request, HttpServer::Done done) const {
-  const auto route = RouteOf(request.path);
-  if (!route.has_value()) return done(UnknownPath());
-  const bool infers = route->page == Page::kInfer;
-  if (infers != request.is_post) {
-    return done(JsonError(405, "method: expected POST"));
-  }
-  if (infers) return Infer(calls_, *route, std::move(request), std::move(done));
-  const Method* const method = &MethodOf(*route);
-  absl::Duration delay;
-  const auto admitted = calls_.Admit(request, *method, /*message_bytes=*/0, &delay);
-  if (!admitted.ok()) return done(ErrorResponse(admitted.status(), delay));
-  request.caller = admitted->caller;
-  calls_.Start(
-      {.method = method,
-       .request = std::move(request),
-       .read = [route = *route](HttpRequest* /*request*/) { return MessageOf(route); }},
-      [route = *route, done = std::move(done)](const absl::StatusOr<std::string>& response) {
-        done(response.ok() ? ResponseOf(route, *response) : ErrorResponse(response.status()));
-      });
+std::unique_ptr<const CallPages> NewInferencePages(HttpCalls* calls) {
+  return std::make_unique<const InferencePages>(calls);
 }
 
 }  // namespace spikeserve

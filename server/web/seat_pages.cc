@@ -1,7 +1,7 @@
-#include "server/web/seat_pages.h"
-
+#include <memory>
 #include <string>
 #include <utility>
+#include <variant>
 
 #include "absl/algorithm/container.h"
 #include "absl/status/statusor.h"
@@ -12,6 +12,7 @@
 #include "core/contract/dcheck.h"
 #include "proto/json.h"
 #include "server/base/method.h"
+#include "server/web/call_pages.h"
 #include "server/web/status_json.h"
 #include "spikeserve/v1/policy_admin.pb.h"
 
@@ -65,35 +66,48 @@ HttpResponse SeatError(const absl::Status& status) {
   return SeatError(status, HttpCode(status.code()));
 }
 
+class SeatPages final : public CallPages {
+ public:
+  explicit SeatPages(HttpCalls* calls) : calls_(*calls) {}
+
+  bool Has(const HttpRequest& request) const override { return PageAt(request.path) != nullptr; }
+
+  std::variant<AcceptedBody, HttpResponse> AcceptBody(const HttpRequest& request) const override {
+    // No page of another site sends this type without asking first, whatever the browser says of
+    // it.
+    if (!absl::StartsWith(request.content_type, "application/json")) {
+      return SeatError(
+          InvalidArgument("Content-Type", "application/json", Quoted(request.content_type)), 415);
+    }
+    absl::Duration delay;
+    auto accepted = calls_.Admit(request, MethodNamed(PageAt(request.path)->method),
+                                 LeastBody(request), &delay);
+    if (accepted.ok()) return *std::move(accepted);
+    HttpResponse refusal = SeatError(accepted.status());
+    refusal.delay = delay;
+    return refusal;
+  }
+
+  void Answer(HttpRequest request, HttpServer::Done done) const override {
+    const SeatPage* const page = PageAt(request.path);
+    SPIKESERVE_DCHECK(page != nullptr);
+    if (!request.is_post) return done(SeatError(InvalidArgument("method", "POST", "GET"), 405));
+    calls_.Start(
+        {.method = &MethodNamed(page->method), .request = std::move(request), .read = page->read},
+        [page, done = std::move(done)](const absl::StatusOr<std::string>& response) {
+          if (!response.ok()) return done(SeatError(response.status()));
+          done({.content_type = "application/json", .body = page->write(*response)});
+        });
+  }
+
+ private:
+  HttpCalls& calls_;
+};
+
 }  // namespace
 
-bool SeatPages::Has(absl::string_view path) { return PageAt(path) != nullptr; }
-
-std::variant<AcceptedBody, HttpResponse> SeatPages::AcceptBody(const HttpRequest& request) const {
-  // No page of another site sends this type without asking first, whatever the browser says of it.
-  if (!absl::StartsWith(request.content_type, "application/json")) {
-    return SeatError(
-        InvalidArgument("Content-Type", "application/json", Quoted(request.content_type)), 415);
-  }
-  absl::Duration delay;
-  auto accepted =
-      calls_.Admit(request, MethodNamed(PageAt(request.path)->method), LeastBody(request), &delay);
-  if (accepted.ok()) return *std::move(accepted);
-  HttpResponse refusal = SeatError(accepted.status());
-  refusal.delay = delay;
-  return refusal;
-}
-
-void SeatPages::Answer(HttpRequest request, HttpServer::Done done) const {
-  const SeatPage* const page = PageAt(request.path);
-  SPIKESERVE_DCHECK(page != nullptr);
-  if (!request.is_post) return done(SeatError(InvalidArgument("method", "POST", "GET"), 405));
-  calls_.Start(
-      {.method = &MethodNamed(page->method), .request = std::move(request), .read = page->read},
-      [page, done = std::move(done)](const absl::StatusOr<std::string>& response) {
-        if (!response.ok()) return done(SeatError(response.status()));
-        done({.content_type = "application/json", .body = page->write(*response)});
-      });
+std::unique_ptr<const CallPages> NewSeatPages(HttpCalls* calls) {
+  return std::make_unique<const SeatPages>(calls);
 }
 
 }  // namespace spikeserve
