@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -76,16 +77,8 @@ class SessionCursor:
             decision=self.decision,
             traceparent=active_traceparent(),  # for streams, whose metadata is that of one call
         )
-        return Call(
-            "Act",
-            request,
-            lambda response: self.accept(request, response),
-            timeout,
-            session_id=self.session_id,
-            route=self.route,
-            missing=self.missing,
-            is_outdated=self.is_outdated,
-        )
+        accept = functools.partial(self.accept, request)
+        return self._call("Act", request, accept, self.missing, timeout)
 
     def end_episode(
         self,
@@ -119,15 +112,7 @@ class SessionCursor:
                 self.episode += 1
             return EpisodeSummary.from_wire(response)
 
-        return Call(
-            "EndEpisode",
-            request,
-            accept,
-            session_id=self.session_id,
-            route=self.route,
-            missing=self.missing,
-            is_outdated=self.is_outdated,
-        )
+        return self._call("EndEpisode", request, accept, self.missing)
 
     def state(self, include_head_delta: bool = False) -> Call[SessionState]:
         """Describes Session.state."""
@@ -139,7 +124,7 @@ class SessionCursor:
             self._check_is_current("GetSession", response.decisions, response.episode)
             return SessionState.from_wire(response)
 
-        return self._reading("GetSession", request, accept)
+        return self._call("GetSession", request, accept, self._missing_or_last)
 
     def explain(self) -> Call[Explanation]:
         """Describes Session.explain."""
@@ -151,7 +136,7 @@ class SessionCursor:
                 self._check_is_current("Explain", 0, 0)
             return Explanation.from_wire(response)
 
-        return self._reading("Explain", request, accept)
+        return self._call("Explain", request, accept, self._missing_or_last)
 
     def close(self) -> Call[None]:
         """Describes Session.close."""
@@ -225,14 +210,22 @@ class SessionCursor:
             code = grpc.StatusCode.FAILED_PRECONDITION
             raise make_error(method, code, message, expected_decision=decisions)
 
-    def _reading(self, method: str, request: Message, decode: Callable[[Message], T]) -> Call[T]:
+    def _call(
+        self,
+        method: str,
+        request: Message,
+        decode: Callable[[Message], T],
+        missing: Callable[[SpikeserveError], list[Call[None]]],
+        timeout: float | None = None,
+    ) -> Call[T]:
         return Call(
             method,
             request,
             decode,
+            timeout,
             session_id=self.session_id,
             route=self.route,
-            missing=self._missing_or_last,
+            missing=missing,
             is_outdated=self.is_outdated,
         )
 
