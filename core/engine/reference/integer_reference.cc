@@ -4,8 +4,8 @@
 #include <cstdlib>
 #include <vector>
 
-#include "core/engine/counting.h"
 #include "core/engine/fixed_point_maps.h"
+#include "core/engine/reference/prefix_pass.h"
 #include "core/engine/reference/reference_engine.h"
 #include "core/engine/token_costs.h"
 #include "core/math/fixed_point.h"
@@ -39,14 +39,9 @@ Fired MakeFired(int ticks, size_t neurons) {
 
 // Computes one decision over the whole episode. Symbols: T ticks, H heads, d hidden size, d_h head
 // size.
-class IntegerReferencePass {
+class IntegerReferencePass : private PrefixPass {
  public:
-  IntegerReferencePass(const Policy& policy, const PrefixContext& context, Trace* trace)
-      : policy_(policy),
-        config_(policy.config),
-        tokens_(context.tokens()),
-        first_new_token_(context.first_new_token()),
-        trace_(trace) {}
+  using PrefixPass::PrefixPass;
 
   void Run(Engine::Output* output) {
     for (size_t i = 0; i < tokens_.size(); ++i) Embed(i);
@@ -65,15 +60,6 @@ class IntegerReferencePass {
   }
 
  private:
-  bool IsNew(size_t token) const { return token >= first_new_token_; }
-  TokenName Name(size_t token) const { return {tokens_[token].kind, tokens_[token].timestep}; }
-
-  void AddSpikes(size_t token, Stage stage, int layer, const SpikeTrain& train) {
-    if (!IsNew(token)) return;
-    counts_.spikes(stage) += CountSpikes(train);
-    if (trace_ != nullptr) trace_->populations.push_back({stage, layer, Name(token), train});
-  }
-
   // Counts the products of a map with 8-bit weights.
   void AddMultiplies(size_t token, const FixedPointMap& map, const Integers& input, bool wide) {
     if (!IsNew(token)) return;
@@ -220,10 +206,6 @@ class IntegerReferencePass {
       Attention(layer, query, i);
       FeedForward(layer, i);
     }
-  }
-
-  bool IsInBand(size_t i, size_t j) const {
-    return tokens_[j].timestep > tokens_[i].timestep - config_.context;
   }
 
   int TicksOf(const Group& group) const {
@@ -422,6 +404,7 @@ class IntegerReferencePass {
       }
       AddHeads(layer, y, group, i, &sums);
     }
+    RecordKeys(layer, i);
     RecordAttention(layer, i);
     if (config_.has_routing()) {
       RecordGates(layer, i);
@@ -462,17 +445,13 @@ class IntegerReferencePass {
   void RecordAttention(int layer, size_t i) {
     if (trace_ == nullptr || i + 1 != tokens_.size()) return;
     LayerTrace& trace = trace_->layers[layer];
-    for (size_t j = 0; j <= i; ++j) {
-      if (IsInBand(i, j)) trace.keys.push_back(Name(j));
-    }
     for (const std::vector<float>& row : attention_) {
       trace.attention.insert(trace.attention.end(), row.begin(), row.end());
     }
   }
 
   void RecordGates(int layer, size_t i) {
-    const int64_t reach = int64_t{config_.layers - 1 - layer} * (config_.context - 1);
-    if (trace_ == nullptr || tokens_[i].timestep < tokens_.back().timestep - reach) return;
+    if (trace_ == nullptr || !IsRead(i, layer)) return;
     LayerTrace& trace = trace_->layers[layer];
     trace.gated.push_back(Name(i));
     for (const Integers& gates : gates_) {
@@ -482,17 +461,11 @@ class IntegerReferencePass {
     }
   }
 
-  const Policy& policy_;
-  const ModelConfig& config_;
-  const std::vector<Token>& tokens_;
-  const size_t first_new_token_;
-  Trace* const trace_;                         // may be null
   std::vector<Integers> x_;                    // the residual stream, [tokens][d]
   std::vector<Fired> keys_;                    // of the current layer, [tokens]
   std::vector<std::vector<Integers>> values_;  // counts of the current layer, [tokens][planes][d]
   std::vector<std::vector<float>> attention_;  // of the last token, [T][H, keys]
   std::vector<Integers> gates_;                // of the current token, [T][H]
-  Counts counts_;
 };
 
 }  // namespace

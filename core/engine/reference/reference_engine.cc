@@ -6,9 +6,7 @@
 #include <vector>
 
 #include "core/contract/dcheck.h"
-#include "core/engine/counting.h"
-#include "core/engine/prefix_engine.h"
-#include "core/engine/reference/populations.h"
+#include "core/engine/reference/prefix_pass.h"
 #include "core/math/exp.h"
 #include "core/math/layer_norm.h"
 #include "core/neuron/lif.h"
@@ -17,17 +15,71 @@
 namespace spikeserve {
 namespace {
 
+// The coder spikes of one token. The weights of neurons of equal period are added together.
+struct CodedToken {
+  std::vector<std::vector<int>> groups;  // [T]: the neurons of period n = 1 ... T; ascending
+  SpikeTrain spikes;                     // [T][d]
+};
+
+// Returns the current into output neuron i at `tick` (1 ... T).
+float Current(const Linear& linear, int i, const CodedToken& coded, const SpikeTrain& phase,
+              int tick) {
+  float current = linear.bias.values[i];
+  for (int n = 1; n <= tick; ++n) {
+    if (tick % n != 0) continue;
+    float group = 0.0f;
+    for (const int j : coded.groups[n - 1]) group += linear.weight.at(i, j);
+    current += group;
+  }
+  const auto first_phase = static_cast<int>(coded.spikes[tick - 1].size());
+  for (size_t k = 0; k < phase[tick - 1].size(); ++k) {
+    if (phase[tick - 1][k]) current += linear.weight.at(i, first_phase + static_cast<int>(k));
+  }
+  return current;
+}
+
+// Returns W x + b. Starts with the bias and adds the products in ascending order of the input.
+std::vector<float> Affine(const Linear& linear, const std::vector<float>& input) {
+  std::vector<float> output = linear.bias.values;
+  for (size_t i = 0; i < output.size(); ++i) {
+    for (size_t j = 0; j < input.size(); ++j) {
+      output[i] += linear.weight.at(static_cast<int>(i), static_cast<int>(j)) * input[j];
+    }
+  }
+  return output;
+}
+
+// Returns the spike count of a neuron divided by T.
+float Rate(const SpikeTrain& train, int neuron) {
+  int count = 0;
+  for (const auto& tick : train) count += tick[neuron];
+  return static_cast<float>(count) / static_cast<float>(train.size());
+}
+
+// Returns LIF(W [R || P] + b), [T][out], where `phase` is [T][H], or [T][0] without phase spikes.
+// A current is summed in the canonical order: the bias; then, for each period n that divides the
+// tick, ascending, the sum over the neurons of that period, ascending; then the phase spikes by
+// head.
+SpikeTrain Fire(const ModelConfig& config, const Linear& linear, const CodedToken& coded,
+                const SpikeTrain& phase) {
+  const Lif lif = {config.membrane_decay, config.threshold};
+  const int outputs = linear.weight.shape[0];
+  SpikeTrain train(config.ticks, std::vector<uint8_t>(outputs, 0));
+  for (int i = 0; i < outputs; ++i) {
+    float membrane = 0.0f;
+    for (int tick = 1; tick <= config.ticks; ++tick) {
+      train[tick - 1][i] = lif.Step(Current(linear, i, coded, phase, tick), membrane);
+    }
+  }
+  return train;
+}
+
 // Computes one decision over the whole episode. Symbols: T ticks, H heads, d hidden size, d_h head
 // size, R coder spikes, P phase spikes.
-class ReferencePass {
+class ReferencePass : private PrefixPass {
  public:
   ReferencePass(const Policy& policy, const PrefixContext& context, Trace* trace)
-      : policy_(policy),
-        config_(policy.config),
-        lif_{config_.membrane_decay, config_.threshold},
-        tokens_(context.tokens()),
-        first_new_token_(context.first_new_token()),
-        trace_(trace) {}
+      : PrefixPass(policy, context, trace), lif_{config_.membrane_decay, config_.threshold} {}
 
   void Run(Engine::Output* output) {
     for (size_t i = 0; i < tokens_.size(); ++i) Embed(i);
@@ -43,23 +95,6 @@ class ReferencePass {
   }
 
  private:
-  bool IsNew(size_t token) const { return token >= first_new_token_; }
-
-  TokenName Name(size_t token) const { return {tokens_[token].kind, tokens_[token].timestep}; }
-
-  void AddSpikes(size_t token, Stage stage, int layer, const SpikeTrain& train) {
-    if (!IsNew(token)) return;
-    counts_.spikes(stage) += CountSpikes(train);
-    if (trace_ != nullptr) trace_->populations.push_back({stage, layer, Name(token), train});
-  }
-
-  // Returns whether the decision depends on this token's output of `layer`. Each later layer looks
-  // back N - 1 timesteps.
-  bool IsRead(size_t token, int layer) const {
-    const int64_t reach = int64_t{config_.layers - 1 - layer} * (config_.context - 1);
-    return tokens_[token].timestep >= tokens_.back().timestep - reach;
-  }
-
   void Normalize(size_t token, const Norm& norm, std::vector<float>& x) {
     if (!config_.has_norms()) return;
     LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x.data(), x.size());
@@ -156,11 +191,6 @@ class ReferencePass {
     }
   }
 
-  // Returns whether token i may attend to token j <= i.
-  bool IsInBand(size_t i, size_t j) const {
-    return tokens_[j].timestep > tokens_[i].timestep - config_.context;
-  }
-
   // Returns y_h(t) of one token at one tick and head: [d_h]. Scores are integers times c_h, so the
   // softmax weight of a key depends only on the distance between its overlap and the best overlap.
   // The values of all keys at one distance are counted as integers first, and then multiplied by
@@ -237,14 +267,6 @@ class ReferencePass {
     return gates;
   }
 
-  // Records which tokens the last token attends to. Called once per layer, before its heads attend.
-  void RecordKeys(int layer, size_t i) {
-    if (trace_ == nullptr || i + 1 != tokens_.size()) return;
-    for (size_t j = 0; j <= i; ++j) {
-      if (IsInBand(i, j)) trace_->layers[layer].keys.push_back(Name(j));
-    }
-  }
-
   // Records the gates of token i at one tick. Called for every tick in ascending order.
   void RecordGates(int layer, size_t i, const std::vector<float>& gates) {
     if (trace_ == nullptr || !config_.has_routing() || !IsRead(i, layer)) return;
@@ -299,16 +321,10 @@ class ReferencePass {
     Normalize(i, norm, x_[i]);
   }
 
-  const Policy& policy_;
-  const ModelConfig& config_;
   const Lif lif_;
-  const std::vector<Token>& tokens_;
-  const size_t first_new_token_;
-  Trace* const trace_;                 // may be null
   std::vector<std::vector<float>> x_;  // [tokens][d]
   std::vector<SpikeTrain> keys_;       // of the current layer, [tokens][T][d]
   std::vector<SpikeTrain> values_;
-  Counts counts_;
 };
 
 class ReferenceEngine final : public PrefixEngine {
