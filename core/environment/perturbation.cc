@@ -36,53 +36,22 @@ absl::StatusOr<std::unique_ptr<Environment>> Make(absl::string_view id,
                          absl::StrCat("\"", perturbation.name, "\""));
 }
 
-const std::vector<Change<CartPoleParameters>>& CartPoleChanges() {
-  using P = CartPoleParameters;
-  static const auto& changes = *new std::vector<Change<P>>{
-      {"wind", [](P& p, double newtons) { p.wind = newtons; }},
-      {"length", [](P& p, double factor) { p.half_length *= factor; }},
-      {"mass", [](P& p, double factor) { p.cart_mass *= factor, p.pole_mass *= factor; }},
-      {"force", [](P& p, double factor) { p.force *= factor; }},
-      {"gravity", [](P& p, double factor) { p.gravity *= factor; }}};
-  return changes;
-}
-
-const std::vector<Change<MountainCarParameters>>& MountainCarChanges() {
-  using P = MountainCarParameters;
-  static const auto& changes =
-      *new std::vector<Change<P>>{{"force", [](P& p, double factor) { p.force *= factor; }},
-                                  {"gravity", [](P& p, double factor) { p.gravity *= factor; }}};
-  return changes;
-}
-
-const std::vector<Change<AcrobotParameters>>& AcrobotChanges() {
+absl::StatusOr<std::unique_ptr<Environment>> PerturbedAcrobot(absl::string_view id,
+                                                              const Perturbation& perturbation) {
   using P = AcrobotParameters;
-  static const auto& changes =
-      *new std::vector<Change<P>>{{"length",
-                                   [](P& p, double factor) {
-                                     for (double* length : {&p.l1, &p.lc1, &p.lc2})
-                                       *length *= factor;
-                                     for (double* inertia : {&p.i1, &p.i2})
-                                       *inertia *= factor * factor;
-                                   }},
-                                  {"mass",
-                                   [](P& p, double factor) {
-                                     for (double* mass : {&p.m1, &p.m2, &p.i1, &p.i2})
-                                       *mass *= factor;
-                                   }},
-                                  {"force", [](P& p, double factor) { p.torque *= factor; }},
-                                  {"gravity", [](P& p, double factor) { p.gravity *= factor; }}};
-  return changes;
-}
-
-const std::vector<Change<PendulumParameters>>& PendulumChanges() {
-  using P = PendulumParameters;
-  static const auto& changes =
-      *new std::vector<Change<P>>{{"length", [](P& p, double factor) { p.length *= factor; }},
-                                  {"mass", [](P& p, double factor) { p.mass *= factor; }},
-                                  {"force", [](P& p, double factor) { p.force *= factor; }},
-                                  {"gravity", [](P& p, double factor) { p.gravity *= factor; }}};
-  return changes;
+  return Make<MakeAcrobot, P>(id, perturbation,
+                              {{"length",
+                                [](P& p, double factor) {
+                                  for (double* length : {&p.l1, &p.lc1, &p.lc2}) *length *= factor;
+                                  for (double* inertia : {&p.i1, &p.i2})
+                                    *inertia *= factor * factor;
+                                }},
+                               {"mass",
+                                [](P& p, double factor) {
+                                  for (double* mass : {&p.m1, &p.m2, &p.i1, &p.i2}) *mass *= factor;
+                                }},
+                               {"force", [](P& p, double factor) { p.torque *= factor; }},
+                               {"gravity", [](P& p, double factor) { p.gravity *= factor; }}});
 }
 
 }  // namespace
@@ -105,10 +74,32 @@ absl::StatusOr<std::unique_ptr<Environment>> MakePerturbedEnvironment(
     return InvalidArgument("perturb", absl::StrCat("a ", perturbation.name, " above 0"),
                            perturbation.value);
   }
-  if (id == kCartPoleId) return Make<MakeCartPole>(id, perturbation, CartPoleChanges());
-  if (id == kMountainCarId) return Make<MakeMountainCar>(id, perturbation, MountainCarChanges());
-  if (id == kAcrobotId) return Make<MakeAcrobot>(id, perturbation, AcrobotChanges());
-  if (id == kPendulumId) return Make<MakePendulum>(id, perturbation, PendulumChanges());
+  if (id == kCartPoleId) {
+    using P = CartPoleParameters;
+    return Make<MakeCartPole, P>(
+        id, perturbation,
+        {{"wind", [](P& p, double newtons) { p.wind = newtons; }},
+         {"length", [](P& p, double factor) { p.half_length *= factor; }},
+         {"mass", [](P& p, double factor) { p.cart_mass *= factor, p.pole_mass *= factor; }},
+         {"force", [](P& p, double factor) { p.force *= factor; }},
+         {"gravity", [](P& p, double factor) { p.gravity *= factor; }}});
+  }
+  if (id == kMountainCarId) {
+    using P = MountainCarParameters;
+    return Make<MakeMountainCar, P>(
+        id, perturbation,
+        {{"force", [](P& p, double factor) { p.force *= factor; }},
+         {"gravity", [](P& p, double factor) { p.gravity *= factor; }}});
+  }
+  if (id == kAcrobotId) return PerturbedAcrobot(id, perturbation);
+  if (id == kPendulumId) {
+    using P = PendulumParameters;
+    return Make<MakePendulum, P>(id, perturbation,
+                                 {{"length", [](P& p, double factor) { p.length *= factor; }},
+                                  {"mass", [](P& p, double factor) { p.mass *= factor; }},
+                                  {"force", [](P& p, double factor) { p.force *= factor; }},
+                                  {"gravity", [](P& p, double factor) { p.gravity *= factor; }}});
+  }
   return MakeEnvironment(id).status();  // NOT_FOUND, with the known ids
 }
 
