@@ -3,7 +3,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <memory>
 #include <set>
 #include <thread>
@@ -217,25 +216,6 @@ TEST_F(SessionLocksTest, KeepsItsSessionsAlive) {
     EXPECT_FALSE(weak.expired());
   }
   EXPECT_TRUE(weak.expired());
-}
-
-// Two threads lock the same sessions, each in the reverse order of the other. They would deadlock
-// if the locks were taken in the order of the entries.
-TEST_F(SessionLocksTest, OppositeOrdersNeverWaitForEachOther) {
-  std::vector<std::shared_ptr<SessionEntry>> reversed = entries_;
-  std::reverse(reversed.begin(), reversed.end());
-  int64_t inside = 0;  // guarded by the locks of all sessions
-  const auto lock_often = [&inside](const auto& entries) {
-    for (int i = 0; i < 20'000; ++i) {
-      const SessionLocks locks(entries);
-      ++inside;
-    }
-  };
-  std::thread forward([&] { lock_often(entries_); });
-  std::thread backward([&] { lock_often(reversed); });
-  forward.join();
-  backward.join();
-  EXPECT_EQ(inside, 40'000);
 }
 
 }  // namespace

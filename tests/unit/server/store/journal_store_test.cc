@@ -29,7 +29,7 @@ class FakeBackend final : public JournalBackend {
     std::vector<absl::Status> outcomes;
     for (const JournalRecord& record : records) {
       const bool is_refused = record.journal->key().id == refused_;
-      outcomes.push_back(is_refused ? absl::UnavailableError("moving") : outcome_);
+      outcomes.push_back(is_refused ? absl::UnavailableError("moving") : absl::OkStatus());
       if (!is_refused) written_.push_back(record.bytes);
     }
     return outcomes;
@@ -54,10 +54,6 @@ class FakeBackend final : public JournalBackend {
     absl::MutexLock lock(&mutex_);
     status_ = status;
   }
-  void SetOutcome(const absl::Status& outcome) {
-    absl::MutexLock lock(&mutex_);
-    outcome_ = outcome;
-  }
   // Refuses the records of a session.
   void Refuse(const std::string& id) {
     absl::MutexLock lock(&mutex_);
@@ -77,7 +73,6 @@ class FakeBackend final : public JournalBackend {
  private:
   absl::Mutex mutex_;
   absl::Status status_ ABSL_GUARDED_BY(mutex_);
-  absl::Status outcome_ ABSL_GUARDED_BY(mutex_);
   std::string refused_ ABSL_GUARDED_BY(mutex_);
   int tries_ ABSL_GUARDED_BY(mutex_) = 0;
   std::vector<std::string> written_ ABSL_GUARDED_BY(mutex_);
@@ -154,38 +149,12 @@ TEST_F(JournalStoreTest, RecordsThatNoAnswerWaitsForAreWrittenToo) {
   EXPECT_THAT(backend_->written(), ElementsAre("a"));
 }
 
-TEST_F(JournalStoreTest, ARefusedRecordMakesTheCopyLost) {
-  backend_->SetOutcome(absl::AbortedError("epoch"));
-  Write("a", 1);
-  EXPECT_EQ(Outcome(1).code(), absl::StatusCode::kUnavailable);
-  EXPECT_TRUE(journal_->lost());
-  EXPECT_THAT(Metrics(), HasSubstr("spikeserve_store_records_total{outcome=\"refused\"} 1"));
-}
-
 TEST_F(JournalStoreTest, AClaimSeesWhatWasWrittenBefore) {
   Write("a", 1);
   const auto claimed = Claim("known");
   ASSERT_TRUE(claimed.ok()) << claimed.status();
   EXPECT_THAT(claimed->records, ElementsAre("a"));
   EXPECT_EQ(Claim("unknown").status().code(), absl::StatusCode::kNotFound);
-}
-
-TEST_F(JournalStoreTest, WhatCannotBeWrittenIsWrittenLater) {
-  backend_->SetStatus(absl::UnavailableError("down"));
-  Write("a", 1);
-  EXPECT_EQ(Outcome(1).code(), absl::StatusCode::kUnavailable);
-  backend_->AwaitTries(2);
-  EXPECT_EQ(store_->CheckReachable().code(), absl::StatusCode::kUnavailable);
-  EXPECT_EQ(Claim("known").status().code(), absl::StatusCode::kUnavailable);
-  Write("b", 2);
-  backend_->AwaitTries(3);
-  EXPECT_THAT(backend_->written(), IsEmpty());
-  backend_->SetStatus(absl::OkStatus());
-  const absl::Duration end = clock_.Now() + kDeadline;
-  while (journal_->durable_decisions() < 2 && clock_.Now() < end) std::this_thread::yield();
-  EXPECT_TRUE(Outcome(2).ok());
-  EXPECT_THAT(backend_->written(), ElementsAre("a", "b"));
-  EXPECT_TRUE(store_->CheckReachable().ok());
 }
 
 TEST_F(JournalStoreTest, ASessionWhoseRecordsAreRefusedHoldsNoOther) {
