@@ -8,13 +8,13 @@
 #include <fstream>
 
 #include "core/journal/session_journal.h"
+#include "tests/support/fake_clock.h"
 #include "tests/support/files.h"
 
 namespace spikeserve {
 namespace {
 
 using ::testing::ElementsAre;
-using ::testing::HasSubstr;
 using Kind = JournalRecord::Kind;
 
 constexpr char kId[] = "0123456789abcdef0123456789abcdef";
@@ -25,13 +25,6 @@ class NoWriter final : public JournalWriter {
   void Hurry() override {}
   absl::Status CheckReachable() const override { return absl::OkStatus(); }
   absl::Status CheckBacklog() const override { return absl::OkStatus(); }
-};
-
-class TestClock final : public Clock {
- public:
-  absl::Duration Now() const override { return now; }
-
-  absl::Duration now;
 };
 
 class FileBackendTest : public ::testing::Test {
@@ -85,11 +78,11 @@ class FileBackendTest : public ::testing::Test {
   // Lets time pass while the store is open.
   void Pass(absl::Duration time) {
     now_ += time;
-    clock_.now += time;
+    clock_.Advance(time);
   }
 
   absl::Time now_ = absl::FromUnixSeconds(1'000'000);
-  TestClock clock_;
+  FakeClock clock_;
   NoWriter writer_;
   std::unique_ptr<JournalBackend> backend_;
 };
@@ -129,13 +122,6 @@ TEST_F(FileBackendTest, OpensWhereTheProcessMayMapLittle) {
   Open();
   ASSERT_EQ(setrlimit(RLIMIT_AS, &before), 0);
   EXPECT_THAT(Write({Record(Kind::kOpen, "open", 0)}), ElementsAre(absl::StatusCode::kOk));
-}
-
-TEST_F(FileBackendTest, TheFolderBelongsToOneServer) {
-  const auto second = OpenFileBackend(Folder(), absl::Hours(1));
-  ASSERT_FALSE(second.ok());
-  EXPECT_EQ(second.status().code(), absl::StatusCode::kInvalidArgument);
-  EXPECT_THAT(std::string(second.status().message()), HasSubstr("no other server uses"));
 }
 
 TEST_F(FileBackendTest, AFileInThePlaceOfTheFolderIsRefused) {
