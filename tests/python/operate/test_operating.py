@@ -9,7 +9,7 @@ import grpc
 import pytest
 import serving
 from made_policies import FAR, add_overflowing
-from security import OBSERVATION, code_of, entry, until
+from security import OBSERVATION, code_of, entry, tls_flags, until
 from serving import SHIPPED_POLICIES, page_of, refusal_at_start, run, running_server
 
 SPIKECTL = os.environ["SPIKECTL_PROGRAM"]
@@ -35,13 +35,8 @@ class Operated:
         self.addresses = addresses
         self._flags = flags
 
-    @property
-    def agent(self):
-        return self.addresses.agent
-
-    @property
-    def admin(self):
-        return self.addresses.admin
+    def __getattr__(self, name):
+        return getattr(self.addresses, name)
 
     def spikectl(self, *arguments):
         """Runs spikectl and returns its output."""
@@ -311,13 +306,9 @@ def test_the_history_says_who_changed_what(policies, tmp_path, certificates):
     token = tmp_path / "token"
     token.write_text("secret")
     log = tmp_path / "audit.jsonl"
-    flags = [
-        f"--audit_log={log}",
-        f"--tokens={tokens}",
-        f"--tls_certificate={certificates}/server.pem",
-        f"--tls_key={certificates}/server.key",
-        f"--tls_client_ca={certificates}/ca.pem",
-    ]
+    flags = tls_flags(
+        certificates, f"--audit_log={log}", f"--tokens={tokens}", f"--tls_client_ca={certificates}/ca.pem"
+    )
     client_flags = (
         f"--tls_ca={certificates}/ca.pem",
         f"--tls_certificate={certificates}/client.pem",

@@ -10,10 +10,10 @@ import threading
 import pytest
 from policy_file import copy_without_wiring, read_policy, write_policy
 from redis_servers import WITHOUT_REDIS, Redis, stopping
-from security import POLICY, until
+from security import until
 from selenium.webdriver.common.keys import Keys
-from serving import SHIPPED_POLICIES, Service, running_server, status_of
-from stored_sessions import Restartable
+from serving import SHIPPED_POLICIES, running_server, status_of
+from stored_sessions import Restartable, replicas_on
 from test_status_json import validate
 
 SESSIONS = 1000
@@ -338,17 +338,11 @@ pytestmark = WITHOUT_REDIS
 @pytest.fixture
 def servers():
     """Starts two servers with one store, of which the second one has three sessions that have decided."""
-    with stopping([Redis(password="")]) as [redis]:
-        started = [Restartable(f"redis://127.0.0.1:{redis.port}") for _ in range(2)]
-        for server in started:
-            server.start()
-        agent = Service(started[1].channel, POLICY)
+    with stopping([Redis(password="")]) as [redis], replicas_on(redis) as (first, second):
         for _ in range(3):
-            session = agent.OpenSession(policy="cartpole", version=2).session_id
-            agent.Act(session_id=session, step=0, observation=[0.0, 0.1, 0.0, -0.1])
-        yield *started, redis
-        for server in started:
-            server.close()
+            session = second.OpenSession(policy="cartpole", version=2).session_id
+            second.Act(session_id=session, step=0, observation=[0.0, 0.1, 0.0, -0.1])
+        yield first, second, redis
 
 
 def told(server):
@@ -406,9 +400,5 @@ def test_what_is_no_report_is_not_shown(servers):
 
 
 def test_a_server_without_others_tells_nothing():
-    server = Restartable("memory")
-    server.start()
-    try:
+    with Restartable("memory") as server:
         assert status_of(server)["servers"] == []
-    finally:
-        server.close()
