@@ -111,4 +111,4 @@ class ActStream(StreamCore[Session]):
         )
         call.start()
         self._call, self._replies = call, replies
-        self._reopens_at: float | None = None  # of time.monotonic(); None: the stream is whole
+        self._reopens_at = None  # of time.monotonic(); None: the stream is whole
