@@ -4,11 +4,9 @@ import asyncio
 import contextlib
 import dataclasses
 import itertools
-import pathlib
-import shutil
 import time
 
-from redis_servers import DURABLE, Redis
+from redis_servers import DURABLE, Files, Redis
 from security import until
 
 from tests.chaos.network import CLIENTS, STORE
@@ -86,14 +84,9 @@ async def evict_for_long(redis):
 
 async def set_back(redis):
     """Redis is killed and starts again with its append-only file of a second ago. The replicas live."""
-    files = pathlib.Path(redis.folder.name) / "appendonlydir"
-    before = files.with_name("before")
-    await asyncio.to_thread(shutil.copytree, files, before)
+    files = await asyncio.to_thread(Files, redis)
     await asyncio.sleep(LOST_SECONDS)
-    redis.kill()
-    shutil.rmtree(files)
-    before.rename(files)
-    await asyncio.to_thread(redis.start)
+    await asyncio.to_thread(files.restore)
 
 
 async def fail_over_late(redis):

@@ -1,6 +1,7 @@
 """Starts real Redis servers: alone, over TLS, with Sentinels, and as a Cluster."""
 
 import contextlib
+import pathlib
 import re
 import shutil
 import signal
@@ -99,6 +100,22 @@ class Redis:
     def stop(self):
         self.process.send_signal(signal.SIGCONT)
         self.kill()
+
+
+class Files:
+    """The append-only file of a Redis server at some moment."""
+
+    def __init__(self, redis):
+        self.redis = redis
+        self.now = pathlib.Path(redis.folder.name) / "appendonlydir"
+        shutil.copytree(self.now, self.now.with_name("before"))
+
+    def restore(self):
+        """Redis starts again with the files of that moment."""
+        self.redis.kill()
+        shutil.rmtree(self.now)
+        self.now.with_name("before").rename(self.now)
+        self.redis.start()
 
 
 @contextlib.contextmanager

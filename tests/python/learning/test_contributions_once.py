@@ -1,10 +1,9 @@
 """Each contribution is in the log of a shared head once, also if Redis forgets that it is there."""
 
-import pathlib
 import shutil
 
 import pytest
-from redis_servers import WITHOUT_REDIS
+from redis_servers import WITHOUT_REDIS, Files
 from security import code_of, until
 from serving import SHIPPED_POLICIES
 from stored_sessions import replicas_on
@@ -102,17 +101,13 @@ def test_a_log_that_was_set_back(redis, replicas):
         act(first, i)
     for i in range(4):
         ok(first.EndEpisode, **ending(i))
-    files = pathlib.Path(redis.folder.name) / "appendonlydir"
-    shutil.copytree(files, files.with_name("before"))
+    files = Files(redis)
     for i in range(4, LEARNERS):
         ok(first.EndEpisode, **ending(i))
     until(lambda: updates(second) == updates(first))
     contributed = updates(first)
     first.kill()
-    redis.kill()
-    shutil.rmtree(files)
-    files.with_name("before").rename(files)
-    redis.start()
+    files.restore()
     for i in range(LEARNERS):
         ok(second.EndEpisode, **ending(i))
     until(lambda: updates(second) == contributed)

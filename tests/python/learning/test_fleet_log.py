@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import grpc
 import pytest
 import spikeserve
-from redis_servers import DURABLE, WITHOUT_REDIS, Redis, start_cluster, stopping
+from redis_servers import DURABLE, WITHOUT_REDIS, Files, Redis, start_cluster, stopping
 from replicated import running_fleet
 from security import ADMIN, HEALTH, SERVING, code_of, until
 from serving import SHIPPED_POLICIES, Service, metric
@@ -448,14 +448,10 @@ def test_a_redis_that_comes_back_with_older_files(start_on_durable):
     redis, start = start_on_durable
     first, second = start(), start()
     session, end = at_the_first_entry(first, second)
-    files = pathlib.Path(redis.folder.name) / "appendonlydir"
-    shutil.copytree(files, files.with_name("before"))
+    files = Files(redis)
     go_on_alone(first, second, session)
     log = key_of(redis, "fl")
-    redis.kill()
-    shutil.rmtree(files)
-    files.with_name("before").rename(files)
-    redis.start()
+    files.restore()
     end_before_the_other_looks(redis, first, second, end, log)
 
 

@@ -1,13 +1,11 @@
 """Redis loses what it has acknowledged, or a part of a session, while the servers that own the sessions live."""
 
-import pathlib
-import shutil
 import signal
 from concurrent.futures import ThreadPoolExecutor
 
 import grpc
 import pytest
-from redis_servers import WITHOUT_REDIS
+from redis_servers import WITHOUT_REDIS, Files
 from security import POLICY, code_of, fails_with, until
 from serving import method_of, metric, run
 from stored_sessions import (
@@ -48,22 +46,6 @@ def hash_of(i):
 
 def list_of(redis, i):
     return f"ss:{{{i:032x}}}:{redis.command(f'HGET {hash_of(i)} epoch').decode()}"
-
-
-class Files:
-    """The append-only file of a Redis server at some moment."""
-
-    def __init__(self, redis):
-        self.redis = redis
-        self.now = pathlib.Path(redis.folder.name) / "appendonlydir"
-        shutil.copytree(self.now, self.now.with_name("before"))
-
-    def restore(self):
-        """Redis starts again with the files of that moment."""
-        self.redis.kill()
-        shutil.rmtree(self.now)
-        self.now.with_name("before").rename(self.now)
-        self.redis.start()
 
 
 @pytest.mark.parametrize("i", KINDS)
@@ -421,7 +403,6 @@ def test_what_is_no_decision_makes_a_copy_newer(redis, three, change):
     second.kill()
     third.stop()
     remove(redis, 6)
-    until(lambda: is_stored(redis, 6))
     third.resume()
     answer = until_answered(lambda: third.Act(**acting(6, 1, 1)))
     if change == "verdict":
