@@ -1,7 +1,6 @@
 """Clients find out that a connection is dead, and replace it, while calls and streams continue."""
 
 import asyncio
-import inspect
 import os
 import socket
 import subprocess
@@ -15,14 +14,10 @@ from security import until
 from spikeserve.lines import MISSES, SILENCE_SECONDS, Doubt
 from spikeserve.wire import message_class
 from restartable_server import restartable_server
+from test_python_retries import finish
 
 OBSERVATION = [0.01, -0.02, 0.03, 0.04]
 PERIOD = 0.02
-
-
-async def finish(result):
-    """Awaits `result` if it comes from the asyncio client. Returns its value."""
-    return await result if inspect.isawaitable(result) else result
 
 
 @pytest.fixture(params=[spikeserve.Client, spikeserve.AsyncClient])

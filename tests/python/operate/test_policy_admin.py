@@ -11,7 +11,7 @@ import grpc
 import pytest
 from agent_streams import AgentStream
 from security import ADMIN, HEALTH, OBSERVATION, POLICY, SERVING, code_of, fails_with, until
-from serving import SHIPPED_POLICIES, Service, add_version, http_call, metric, page_of, refusal_at_start, running_server, series
+from serving import SHIPPED_POLICIES, Service, add_version, http_call, metric, refusal_at_start, running_server, series
 
 INVALID = grpc.StatusCode.INVALID_ARGUMENT
 NOT_FOUND = grpc.StatusCode.NOT_FOUND
