@@ -138,11 +138,11 @@ std::optional<UpdateOutcome> Learner::OnOperator(const LearningOptions& options,
   const Corrections before = corrections;
   const Action& executed = step.executed;
   ++corrections.steps;
-  ++corrections.in_episode;
+  const bool in_fleet = options.scope == Scope::kFleet;
+  if (corrections.in_episode++ == 0 && !in_fleet) guard.OnTaught(head_delta);
   const auto act = static_cast<Eigen::Index>(logits.size());
   post.resize(0);
   // A fleet's head answered without what this episode has learned.
-  const bool in_fleet = options.scope == Scope::kFleet;
   if (in_fleet) NoteOperator(step.operator_id);
   Eigen::VectorXf learned = head_delta;
   if (!in_fleet && start_delta.size() > 0) learned -= start_delta;

@@ -161,12 +161,14 @@ struct Learner {
   // Scope::kSession: passes the return of an episode to the guard. Returns true if the guard
   // restored an earlier head.
   bool Watch(const LearningOptions& options, double episode_return) {
-    if (corrections.in_episode > 0) return false;  // the return is not the head's alone
-    const bool was_measured = guard.on_probation;
-    if (was_measured) head_delta = guard.good;  // a head that is measured does not learn
-    const bool restored = guard.OnEpisode(episode_return, options.guard_margin, &head_delta);
-    if (restored || was_measured) runs.Forget();
-    return restored;
+    if (options.rule == Rule::kCorrections) {
+      if (corrections.in_episode > 0) return false;  // the return is not the head's alone
+      const bool replaced = guard.OnEpisodeAlone(episode_return, options.guard_margin, &head_delta);
+      if (replaced) runs.Forget();
+      return replaced;
+    }
+    if (guard.on_probation) head_delta = guard.good;  // a head that is measured does not learn
+    return guard.OnEpisode(episode_return, options.guard_margin, &head_delta);
   }
 
   // Clears the state of the episode that has ended. Scope::kFleet: also clears `head_delta`, which

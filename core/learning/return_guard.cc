@@ -61,9 +61,7 @@ bool ReturnGuard::OnEpisode(double episode_return, double margin, Eigen::VectorX
     beginning = *delta;
     return false;
   }
-  const double allowance =
-      margin * std::abs(reference.mean) + kErrors * portable::Hypot(last.error, reference.error);
-  const bool bad = last.mean < reference.mean - allowance;
+  const bool bad = IsBad(last, margin);
   const bool is_fixed = beginning == *delta;
   if (std::exchange(on_probation, false)) {
     // If others have changed the head meanwhile, the window is no measure of it alone.
@@ -81,6 +79,54 @@ bool ReturnGuard::OnEpisode(double episode_return, double margin, Eigen::VectorX
   }
   beginning = *delta;
   return restores;
+}
+
+bool ReturnGuard::IsBad(const WindowLevel& level, double margin) const {
+  const double allowance =
+      margin * std::abs(reference.mean) + kErrors * portable::Hypot(level.error, reference.error);
+  return level.mean < reference.mean - allowance;
+}
+
+void ReturnGuard::OnTaught(const Eigen::VectorXf& delta) {
+  SPIKESERVE_DCHECK_EQ(delta.size(), beginning.size());
+  if (returns.size() >= kAlone) return Settle(delta);
+  // Too few to judge the head before. Those of heads that are taught on and on are one window, so
+  // that nobody keeps them from being judged by teaching a little now and then.
+  if (std::exchange(on_probation, false) || delta == good) returns.clear();
+}
+
+bool ReturnGuard::OnEpisodeAlone(double episode_return, double margin, Eigen::VectorXf* delta) {
+  SPIKESERVE_DCHECK_EQ(delta->size(), beginning.size());
+  returns.push_back(episode_return);
+  if (returns.size() != kAlone && returns.size() != kWindow) return false;
+  const WindowLevel level = InterquartileMean(returns);
+  const bool was_on_trial = std::exchange(on_probation, false);
+  const bool fails = was_on_trial ? level.mean < last.mean
+                                  : has_reference && *delta != good && IsBad(level, margin);
+  if (was_on_trial) {
+    if (fails) *delta = good = beginning;
+    if (!fails) last = level;
+    reference = last;
+  } else if (fails) {
+    beginning = std::exchange(*delta, good);
+    last = level;
+    on_probation = true;
+  } else {
+    if (returns.size() == kWindow) Settle(*delta);
+    return false;
+  }
+  returns.clear();
+  rollbacks += fails ? 1 : 0;
+  return fails;
+}
+
+void ReturnGuard::Settle(const Eigen::VectorXf& delta) {
+  last = InterquartileMean(returns);
+  returns.clear();
+  if (has_reference && delta != good && last.mean < reference.mean) return;
+  has_reference = true;
+  good = delta;
+  reference = last;
 }
 
 void ReturnGuard::OnRestored(const Eigen::VectorXf& delta) {

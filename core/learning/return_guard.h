@@ -16,6 +16,12 @@
 // window, in which it does not learn (`on_probation`): a reference that was luck, or that another
 // environment has given, does not stay. Nothing else makes the guard give up what was learned.
 //
+// A head that operators teach (correction.h) changes in the episodes in which they act, and is
+// judged by those that it plays alone: the last kAlone or more before, and the first kAlone after,
+// then all kWindow. If the later ones are bad as above, the head before is on trial for kAlone
+// episodes, and the better of the two stays. So a motor that failed while an operator helped is not
+// held against what he taught, and an operator who spoils the head loses it soon after he has left.
+//
 // A plain value of constant size. Not thread-safe.
 #pragma once
 
@@ -41,10 +47,13 @@ struct ReturnGuard {
   // Standard errors that a bad window falls short by. Three, because the reference is the best of
   // several windows and so tends to be above the true level.
   static constexpr double kErrors = 3.0;
+  static constexpr size_t kAlone = 5;  // episodes that judge a head that operators teach
 
   std::vector<double> returns;  // of the running window
-  Eigen::VectorXf beginning;    // [act * d]: W - W_base at the start of the running window
-  Eigen::VectorXf good;         // [act * d]: W - W_base of the good head
+  // [act * d]: W - W_base at the start of the running window, or of the head that operators have
+  // taught while that before is on trial.
+  Eigen::VectorXf beginning;
+  Eigen::VectorXf good;  // [act * d]: W - W_base of the good head
   bool has_reference = false;
   WindowLevel reference;
   WindowLevel last;           // of the last window that ended; zero before the first
@@ -59,8 +68,20 @@ struct ReturnGuard {
   // keeps the head as it is, if it can.
   bool OnEpisode(double episode_return, double margin, Eigen::VectorXf* delta);
 
+  // For a head that operators teach, in the place of OnEpisode(): an operator is about to change
+  // `delta` for the first time in an episode, or an episode has ended in which none acted. Returns
+  // true if the head was replaced, by that before or after the trial.
+  void OnTaught(const Eigen::VectorXf& delta);
+  bool OnEpisodeAlone(double episode_return, double margin, Eigen::VectorXf* delta);
+
   // Continues from `delta`, to which another guard has restored the head: measures it.
   void OnRestored(const Eigen::VectorXf& delta);
+
+ private:
+  // Returns whether a window at this level is bad.
+  bool IsBad(const WindowLevel& level, double margin) const;
+  // Takes `returns` as what the head at `delta`, which operators teach, earns.
+  void Settle(const Eigen::VectorXf& delta);
 };
 
 // Returns the interquartile mean of `values` and its standard error. REQUIRES: at least 4 values.

@@ -100,10 +100,19 @@ class Robot:
         return np.array(self.state().head_delta)
 
     def end(self):
-        self.agent.EndEpisode(session_id=self.probe, reward=1.0)
-        return self.agent.EndEpisode(
-            session_id=self.id, reward=1.0, **self.executed
-        ).learning
+        if self.probe is not None:
+            self.agent.EndEpisode(session_id=self.probe, reward=1.0)
+        ended = self.agent.EndEpisode(session_id=self.id, reward=1.0, **self.executed)
+        self.step, self.executed = 0, {}
+        return ended.learning
+
+    def alone(self, episodes, steps):
+        """Plays episodes without an operator, each of which returns `steps`. Returns what was learned in the last one."""
+        for _ in range(episodes):
+            for _ in range(steps):
+                self.act()
+            learning = self.end()
+        return learning
 
 
 def action_of(policy, step, make):
@@ -209,6 +218,33 @@ def test_a_server_that_is_killed_has_the_same_head_again(policies, tmp_path):  #
             restartable.kill()
     assert any(states[0].head_delta) and states[0].head_delta == states[1].head_delta
     assert str(states[0].corrections) == str(states[1].corrections)
+
+
+def test_a_head_that_returns_less_than_that_before_is_tried_against_it(policies, tmp_path):  # noqa: F811
+    """And both live through a kill."""
+    restartable = RestartableServer(f"--policies={policies[0]}", f"--session_store=file:{tmp_path / 'store'}")
+    restartable.start()
+    try:
+        with grpc.insecure_channel(restartable.address) as channel:
+            robot = Robot(Service(channel, POLICY), "discrete", probed=False, durability="SYNC")
+            robot.alone(5, steps=10)
+            for _ in range(10):
+                _, answer = robot.act()
+                robot.execute(type(answer.action)(discrete=1 - answer.action.discrete))
+            assert not robot.end().rolled_back
+            taught = robot.delta()
+            assert taught.any()
+            assert not robot.alone(4, steps=6).rolled_back and np.array_equal(robot.delta(), taught)
+            assert robot.alone(1, steps=6).rolled_back
+            assert not robot.delta().any() and robot.state().rollbacks == 1
+            assert not robot.alone(4, steps=3).rolled_back
+            restartable.kill()
+            restartable.start()
+            grpc.channel_ready_future(channel).result()
+            assert robot.alone(1, steps=3).rolled_back  # the one before returns even less now
+            assert np.array_equal(robot.delta(), taught) and robot.state().rollbacks == 2
+    finally:
+        restartable.kill()
 
 
 def test_what_an_operator_taught_a_session_is_undone(policies, tmp_path):  # noqa: F811

@@ -173,6 +173,60 @@ TEST_F(ReturnGuardTest, NoiseIsForgiven) {
   }
 }
 
+// A head that operators teach.
+class TaughtGuardTest : public ReturnGuardTest {
+ protected:
+  void Teach(float delta) {
+    guard_.OnTaught(delta_);
+    delta_.setConstant(delta);
+  }
+  // Plays `episodes` without an operator, which all return `level`. Returns the head after them.
+  float Alone(size_t episodes, double level) {
+    for (size_t i = 0; i < episodes; ++i) guard_.OnEpisodeAlone(level, kMargin, &delta_);
+    return delta_[0];
+  }
+};
+
+TEST_F(TaughtGuardTest, AnOperatorWhoSpoilsTheHeadLosesItSoonAfterHeHasLeft) {
+  Alone(ReturnGuard::kAlone, 200);
+  Teach(1);
+  Teach(2);
+  EXPECT_EQ(Alone(ReturnGuard::kAlone - 1, 20), 2);
+  EXPECT_EQ(Alone(1, 20), 0);
+  EXPECT_EQ(Alone(ReturnGuard::kWindow, 199), 0);
+  EXPECT_EQ(guard_.rollbacks, 1);
+}
+
+TEST_F(TaughtGuardTest, AMotorThatFailedMeanwhileIsNotHeldAgainstTheOperator) {
+  Alone(ReturnGuard::kAlone, 200);
+  Teach(1);
+  EXPECT_EQ(Alone(ReturnGuard::kAlone, 150), 0);
+  EXPECT_EQ(Alone(ReturnGuard::kAlone, 10), 1);
+  EXPECT_EQ(guard_.rollbacks, 2);
+  Teach(2);
+  EXPECT_EQ(Alone(ReturnGuard::kAlone, 10), 1);  // which earned 150
+}
+
+TEST_F(TaughtGuardTest, AHeadThatIsTaughtALittleNowAndThenIsJudged) {
+  Alone(ReturnGuard::kAlone, 200);
+  for (size_t i = 0; i < ReturnGuard::kAlone; ++i) {
+    EXPECT_EQ(guard_.rollbacks, 0);
+    Teach(1 + static_cast<float>(i));
+    Alone(1, 20);
+  }
+  EXPECT_EQ(delta_[0], 0);
+}
+
+TEST_F(TaughtGuardTest, WhatEarnsMoreIsWhatAWorseHeadGoesBackTo) {
+  Alone(ReturnGuard::kAlone - 1, 500);  // too few to be a level
+  Teach(1);
+  EXPECT_EQ(Alone(ReturnGuard::kWindow, 30), 1);
+  Teach(2);
+  EXPECT_EQ(Alone(ReturnGuard::kAlone, 90), 2);
+  Teach(3);
+  EXPECT_EQ(Alone(ReturnGuard::kAlone, 60), 2);
+}
+
 // Honest fleets: 100 seeds of 30 rounds of 16 episodes, whose returns are spread as those of a pole
 // that balances ever longer, from 12 to 300 steps: exponentially, and at most 500.
 TEST(FalseAlarmTest, HonestFleetsAreRarelySetBack) {
