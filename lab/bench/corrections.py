@@ -1,12 +1,17 @@
 #!/usr/bin/env python3
 """Plays changed tasks with an operator whose corrections teach the head, and prints what the head returns without him.
 
-usage: lab/bench/corrections.py [--seeds=10] [--starts=20] [TASK...]
+usage: lab/bench/corrections.py [--operator=intervenes] [--seeds=10] [--starts=20] [TASK...]
 
-Needs spikeserve_engine, whose sessions learn as the server's do, bit for bit. In each seed, an operator plays whole episodes
-until STEPS steps are corrected. Then the head plays from starts that no operator has seen, in a frozen session; from the same
-starts, the operator and the policy play alone. The last columns have what rewards alone teach in as many steps, with the settings
-of lab/evidence/online-learning.md.
+Needs spikeserve_engine, whose sessions learn as the server's do, bit for bit. In each seed, the policy first plays ALONE episodes
+while the operator watches. Then he corrects, in whole episodes, until STEPS steps are his, or he has seen WATCHED; and
+then he leaves the head alone for LATER episodes, which the guard judges. Each time, the head plays from starts that no operator has
+seen, in a frozen session; from the same starts, the operator and the policy play alone. An operator
+
+  intervenes  watches, and takes single steps: those on which what the head would do is not good enough for him (`matters`)
+  flies       takes the first steps of an episode, all of them, until the steps are his
+
+With --by_rewards nobody corrects, and rewards teach for as many steps, with the settings of lab/evidence/online-learning.md.
 """
 
 import argparse
@@ -24,10 +29,13 @@ from spikeserve_engine import Engine, Learning
 ROOT = pathlib.Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "lab/recipes"))
 
-from experts import land
+from experts import land_urgency
 
 POLICIES = ROOT / "deploy/policies"
+ALONE = 5  # episodes before
 STEPS = (25, 100, 1000)
+WATCHED = 6000  # steps, with those that are corrected
+LATER = 10  # episodes: as many as the guard needs to judge a head, and to try the one before
 UNSEEN = 2_000_000
 
 
@@ -35,7 +43,18 @@ def shipped(name):
     return Engine(max(glob.glob(str(POLICIES / name / "*" / "policy.safetensors"))))
 
 
-class ReversedCartPole:
+class Task:
+    def execute(self, action):
+        return action
+
+    def matters(self, observation, answered, own):
+        """Returns whether an operator who intervenes does so: `answered` is not good enough for him."""
+        if np.ndim(own) == 0:
+            return answered != own
+        return np.max(np.abs(answered - own)) > 0.4  # a tenth of the pendulum's range
+
+
+class ReversedCartPole(Task):
     """The motor pushes the other way. The operator balances by a linear rule."""
 
     policy = "cartpole"
@@ -51,7 +70,7 @@ class ReversedCartPole:
         return 1 - int(np.dot([0.1, 0.3, 3.0, 1.0], observation) > 0)
 
 
-class ReversedPendulum:
+class ReversedPendulum(Task):
     """The motor turns the other way. The operator does what the policy would with a motor that does not."""
 
     policy = "pendulum"
@@ -66,7 +85,7 @@ class ReversedPendulum:
         return -twin.act(observation)
 
 
-class HeavyPendulum:
+class HeavyPendulum(Task):
     """1.5 times the mass. The operator follows the value function of the heavy pendulum, on a grid."""
 
     policy = "pendulum"
@@ -96,16 +115,19 @@ class HeavyPendulum:
         env.unwrapped.m = self.mass
         return env
 
-    def execute(self, action):
-        return action
-
     def operator(self, observation, _):
         angle = np.arctan2(observation[1], observation[0])
         costs = self.cost(angle, np.full(21, observation[2]), self.torques)
         return np.array([self.torques[np.argmin(costs)]], np.float32)
 
+    def matters(self, observation, answered, own):
+        """If it costs more than 1 in the end, of the 160 or so that an episode costs."""
+        angle, speed = np.arctan2(observation[1], observation[0]), observation[2]
+        there, here = (self.cost(angle, speed, float(torque[0])) for torque in (answered, own))
+        return there - here > 1.0
 
-class WeakAcrobot:
+
+class WeakAcrobot(Task):
     """The motor has 0.6 of its torque. The operator looks 20 steps ahead for energy, which is no better than the policy."""
 
     policy = "acrobot"
@@ -116,9 +138,6 @@ class WeakAcrobot:
         self.env = gymnasium.make("Acrobot-v1")
         self.env.unwrapped.AVAIL_TORQUE = [-self.torque, 0.0, self.torque]
         return self.env
-
-    def execute(self, action):
-        return action
 
     def operator(self, observation, _):
         first, second = (
@@ -160,7 +179,7 @@ class WeakAcrobot:
         return np.array([speed1, speed2, -(d2 * turn2 + phi1) / d1, turn2])
 
 
-class WeakLander:
+class WeakLander(Task):
     """The main engine has 0.7 of its power. The operator follows the expert's rule with constants for that, found by random search."""
 
     policy = "lunar-lander"
@@ -172,23 +191,28 @@ class WeakLander:
         lunar_lander.MAIN_ENGINE_POWER = 13.0 * self.power
         return gymnasium.make("LunarLander-v3")
 
-    def execute(self, action):
-        return action
+    def urgency(self, observation):
+        return land_urgency(
+            observation, lean=(0.48, 0.75, 0.155), turning=(0.68, 1.06), lifting=(0.19, 0.22, 0.59), touching=0.3
+        )
 
     def operator(self, observation, _):
-        return land(observation, lean=(0.48, 0.75, 0.155), turning=(0.68, 1.06), lifting=(0.19, 0.22, 0.59), touching=0.3)
+        urgency = self.urgency(observation)
+        return max(urgency, key=urgency.get)
+
+    def matters(self, observation, answered, own):
+        """If his own action is clearly more urgent: he lets pass what is a matter of taste."""
+        urgency = self.urgency(observation)
+        return urgency[own] - urgency[answered] > 0.1
 
 
-class Spoiled:
+class Spoiled(Task):
     """A task as the policy knows it, with an operator who spoils it."""
 
     random = np.random.default_rng(1)
 
     def make(self):
         return gymnasium.make(self.task)
-
-    def execute(self, action):
-        return action
 
 
 class OppositeCartPole(Spoiled):
@@ -234,23 +258,25 @@ class Twin:
         return self.session.act(observation, self.reward).action
 
 
-def play(task, engine, session, start, corrects=0):
-    """Plays an episode; an operator takes its first `corrects` steps. Returns the return, the corrected steps, and the summary."""
+def play(task, engine, session, start, corrects=0, intervenes=False):
+    """Plays an episode; an operator takes `corrects` of its steps. Returns the return, the corrected steps, and the summary."""
     env, twin = task.make(), Twin(engine)
     observation, _ = env.reset(seed=start)
-    rewards, executed, over = [], None, False
+    rewards, executed, corrected, over = [], None, 0, False
     while not over:
         action = session.act(observation, rewards[-1] if rewards else 0.0, executed_action=executed).action
         executed = None
-        if len(rewards) < corrects:
-            action = task.operator(observation, twin)
-            executed = SimpleNamespace(action=action, kind=2, operator_id="anna")
+        if corrected < corrects:
+            own = task.operator(observation, twin)
+            if not intervenes or task.matters(observation, action, own):
+                action, corrected = own, corrected + 1
+                executed = SimpleNamespace(action=own, kind=2, operator_id="anna")
         observation, reward, terminated, truncated, _ = env.step(task.execute(action))
         rewards.append(float(reward))
         twin.reward = rewards[-1]
         over = terminated or truncated
     summary = session.end_episode(rewards[-1], terminated, executed_action=executed)
-    return sum(rewards), min(corrects, len(rewards)), summary
+    return sum(rewards), corrected, summary
 
 
 def mean_return(task, engine, starts, delta=None, corrects=0):
@@ -258,31 +284,54 @@ def mean_return(task, engine, starts, delta=None, corrects=0):
     return statistics.fmean(returns)
 
 
-def learn(task, engine, seed, starts, by_rewards=False):
-    """Returns the return of the head after each number of STEPS, which are corrected, or played in whole episodes for rewards alone."""
-    learning, settings = Learning(rule="corrections"), {}
-    if by_rewards:
-        is_box = task.policy == "pendulum"
-        learning = Learning(learning_rate=0.03 if is_box else None)
-        settings = {"seed": seed, "sample": True, "temperature": 1.0 if is_box else 4.0}
-    session = engine.session(learning=learning, **settings)
-    done, episode, after = 0, 0, {}
+def learn(task, engine, seed, starts, operator):
+    """Returns what the head returns after each number of STEPS and LATER, how many steps were corrected, and the rollbacks."""
+    session = engine.session(learning=Learning(rule="corrections"))
+    done, watched, after = 0, 0, []
+    episodes = itertools.count(1000 * seed)
+
+    def alone(count):
+        for _ in range(count):
+            play(task, engine, session, next(episodes))
+
+    alone(ALONE)
+    for steps in STEPS:
+        while done < steps and watched < WATCHED:
+            _, corrected, summary = play(task, engine, session, next(episodes), steps - done, operator == "intervenes")
+            done, watched = done + corrected, watched + summary.steps
+        after.append(mean_return(task, engine, starts, session.state().head_delta))
+    alone(LATER)
+    state = session.state()
+    return *after, mean_return(task, engine, starts, state.head_delta), done, state.rollbacks
+
+
+def learn_by_rewards(task, engine, seed, starts):
+    """Returns what the head returns after each number of STEPS, played in whole episodes."""
+    is_box = task.policy == "pendulum"
+    learning = Learning(learning_rate=0.03 if is_box else None)
+    session = engine.session(learning=learning, seed=seed, sample=True, temperature=1.0 if is_box else 4.0)
+    done, after = 0, []
+    episodes = itertools.count(1000 * seed)
     for steps in STEPS:
         while done < steps:
-            _, corrected, summary = play(task, engine, session, 1000 * seed + episode, corrects=0 if by_rewards else steps - done)
-            done += summary.steps if by_rewards else corrected
-            episode += 1
-        after[steps] = mean_return(task, engine, starts, session.state().head_delta)
+            done += play(task, engine, session, next(episodes))[2].steps
+        after.append(mean_return(task, engine, starts, session.state().head_delta))
     return after
 
 
 def main():
     parser = argparse.ArgumentParser(prog="lab/bench/corrections.py")
-    parser.add_argument("tasks", nargs="*", default=[kind.__name__ for kind in CHANGED], metavar="TASK", help=", ".join(TASKS))
+    parser.add_argument(
+        "tasks", nargs="*", default=[kind.__name__ for kind in CHANGED], metavar="TASK", help=", ".join(TASKS)
+    )
+    parser.add_argument("--operator", choices=("intervenes", "flies"), default="intervenes")
+    parser.add_argument("--by_rewards", action="store_true")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--starts", type=int, default=20, help="unseen ones of each evaluation")
     arguments = parser.parse_args()
-    columns = [f"after {steps} steps" for steps in STEPS] + [f"{steps} steps, rewards alone" for steps in STEPS[1:]]
+    columns = [f"after {steps} steps" for steps in STEPS]
+    if not arguments.by_rewards:
+        columns += [f"{LATER} episodes later", "corrected steps", "rollbacks"]
     print(f"| task | the operator | the policy | {' | '.join(columns)} |")
     print("| --- | ---: | ---: | " + " | ".join(["---"] * len(columns)) + " |")
     for name in arguments.tasks:
@@ -290,13 +339,13 @@ def main():
         engine = shipped(task.policy)
         operated = mean_return(task, engine, arguments.starts, corrects=sys.maxsize)
         frozen = mean_return(task, engine, arguments.starts)
-        seeds = range(1, arguments.seeds + 1)
+        runs = []
+        for seed in range(1, arguments.seeds + 1):
+            taught = (task, engine, seed, arguments.starts)
+            runs.append(learn_by_rewards(*taught) if arguments.by_rewards else learn(*taught, arguments.operator))
         cells = []
-        for by_rewards in (False, True):
-            runs = [learn(task, engine, seed, arguments.starts, by_rewards) for seed in seeds]
-            for steps in STEPS[by_rewards:]:
-                returns = sorted(run[steps] for run in runs)
-                cells.append(f"{statistics.median(returns):.1f} ({returns[0]:.1f} to {returns[-1]:.1f})")
+        for values in map(sorted, zip(*runs)):
+            cells.append(f"{statistics.median(values):.1f} ({values[0]:.1f} to {values[-1]:.1f})")
         print(f"| {name} | {operated:.1f} | {frozen:.1f} | {' | '.join(cells)} |", flush=True)
 
 
