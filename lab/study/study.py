@@ -94,8 +94,9 @@ def main():
     parser.add_argument("--out", required=True, type=pathlib.Path, help="folder of the results")
     parser.add_argument("--spiketrain", help="the program; default: $SPIKETRAIN, or the one on PATH")
     parser.add_argument("--seeds", default=study_plan.SEEDS, type=int, help="train from seed 1 to this one")
-    parser.add_argument("--tasks", default=",".join(study_tasks.TASKS), help="tasks of study_tasks.py")
+    parser.add_argument("--tasks", default=",".join([*study_tasks.TASKS, *study_tasks.TASKS_OF_THE_PAPER]), help="tasks of study_tasks.py")
     parser.add_argument("--jobs", default=1, type=int, help="runs at the same time")
+    parser.add_argument("--no_longer", action="store_true", help="do not play in contexts longer than that of the training")
     parser.add_argument("--parts", action="store_true", help="train the variants of `full`")
     parser.add_argument("--settings", action="store_true", help="train on the paper's four tasks with its settings")
     parser.add_argument("--field", action="store_true", help="train on the datasets of MuJoCo")
@@ -110,7 +111,7 @@ def main():
     study = Study(arguments.out.resolve(), budget)
     if arguments.only:
         run = run_named(arguments.only, tasks, arguments.seeds)
-        workshop = Workshop(work, find_spiketrain(arguments.spiketrain), budget, arguments.sets.resolve())
+        workshop = Workshop(work, find_spiketrain(arguments.spiketrain), budget, arguments.sets.resolve(), not arguments.no_longer)
         study.add(run, workshop.carry_out(run, study.rate_of(run)))
         return 0
     command = [sys.executable, *sys.argv]

@@ -15,13 +15,14 @@ import sys
 import numpy as np
 import seed_statistics
 import study_field
+import study_integers
 import study_parts
 import study_plan
 import study_settings
 import study_structured
 import study_tasks
 from run_table import read_results, served
-from study_tables import ALPHA, digits_of, energies_in, energy_cells, joined, mean_served, read_runs, row, score
+from study_tables import ALPHA, digits_of, energies_in, energy_cells, joined, mean_served, ranked_group, read_runs, row, score
 
 MARGIN = 5.0  # points of the score: a smaller difference counts as none
 # Mean scores between which both arms have room to differ: near chance and near the expert all arms are alike.
@@ -63,7 +64,7 @@ STATEMENTS = (
 
 def results_of(folder):
     """Returns the results of the study by task, arm and seed."""
-    runs = read_runs(folder)
+    runs = read_runs(folder, ranked_group(folder))
     return {task: {arm: runs.get((task, arm), {}) for arm in study_plan.ARMS} for task in study_tasks.TASKS}
 
 
@@ -198,6 +199,7 @@ def tables(folder):
 # The marks of the generated parts of the page, and what is between them.
 GENERATED = (
     ("<!-- tables of the study -->", "<!-- end of the tables of the study -->", tables),
+    ("<!-- tables of the integers -->", "<!-- end of the tables of the integers -->", study_integers.tables),
     ("<!-- tables of the parts -->", "<!-- end of the tables of the parts -->", study_parts.tables),
     ("<!-- tables of the settings -->", "<!-- end of the tables of the settings -->", study_settings.tables),
     ("<!-- tables of the structured -->", "<!-- end of the tables of the structured -->", study_structured.tables),

@@ -4,7 +4,7 @@ import numpy as np
 import seed_statistics
 import study_plan
 import study_tasks
-from study_tables import ALPHA, energies_in, energy_cells, joined, mean_served, read_runs, row, score
+from study_tables import ALPHA, energies_in, energy_cells, joined, mean_served, ranked_group, read_runs, row, score
 
 FIGURES = (("mean_return", 1), ("spikes_per_decision", 0))
 
@@ -61,16 +61,15 @@ def difference(sample, p_value):
 def longer_tables(runs):
     """The returns of policies in a context that is longer than that of their training."""
     for name, task in study_tasks.TASKS.items():
-        arms = [arm for arm in study_plan.MODES if runs.get((name, arm))]
-        if not task.longer or not arms:
+        played = {arm: [run for run in runs.get((name, arm), {}).values() if "longer" in run] for arm in study_plan.MODES}
+        if not task.longer or not any(played.values()):
             continue
         trained = next(flag.removeprefix("--context=") for flag in task.flags if flag.startswith("--context="))
         lines = [
             row([f"{name}, trained with N = {trained}", *(f"N = {context}" for context in (trained, *task.longer)), "seeds"])
         ]
         lines.append(row(["---"] + ["---:"] * (2 + len(task.longer))))
-        for arm in arms:
-            seeds = runs[name, arm].values()
+        for arm, seeds in ((arm, seeds) for arm, seeds in played.items() if seeds):
             means = [np.mean([run["mean_return"] for run in seeds])]
             means += [np.mean([run["longer"][str(context)] for run in seeds]) for context in task.longer]
             lines.append(row([f"`{arm}`", *(f"{mean:.1f}" for mean in means), str(len(seeds))]))
@@ -122,5 +121,5 @@ def tick_table(runs):
 
 def tables(folder):
     """Returns the second generated part of the page."""
-    runs = read_runs(folder)
+    runs = read_runs(folder, ranked_group(folder))
     return joined([changes_table(runs), *longer_tables(runs), shares_table(runs), tick_table(runs)])

@@ -5,10 +5,10 @@ A seed decides the data, the initial weights and the order of the clips. All arm
 
 import dataclasses
 
-from study_tasks import ALL_TASKS, FIELD_TASKS, GROUPS, STRUCTURED_TASKS, TASKS_OF_SETTINGS
+from study_tasks import ALL_TASKS, FIELD_TASKS, GROUPS, STRUCTURED_TASKS, TASKS_OF_SETTINGS, TASKS_OF_THE_PAPER
 
 FIRST_UNSEEN_SEED = 2_000_000  # starts of the evaluation
-FIRST_SELECTION_SEED = 1_000_000  # starts by which the learning rate of `dense` is chosen
+FIRST_SELECTION_SEED = 1_000_000  # starts by which the learning rate of `dense` is chosen, and integers are refused
 STARTS_OF_A_SEED = 4_000  # seed 3 records its data from the environment's start 12,000 on
 RATES = ("3e-4", "1e-3", "3e-3")  # of `dense`
 SWEEP_SEEDS = (101, 102)
@@ -140,13 +140,20 @@ class Run:
 
 
 def sweep_runs(tasks):
-    """Returns the runs that choose the learning rate of `dense`."""
-    return [Run(task, "dense", seed, rate) for seed in SWEEP_SEEDS for task in tasks for rate in RATES]
+    """Returns the runs that choose the learning rate of `dense`, on those of the tasks that do not say it."""
+    open_tasks = [task for task in tasks if not ALL_TASKS[task].rate_of_dense]
+    return [Run(task, "dense", seed, rate) for seed in SWEEP_SEEDS for task in open_tasks for rate in RATES]
 
 
 def study_runs(tasks, seeds):
-    """Returns the runs of the study: all of a seed before the next, so that a study that has not ended is balanced."""
-    return [Run(task, arm, seed) for seed in range(1, seeds + 1) for task in tasks for arm in ARMS]
+    """Returns the runs of the study: all of a seed before the next, so that a study that has not ended is balanced.
+
+    The paper's tasks have the modes alone. Arms that are no modes come last in a seed.
+    """
+    others = [arm for arm in ARMS if arm not in MODES]
+    cells = [(task, mode) for task in tasks for mode in MODES]
+    cells += [(task, arm) for task in tasks if task not in TASKS_OF_THE_PAPER for arm in others]
+    return [Run(task, arm, seed) for seed in range(1, seeds + 1) for task, arm in cells]
 
 
 def part_runs(tasks, seeds):
@@ -166,7 +173,7 @@ def field_runs():
 
 def structured_sweep_runs():
     """Returns the runs that choose the learning rate of `dense` on structured tasks that have none."""
-    return sweep_runs([name for name, task in STRUCTURED_TASKS.items() if not task.rate_of_dense])
+    return sweep_runs(STRUCTURED_TASKS)
 
 
 def structured_runs():
@@ -192,6 +199,14 @@ def train_flags(run, rate, budget):
     if arm.share != 1:
         flags.append(f"--iterations={round(arm.share * number['--iterations'])}")
     return without_repetition([*flags, *budget.further, *arm.flags])
+
+
+def flags_through(flags):
+    """Returns the flags of `spiketrain train` that continue a run through the integers, for a quarter of its iterations."""
+    kept = ("--seed", "--slope", "--batch", "--clip_steps", "--action_noise", "--no_baselines", "--validate_every")
+    values = {flag.partition("=")[0]: flag.partition("=")[2] for flag in flags}
+    optimiser = ("--learning_rate=3e-4", "--warmup=10", f"--iterations={-(-int(values['--iterations']) // 4)}")
+    return [*(flag for flag in flags if flag.partition("=")[0] in kept), *optimiser]
 
 
 def is_former(run):

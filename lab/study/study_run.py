@@ -1,4 +1,7 @@
-"""One run of the study: records the data of its seed, trains, plays unseen starts, and prices the policy in integers."""
+"""One run of the study: records the data of its seed, trains, plays unseen starts, and serves the policy in integers.
+
+Served is what plain rounding makes, or, if the gate of `spiketrain quantize` refuses that, what training through it makes.
+"""
 
 import contextlib
 import csv
@@ -23,6 +26,7 @@ from study_cloning import fit
 ENVIRONMENTS = 16  # of Gymnasium, played at once
 # The figures of a policy in integers, and the energy models of their estimates: with memory, and without.
 ENERGIES = {"int_sram_nanojoules_per_decision": "int_sram_45nm", "int_nanojoules_per_decision": "int_45nm"}
+LARGEST_LOSS = 0.01  # of the range, beyond chance: the gate of `spiketrain quantize`
 
 
 class PricedActor(StudentActor):
@@ -48,13 +52,17 @@ class PricedActor(StudentActor):
 
 
 class Workshop:
-    """Runs the programs in a folder, which holds data and policies. `spiketrain` is the program, `sets` a folder of datasets."""
+    """Runs the programs in a folder, which holds data and policies.
 
-    def __init__(self, folder, spiketrain, budget, sets=None):
+    `spiketrain` is the program, `sets` a folder of datasets; `plays_longer` plays further contexts, too.
+    """
+
+    def __init__(self, folder, spiketrain, budget, sets=None, plays_longer=True):
         self._folder = folder
         self._spiketrain = spiketrain
         self._budget = budget
         self._sets = sets
+        self._plays_longer = plays_longer
 
     def carry_out(self, run, rate):
         """Returns the result of a run, an object for JSON. Continues a training that was interrupted."""
@@ -68,15 +76,17 @@ class Workshop:
             if not (self._folder / policy).is_file():
                 self._program("train", f"--data={data}", f"--out={run.name}", "--resume", *flags)
         result = {"task": run.task, "arm": run.arm, "seed": run.seed, "learning_rate": rate, "training": " ".join(flags)}
-        result |= self._play(task, policy, run.first_start)
+        result["sha256"] = self._digest(policy)
+        if run.rate is None and study_plan.ARMS_OF_TRAINING[run.arm].priced and not task.settings:
+            result |= self._serve(run, policy, data, flags)
+        else:
+            result |= self._play(task, policy, run.first_start)
         losses = self._losses(run.name)
         if losses:
             result["validation_loss"] = list(losses.values())[-1]
         if task.settings:
             return result | {"losses": {iteration // task.settings.epoch: loss for iteration, loss in losses.items()}}
-        if run.rate is None and study_plan.ARMS_OF_TRAINING[run.arm].priced:
-            result["integer"] = self._price(task, policy, data, run.first_start)
-        if run.rate is None and run.arm in study_plan.ARMS:
+        if self._plays_longer and run.rate is None and run.arm in study_plan.ARMS:
             result |= self._play_longer(task, policy, run)
         return result
 
@@ -145,7 +155,9 @@ class Workshop:
         return self._play_with(task, StudentActor(Engine(self._folder / policy)), first_start)
 
     def _play_with(self, task, actor, first_start):
-        figures = play_starts(task, actor, first_start, self._budget.starts)
+        return self._figures(play_starts(task, actor, first_start, self._budget.starts), first_start)
+
+    def _figures(self, figures, first_start):
         return {
             "first_start": first_start,
             "starts": self._budget.starts,
@@ -178,26 +190,73 @@ class Workshop:
             means[str(context)] = self._play(task, longer, run.first_start)["mean_return"]
         return {"longer": means}
 
-    def _price(self, task, policy, data, first_start):
-        """Returns the figures of the policy in integers, as it is served: all of one file, on the starts of the run."""
-        integer = policy.replace("policy.", "integer.")
-        files = f"--policy={policy}", f"--out={integer}", f"--data={data}"
-        self._program("quantize", "--to=integer", *files, "--episodes=1", "--max_loss=1")
-        starts = self._budget.starts
-        result = {"sha256": hashlib.sha256((self._folder / integer).read_bytes()).hexdigest()}
-        if not task.is_gymnasium:
-            return result | self._play_own(integer, first_start, starts)
+    # Integers
+
+    def _serve(self, run, policy, data, flags):
+        """Returns the figures of the policy, and in integers; where its plain rounding is refused, those of both integers.
+
+        The gate and the table have the same starts.
+        """
+        rounded = policy.replace("policy.", "rounded.")
+        command = ["quantize", "--to=integer", f"--policy={policy}", f"--out={rounded}", f"--data={data}", "--json"]
+        if run.plan.is_gymnasium:
+            self._program(*command, "--max_loss=1")
+            before = play_starts(run.plan, StudentActor(Engine(self._folder / policy)), run.first_start, self._budget.starts)
+            result = self._figures(before, run.first_start)
+            result["integer"] = self._priced_gymnasium(run, rounded, before, command)
+        else:
+            starts = (f"--episodes={self._budget.starts}", f"--seed={run.first_start}")
+            played = json.loads(self._program(*command, *starts, "--allow_loss"))
+            result = {"first_start": run.first_start, "starts": self._budget.starts}
+            result |= {"mean_return": played["mean_returns"][0], "spikes_per_decision": played["spikes_per_decision"][0]}
+            result["integer"] = self._priced_own(run, rounded, played["verdict"]["rounding_loss"])
+        if not result["integer"]["refused"] or run.arm == "dense":  # which is trained in float32 alone
+            return result
+        result["rounded"] = result["integer"]
+        trained = self._train_through(run, policy, data, flags)
+        if run.plan.is_gymnasium:
+            judge = ["quantize", f"--policy={policy}", f"--data={data}", f"--out={run.name}/judged.safetensors", "--json"]
+            return result | {"integer": self._priced_gymnasium(run, trained, before, judge)}
+        return result | {"integer": self._priced_own(run, trained, self._lost_by(run, policy, trained, result["rounded"]))}
+
+    def _train_through(self, run, policy, data, flags):
+        """Trains a policy through its rounding. Returns the file."""
+        folder = f"{run.name}/integer"
+        command = ["train", "--arithmetic=integer", f"--init={policy}", f"--data={data}", f"--out={folder}", "--overwrite"]
+        self._program(*command, *study_plan.flags_through(flags), "--episodes=1", "--allow_loss")
+        return f"{folder}/policy.safetensors"
+
+    def _priced_own(self, run, integer, loss):
+        return self._gate(integer, loss) | self._play_own(integer, run.first_start, self._budget.starts)
+
+    def _priced_gymnasium(self, run, integer, before, quantize):
+        """Returns the figures of a policy in integers in an environment of Gymnasium. `quantize` judges by returns, as its rule is."""
         actor = PricedActor(Engine(self._folder / integer))
-        figures = play_starts(task, actor, first_start, starts)
-        return {
-            **result,
-            "first_start": first_start,
-            "starts": starts,
-            "mean_return": figures.mean,
-            "std_return": figures.std,
-            "spikes_per_decision": figures.spikes_per_decision,
-            **actor.per_decision(figures.decisions),
-        }
+        after = play_starts(run.plan, actor, run.first_start, self._budget.starts)
+        returns = f"{run.name}/returns.json"
+        played = {"before": before.returns, "after": after.returns, "random": [run.plan.chance]}
+        (self._folder / returns).write_text(json.dumps(played))
+        loss = json.loads(self._program(*quantize, f"--returns={returns}", "--allow_loss"))["verdict"]["rounding_loss"]
+        result = self._gate(integer, loss) | self._figures(after, run.first_start)
+        return result | actor.per_decision(after.decisions)
+
+    def _lost_by(self, run, policy, integer, rounded):
+        """Returns what integers lose in one of spiketrain's environments, in the words of its rule."""
+        files = (f"--policy={integer}", f"--against={policy}")
+        starts = (f"--episodes={self._budget.starts}", f"--seed={run.first_start}")
+        pair = json.loads(self._program("eval", *files, *starts, "--json"))["paired_returns"]
+        low, high = (-end / rounded["range"] for end in reversed(pair["difference_95_percent"]))
+        share = -pair["mean_difference"] / rounded["range"]
+        return {"share": share, "share_95_percent": [low, high], "range": rounded["range"]}
+
+    def _gate(self, integer, loss):
+        """Returns the digest of integers, what they lost of the policy's range above chance, and whether the gate refuses them."""
+        refused = loss["share"] > LARGEST_LOSS and loss["share_95_percent"][0] > 0
+        figures = {"lost": loss["share"], "range": loss["range"], "refused": int(refused)}
+        return {"sha256": self._digest(integer), **figures}
+
+    def _digest(self, policy):
+        return hashlib.sha256((self._folder / policy).read_bytes()).hexdigest()
 
 
 def write_with_context(policy, context, out):

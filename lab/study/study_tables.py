@@ -8,6 +8,15 @@ from run_table import read_results, served
 ALPHA = 0.05
 
 
+# The former ten seeds, whose policies were not played in integers. While this table is there, it is the one that is ranked.
+FORMER = "float32"
+
+
+def ranked_group(folder):
+    """Returns the group whose runs of the study are ranked: the former one as a whole, or the present one as a whole."""
+    return FORMER if read_results(folder, FORMER) else "study"
+
+
 def read_runs(folder, group="study"):
     """Returns all results of a group by task and arm, and each of these by seed."""
     runs = {}
@@ -26,9 +35,14 @@ def joined(tables):
     return "\n\n".join(text for text in texts if text)
 
 
+def points(task, value):
+    """Returns the score of a return: 0 for random actions, 100 for the expert."""
+    plan = study_tasks.ALL_TASKS[task]
+    return 100 * (value - plan.chance) / (plan.expert_return - plan.chance)
+
+
 def score(result):
-    task = study_tasks.ALL_TASKS[result["task"]]
-    return 100 * (served(result)["mean_return"] - task.chance) / (task.expert_return - task.chance)
+    return points(result["task"], served(result)["mean_return"])
 
 
 # The energies of a table, with memory first, and their digits.

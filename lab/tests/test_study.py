@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import math
 import os
 import pathlib
@@ -10,17 +11,21 @@ import sys
 
 import numpy as np
 import pytest
+from safetensors import safe_open
 from spikeserve.imitation.datasets import read_dataset
 
 ROOT = pathlib.Path(__file__).parents[2]
 STUDY = ROOT / "lab/study"
 import seed_statistics
 import study_field
+import study_integers
 import study_page
 import study_parts
 import study_plan
+import study_run
 import study_settings
 import study_structured
+import study_tables
 import study_tasks
 from run_table import OF_ONE_FILE, add_result, mixed_figures, name_of, read_results
 
@@ -89,11 +94,12 @@ def test_an_energy_stands_beside_the_return_of_the_same_file():
     assert list(mixed_figures({"mean_return": 1, "nanojoules_per_decision": 2}))
 
 
-@pytest.mark.parametrize("group", ["study", "sweep", "settings", "structured", "field"])
+@pytest.mark.parametrize("group", [study_tables.FORMER, "study", "paper", "sweep", "settings", "structured", "field"])
 def test_no_committed_table_mixes_files(group):
     results = read_results(COMMITTED, group)
     assert results
     assert [(name_of(result, group), text) for result in results for text in mixed_figures(result)] == []
+    assert [name_of(result, group) for result in results if "integer" in result and "sha256" not in result] == []
 
 
 def write_results(folder, arms):
@@ -164,6 +170,46 @@ def test_no_run_looks_further_back_than_its_context():
         assert int(flags.get("--lookback", 0)) < int(flags["--context"]), run.name
 
 
+def test_no_table_ranks_former_runs_beside_present_ones(tmp_path):
+    write_results(tmp_path, {"baseline": [350.0, 360.0]})
+    assert "| cartpole | `baseline` | 2 | 355.0" in study_page.tables(tmp_path)
+    former = {"task": "cartpole", "arm": "pos", "seed": 1, "learning_rate": "1e-3", "mean_return": 9.0, "spikes_per_decision": 5}
+    add_result(tmp_path, study_tables.FORMER, former | {"validation_loss": 0.1})
+    text = study_page.tables(tmp_path)
+    assert "| cartpole | `pos` | 1 | 9.0 (one seed) | 5 |" in text and "`baseline` | 2" not in text
+
+
+def test_the_table_of_the_integers(tmp_path):
+    """Losses are points of the score; what the gate refused has what it lost before and after it was trained through."""
+    for seed, (float32, rounded, integer) in enumerate([(500.0, None, 490.0), (500.0, 300.0, 495.0), (500.0, None, 500.0)], 1):
+        result = {"task": "CartPole-v1", "arm": "pos", "seed": seed, "learning_rate": "1e-3", "mean_return": float32}
+        result["integer"] = SERVED | {"mean_return": integer, "refused": 0}
+        add_result(tmp_path, "paper", result | ({"rounded": SERVED | {"mean_return": rounded, "refused": 1}} if rounded else {}))
+    text = study_integers.tables(tmp_path)
+    assert "| CartPole-v1 | `pos` | 3 | 500.0 | 495.0 | 1.0 | 2.1 | 1 | 41.8 to 1.0 | 2 |" in text
+    assert text.startswith("3 runs lose 1.0 points of 100 in the median, at most 2.1 where the gate kept the plain rounding. The gate")
+    assert "refused 1 roundings; 1 were trained through it, after which it refuses 0. Refused and served by no server: 0." in text
+
+
+class Refused(study_run.Workshop):
+    """Takes every rounding for refused, also those of policies that have nothing to lose."""
+
+    def _gate(self, integer, loss):
+        figures = super()._gate(integer, loss)
+        return figures | {"refused": 1, "range": figures["range"] or 1.0}
+
+
+@pytest.mark.parametrize(("task", "mode"), [("CartPole-v1", "pos"), ("repeat-4", "full")])
+def test_what_the_gate_refuses_is_trained_through_the_rounding(tmp_path, task, mode):
+    run = study_plan.Run(task, mode, 1)
+    result = Refused(tmp_path, os.environ["SPIKETRAIN"], study_plan.SMOKE).carry_out(run, "1e-3")
+    assert len({result["sha256"], result["rounded"]["sha256"], result["integer"]["sha256"]}) == 3
+    assert list(mixed_figures(result)) == []
+    with safe_open(tmp_path / run.name / "integer/policy.safetensors", framework="np") as file:
+        record = json.loads(file.metadata()["training"])
+    assert "--arithmetic=integer" in record["command"] and f"--init={run.name}/policy.safetensors" in record["command"]
+
+
 def study(folder, *arguments):
     program = [sys.executable, STUDY / "study.py", "--smoke", f"--work={folder}/work", f"--out={folder}/out", *arguments]
     paths = os.pathsep.join([os.environ["PYTHONPATH"], str(ROOT / "lab/recipes")])
@@ -200,6 +246,7 @@ def test_a_miniature(tmp_path):
         assert result["integer"]["int_sram_nanojoules_per_decision"] > result["integer"]["int_nanojoules_per_decision"] > 0, name
         assert list(mixed_figures(result)) == [], name
         assert (result["spikes_per_decision"] > 0) == (result["arm"] != "dense"), name
+        assert result["integer"]["refused"] in (0, 1) and math.isfinite(result["integer"]["lost"]), name
     assert "--context=1" in results["repeat-4-full-n1-1"]["training"].split()
 
     table = tmp_path / "out/study.csv"
@@ -385,7 +432,8 @@ def test_the_table_of_the_settings_compares_with_baseline(tmp_path):
 
 
 def test_the_study_orders_seeds_before_tasks():
-    runs = study_plan.study_runs(list(study_tasks.TASKS), 2)
+    runs = study_plan.study_runs([*study_tasks.TASKS, *study_tasks.TASKS_OF_THE_PAPER], 2)
+    assert len(runs) == 2 * (5 * len(study_plan.ARMS) + 4 * len(study_plan.MODES))
     half = len(runs) // 2
     assert {run.seed for run in runs[:half]} == {1}
     assert {run.name for run in runs[half:]} == {run.name.removesuffix("1") + "2" for run in runs[:half]}
@@ -398,7 +446,7 @@ def test_the_page_is_that_of_the_committed_runs():
         assert written == f"\n{generate(COMMITTED)}\n", "run python lab/study/study_page.py"
 
 
-@pytest.mark.parametrize("group", ["sweep", *study_tasks.GROUPS])
+@pytest.mark.parametrize("group", [study_tables.FORMER, "sweep", *study_tasks.GROUPS])
 def test_the_committed_runs_have_the_settings_of_the_plan(group):
     budget = study_plan.Budget()
     results = read_results(COMMITTED, group)
@@ -406,7 +454,7 @@ def test_the_committed_runs_have_the_settings_of_the_plan(group):
     for result in results:
         rate = result["learning_rate"]
         run = study_plan.Run(result["task"], result["arm"], result["seed"], rate if group == "sweep" else None)
-        assert (run.group, run.name) == (group, name_of(result, group))
+        assert (run.group, run.name) == ("study" if group == study_tables.FORMER else group, name_of(result, group))
         assert result["training"] == " ".join(study_plan.train_flags(run, rate, budget))
         assert (result["starts"], result["first_start"]) == (budget.starts, run.first_start)
         settings = run.plan.settings
