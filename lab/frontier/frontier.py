@@ -3,8 +3,9 @@
     python lab/frontier/frontier.py --work=build/frontier --out=lab/frontier/runs.csv --spiketrain=build/release/bin/spiketrain
 
 All learn from the same episodes of the expert and play the same unseen starts. A run that was interrupted continues. Rows of
-files that are in the table already are kept; --again plays and prices them anew. Prints the medians of the seeds, then the
-cheapest model of each kind that returns at least --level. PYTHONPATH needs lab/recipes, and the engine of the Python client.
+files that are in the table already are kept, and those of other runs; --again plays and prices its own anew. Prints the
+medians of the seeds, then the cheapest model of each kind that returns at least --level. PYTHONPATH needs lab/recipes, and
+the engine of the Python client.
 """
 
 import argparse
@@ -30,7 +31,6 @@ from spikeserve.imitation.episodes import play
 from spikeserve.imitation.experts import load_expert
 
 PIXELS, INPUTS = event_watch.CAMERAS * event_watch.PIXELS, event_watch.CAMERAS * (event_watch.PIXELS + 1)
-CONTEXT = 8  # steps that policies see
 FIRST_START = 2_000_000
 FIGURES = ("mean_return", "sram_nanojoules", "sram_nanojoules_by_event", "nanojoules", "spikes", "bytes")
 
@@ -61,9 +61,16 @@ def train(arguments, out, seed, iterations, *flags):
 
 def policies(arguments, mode, width, seed):
     """Trains policies, the later ones with a penalty on operations, and yields the penalty and the file in integers."""
-    shape = [f"--mode={mode}", f"--hidden_size={width}", f"--context={CONTEXT}", "--layers=1", "--ticks=1", "--heads=2"]
+    shape = [
+        f"--mode={mode}",
+        f"--hidden_size={width}",
+        f"--context={arguments.context}",
+        "--layers=1",
+        "--ticks=1",
+        "--heads=2",
+    ]
     shape += ["--observation_changes=false", *([] if mode == "dense" else ["--norm=fade"])]
-    loud = train(arguments, f"{mode}-{width}-{seed}", seed, arguments.iterations, *shape)
+    loud = train(arguments, f"{mode}-{width}-{arguments.context}-{seed}", seed, arguments.iterations, *shape)
     for penalty in [0.0] if mode == "dense" else arguments.penalties:
         stage = loud
         if penalty:
@@ -184,9 +191,9 @@ def contestants(arguments):
         for kind, width in itertools.product(("gru", "perceptron"), arguments.rival_widths):
             for setting, path in rivals(arguments, kind, width, seed, episodes):
                 yield kind, width, seed, setting, path, lambda path, kind=kind: rival_player(kind, path)
-        for width, mode in itertools.product(arguments.widths, (arguments.mode, "dense")):
+        for width, mode in itertools.product(arguments.widths, arguments.modes):
             for setting, path in policies(arguments, mode, width, seed):
-                if setting == 0 and mode != "dense":
+                if setting == 0 and mode == "baseline":  # phase generators fire, whatever the coders do
                     silent = changed(path, path.with_name("silent.safetensors"), silence)
                     yield "silent", width, seed, setting, silent, PolicyPlayer
                 yield mode, width, seed, setting, path, PolicyPlayer
@@ -194,9 +201,14 @@ def contestants(arguments):
 
 def medians(rows):
     """Returns the medians over the seeds of each model."""
-    models = sorted({(row["kind"], int(row["width"]), float(row["setting"])) for row in rows})
-    groups = {m: [r for r in rows if (r["kind"], int(r["width"]), float(r["setting"])) == m] for m in models}
-    return {m: {f: statistics.median(float(row[f]) for row in group) for f in FIGURES} for m, group in groups.items()}
+    groups = {}
+    for row in rows:
+        model = row["kind"], int(row["width"]), int(row["context"]), float(row["setting"])
+        groups.setdefault(model, []).append(row)
+    return {
+        m: {f: statistics.median(float(row[f]) for row in group) for f in FIGURES}
+        for m, group in sorted(groups.items())
+    }
 
 
 def cheapest(table, level):
@@ -215,6 +227,11 @@ def print_table(rows, level):
         print(f"cheapest {kind} with {level:g}:", *model[1:], *(f"{table[model][name]:.3g}" for name in FIGURES))
 
 
+def identity(row):
+    """Returns what tells a row from the others. A run keeps those of other runs in its table."""
+    return tuple(str(row[name]) for name in ("kind", "width", "context", "seed", "setting"))
+
+
 def numbers(kind):
     return lambda text: [kind(number) for number in text.split(",") if number]
 
@@ -229,7 +246,8 @@ def main():
         parser.add_argument(f"--{name}", default=default, type=int)
     for name, default in (("iterations", 1500), ("quiet_iterations", 1000)):
         parser.add_argument(f"--{name}", default=default, type=int, help="of policies")
-    parser.add_argument("--mode", default="baseline", help="of spiking policies")
+    parser.add_argument("--modes", default=["baseline", "dense"], type=lambda text: text.split(","), help="of policies")
+    parser.add_argument("--context", default=8, type=int, help="steps that policies see; an episode has 24")
     parser.add_argument("--widths", default=[32, 16], type=numbers(int), help="of policies")
     parser.add_argument("--penalties", default=[0.0, 0.1], type=numbers(float), help="on operations of policies")
     parser.add_argument(
@@ -243,27 +261,28 @@ def main():
     arguments = parser.parse_args()
     arguments.work = arguments.work.resolve()
     arguments.work.mkdir(parents=True, exist_ok=True)
-    known = {}
-    if arguments.out.is_file() and not arguments.again:
-        known = {
-            (row["sha256"], int(row["starts"])): row for row in csv.DictReader(arguments.out.read_text().splitlines())
-        }
-    rows = []
+    table = {}
+    if arguments.out.is_file():
+        table = {identity(row): row for row in csv.DictReader(arguments.out.read_text().splitlines())}
+    played = {(row["sha256"], int(row["starts"])): row for row in table.values() if not arguments.again}
     for kind, width, seed, setting, path, load in contestants(arguments):
         row = {
             "kind": kind,
             "width": width,
+            "context": 0 if kind in ("gru", "perceptron") else arguments.context,
             "seed": seed,
             "setting": setting,
             "first_start": FIRST_START,
             "starts": arguments.starts,
         }
         row["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
-        rows.append(known.get((row["sha256"], arguments.starts)) or row | score(load(path), arguments.starts))
+        known = played.get((row["sha256"], arguments.starts))
+        table[identity(row)] = known or row | score(load(path), arguments.starts)
         with arguments.out.open("w", newline="") as file:
-            writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+            writer = csv.DictWriter(file, next(iter(table.values())), lineterminator="\n")
             writer.writeheader()
-            writer.writerows(rows)
+            writer.writerows(table.values())
+    rows = list(table.values())
     print_table(rows, arguments.level)
 
 

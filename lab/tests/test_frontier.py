@@ -78,7 +78,14 @@ def test_a_miniature_continues_where_it_was_interrupted(tmp_path, monkeypatch, c
     frontier.main()
     assert list(csv.DictReader(table.read_text().splitlines())) == rows
 
-    decide_alike(*(tmp_path / "work/baseline-8-1" / f"{name}.safetensors" for name in ("policy", "centred")))
+    monkeypatch.setattr(
+        sys, "argv", [*sys.argv, "--context=4", "--modes=dense", f"--spiketrain={os.environ['SPIKETRAIN']}"]
+    )
+    frontier.main()
+    both = list(csv.DictReader(table.read_text().splitlines()))
+    assert both[:-1] == rows and (both[-1]["kind"], both[-1]["context"]) == ("dense", "4")
+
+    decide_alike(*(tmp_path / "work/baseline-8-8-1" / f"{name}.safetensors" for name in ("policy", "centred")))
 
 
 def decide_alike(policy, centred):
@@ -97,7 +104,7 @@ def decide_alike(policy, centred):
 def test_the_cheapest_model_is_among_those_that_return_enough():
     def row(seed, setting, mean_return, joules):
         figures = dict.fromkeys(frontier.FIGURES, 1.0) | {"mean_return": mean_return, "sram_nanojoules": joules}
-        return {"kind": "gru", "width": 8, "setting": setting, "seed": seed} | figures
+        return {"kind": "gru", "width": 8, "context": 0, "setting": setting, "seed": seed} | figures
 
     rows = [
         row(1, 0, 0.95, 3),
@@ -108,5 +115,5 @@ def test_the_cheapest_model_is_among_those_that_return_enough():
         row(3, 0.75, 0.5, 1),
     ]
     table = frontier.medians(rows)
-    assert table["gru", 8, 0.0]["mean_return"] == 0.93 and table["gru", 8, 0.0]["sram_nanojoules"] == 4
-    assert frontier.cheapest(table, 0.9) == {"gru": ("gru", 8, 0.0)}
+    assert table["gru", 8, 0, 0.0]["mean_return"] == 0.93 and table["gru", 8, 0, 0.0]["sram_nanojoules"] == 4
+    assert frontier.cheapest(table, 0.9) == {"gru": ("gru", 8, 0, 0.0)}
