@@ -1,6 +1,6 @@
 # Compiles files into a program.
 #
-# spikeserve_embed(TARGET HEADER header FUNCTION name BASE folder FILES file...): adds to TARGET a generated source that
+# spikeserve_embed(TARGET HEADER header FUNCTION name BASE folder FILES file...): adds the library TARGET, a generated source that
 # defines spikeserve::name(), which `header` declares, with the contents of the files, by their path below BASE.
 # The build runs this file as a script (cmake -P), which writes that source when one of the files has changed.
 if(CMAKE_SCRIPT_MODE_FILE)
@@ -50,5 +50,6 @@ function(spikeserve_embed target)
             -D FUNCTION=${ARG_FUNCTION} -D OUTPUT=${output} -P ${script}
     DEPENDS ${paths} ${script}
     VERBATIM)
-  target_sources(${target} PRIVATE ${output})
+  add_library(${target} STATIC ${output})
+  target_link_libraries(${target} PRIVATE spikeserve_options PUBLIC absl::strings)
 endfunction()

@@ -45,9 +45,13 @@ install(TARGETS spikeserve_client spikeserve_datagram spikeserve_robot spikeserv
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 
 # The engine on a robot, one archive of the rooms that it links, so that none of them is a library of the package.
-set(rooms action agent base contract dataset dense_engine digest engine engine_factory journal learning local_engine math model reference_engine session
-  spiking_engine)
-list(TRANSFORM rooms REPLACE "(.+)" "$<TARGET_OBJECTS:spikeserve_\\1>" OUTPUT_VARIABLE objects)
+set(objects)
+foreach(room action agent base contract dataset dense_engine digest engine engine_factory journal learning local_engine math model reference_engine session
+    spiking_engine)
+  spikeserve_compiled_in(compiled spikeserve_${room})
+  list(APPEND objects $<TARGET_OBJECTS:${compiled}>)
+endforeach()
+list(REMOVE_DUPLICATES objects)
 add_library(spikeserve_installed_engine STATIC ${objects})
 target_link_libraries(spikeserve_installed_engine PUBLIC spikeserve_client
   absl::core_headers absl::flat_hash_map absl::function_ref absl::inlined_vector absl::span absl::status absl::statusor

@@ -24,52 +24,114 @@ if(SPIKESERVE_TSAN)
     ${PROJECT_SOURCE_DIR}/tests/sanitizers/tsan_absl.cc ${PROJECT_SOURCE_DIR}/tests/sanitizers/tsan_grpc.cc)
 endif()
 
-# Most of the time of a source goes into headers. Units compile them once for up to eight sources of a library or a test: a quarter of
-# the processor time for everything, but more after a change of one source.
-option(SPIKESERVE_UNITY "Compile the sources of a library or a test in units of up to eight" ON)
+# spikeserve_optimize(LEVEL): compiles the current folder with LEVEL instead of -O3, a release's default, which core/math
+# and the spiking engine keep. What carries decisions has -O2, command lines have -O1: they take less time to compile.
+macro(spikeserve_optimize level)
+  string(REGEX REPLACE "-O[23]" ${level} CMAKE_CXX_FLAGS_RELEASE "${CMAKE_CXX_FLAGS_RELEASE}")
+endmacro()
 
-# Writes units that include the sources `ARGN`, and returns in the variable `out` what is to be compiled instead. The paths
-# in a unit are relative to the project, so that clones in different folders share the compiler cache. A generated file
-# stays alone.
+# Most of the time of a source goes into headers. A unit compiles them once for many sources: a quarter of the processor time for
+# everything, but more after a change of one source.
+option(SPIKESERVE_UNITY "Compile many sources at once: a library, a test, or the components of an archive" ON)
+
+# Writes units that include the sources `ARGN`, up to 16 each, and returns in the variable `out` what is to be compiled instead. The paths
+# in a unit are relative to the project, so that clones in different folders share the compiler cache. A source of another folder
+# stays alone, and a single one is no unit.
 function(spikeserve_units out name)
-  file(RELATIVE_PATH folder ${PROJECT_SOURCE_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
   set(generated ${ARGN})
   list(FILTER generated INCLUDE REGEX "^/")
   set(sources ${ARGN})
   list(FILTER sources EXCLUDE REGEX "^/")
+  list(LENGTH sources count)
+  if(count LESS 2 OR NOT SPIKESERVE_UNITY)
+    set(${out} ${ARGN} PARENT_SCOPE)
+    return()
+  endif()
   set(compiled ${generated})
   set(number 0)
   foreach(source ${sources})
-    math(EXPR unit "${number} / 8")
+    math(EXPR unit "${number} / 16")
     math(EXPR number "${number} + 1")
-    string(APPEND text_${unit} "#include \"${folder}/${source}\"\n")
+    spikeserve_include(line ${source})
+    string(APPEND text_${unit} ${line})
   endforeach()
   foreach(i RANGE ${unit})
     set(path ${CMAKE_CURRENT_BINARY_DIR}/${name}_unit_${i}.cc)
     file(CONFIGURE OUTPUT ${path} CONTENT "${text_${i}}" @ONLY)
     list(APPEND compiled ${path})
   endforeach()
-  # In a unit, a type of an anonymous namespace is not in the main file, but in no header either.
-  set_source_files_properties(${compiled} PROPERTIES COMPILE_OPTIONS $<$<CXX_COMPILER_ID:GNU>:-Wno-subobject-linkage>)
+  spikeserve_unit_options(${compiled})
   set(${out} ${compiled} PARENT_SCOPE)
 endfunction()
 
-# spikeserve_library(NAME SOURCES file... [SEPARATE file...] [DEPENDS target...] [PRIVATE_DEPENDS target...])
+# Returns the line with which a unit includes a source of the current folder.
+function(spikeserve_include out source)
+  file(RELATIVE_PATH folder ${PROJECT_SOURCE_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
+  set(${out} "#include \"${folder}/${source}\"\n" PARENT_SCOPE)
+endfunction()
+
+# In a unit, a type of an anonymous namespace is not in the main file, but in no header either.
+function(spikeserve_unit_options)
+  set_source_files_properties(${ARGN} PROPERTIES COMPILE_OPTIONS $<$<CXX_COMPILER_ID:GNU>:-Wno-subobject-linkage>)
+endfunction()
+
+# spikeserve_library(NAME [ARCHIVE archive] SOURCES file... [SEPARATE file...] [DEPENDS target...] [PRIVATE_DEPENDS target...])
 # Adds a static library. SEPARATE are sources that are compiled alone, because they have options of their own. DEPENDS are
 # the libraries whose headers its headers include, PRIVATE_DEPENDS those that only its sources include. Each folder of the
 # tree is one library; tests/check_layers.py checks its includes against this list.
+#
+# ARCHIVE: components that name the same archive, one after the other, are compiled as one unit, because most of the headers
+# that they include are the same. What such a component has of its own beside sources, it adds to the target that
+# spikeserve_compiled_in() returns.
 function(spikeserve_library name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;SEPARATE;DEPENDS;PRIVATE_DEPENDS" ${ARGN})
-  set(units ${ARG_SOURCES})
-  if(SPIKESERVE_UNITY)
+  cmake_parse_arguments(ARG "" "ARCHIVE" "SOURCES;SEPARATE;DEPENDS;PRIVATE_DEPENDS" ${ARGN})
+  if(ARG_ARCHIVE AND SPIKESERVE_UNITY)
+    spikeserve_archive(${ARG_ARCHIVE} ${name} "${ARG_SOURCES}" "${ARG_DEPENDS}" "${ARG_PRIVATE_DEPENDS}")
+  else()
     spikeserve_units(units ${name} ${ARG_SOURCES})
+    add_library(${name} STATIC ${units} ${ARG_SEPARATE})
+    target_link_libraries(${name}
+      PUBLIC $<BUILD_INTERFACE:spikeserve_options> ${ARG_DEPENDS} PRIVATE ${ARG_PRIVATE_DEPENDS})
+    set_property(GLOBAL APPEND PROPERTY SPIKESERVE_LIBRARIES ${name})
   endif()
-  add_library(${name} STATIC ${units} ${ARG_SEPARATE})
-  target_link_libraries(${name}
-    PUBLIC $<BUILD_INTERFACE:spikeserve_options> ${ARG_DEPENDS} PRIVATE ${ARG_PRIVATE_DEPENDS})
   set(all ${ARG_SOURCES} ${ARG_SEPARATE})
   spikeserve_note_layer(${name} "${all}" "${ARG_DEPENDS}" "${ARG_PRIVATE_DEPENDS}")
-  set_property(GLOBAL APPEND PROPERTY SPIKESERVE_LIBRARIES ${name})
+endfunction()
+
+# Adds the component `name` to a static library of several components, and a target `name` that links that library.
+function(spikeserve_archive archive name sources public private)
+  if(NOT TARGET ${archive})
+    set(unit ${CMAKE_CURRENT_BINARY_DIR}/${archive}_unit_0.cc)
+    file(GENERATE OUTPUT ${unit} CONTENT "$<JOIN:$<TARGET_PROPERTY:${archive},SPIKESERVE_INCLUDES>,>")
+    spikeserve_unit_options(${unit})
+    add_library(${archive} STATIC ${unit})
+    target_link_libraries(${archive} PUBLIC $<BUILD_INTERFACE:spikeserve_options>)
+    set_property(GLOBAL APPEND PROPERTY SPIKESERVE_LIBRARIES ${archive})
+  endif()
+  foreach(source ${sources})
+    spikeserve_include(line ${source})
+    set_property(TARGET ${archive} APPEND PROPERTY SPIKESERVE_INCLUDES ${line})
+  endforeach()
+  get_target_property(inside ${archive} SPIKESERVE_COMPONENTS)
+  foreach(list public private)
+    if(inside AND ${list})
+      list(REMOVE_ITEM ${list} ${inside})
+    endif()
+  endforeach()
+  target_link_libraries(${archive} PUBLIC ${public} PRIVATE ${private})
+  set_property(TARGET ${archive} APPEND PROPERTY SPIKESERVE_COMPONENTS ${name})
+  add_library(${name} INTERFACE)
+  target_link_libraries(${name} INTERFACE ${archive})
+  set_target_properties(${name} PROPERTIES SPIKESERVE_ARCHIVE ${archive})
+endfunction()
+
+# Returns the target that compiles the sources of a component: its archive, or itself.
+function(spikeserve_compiled_in out component)
+  get_target_property(archive ${component} SPIKESERVE_ARCHIVE)
+  if(NOT archive)
+    set(archive ${component})
+  endif()
+  set(${out} ${archive} PARENT_SCOPE)
 endfunction()
 
 # Appends a library or a program to the list that spikeserve_check_layers() writes.
@@ -84,10 +146,15 @@ function(spikeserve_note_layer name sources public private)
   set_property(GLOBAL APPEND PROPERTY SPIKESERVE_LAYERS "{${entry}}")
 endfunction()
 
-# spikeserve_program(NAME SOURCES file... [DEPENDS target...]): adds a program, built in <build>/bin.
+# spikeserve_program(NAME [UNITS] SOURCES file... [DEPENDS target...]): adds a program, built in <build>/bin. UNITS: compiles
+# the sources in units.
 function(spikeserve_program name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS" ${ARGN})
-  add_executable(${name} ${ARG_SOURCES} ${SPIKESERVE_PROGRAM_SOURCES})
+  cmake_parse_arguments(ARG "UNITS" "" "SOURCES;DEPENDS" ${ARGN})
+  set(units ${ARG_SOURCES})
+  if(ARG_UNITS)
+    spikeserve_units(units ${name} ${ARG_SOURCES})
+  endif()
+  add_executable(${name} ${units} ${SPIKESERVE_PROGRAM_SOURCES})
   target_link_libraries(${name} PRIVATE spikeserve_options ${ARG_DEPENDS})
   spikeserve_note_layer(${name} "${ARG_SOURCES}" "" "${ARG_DEPENDS}")
 endfunction()
@@ -108,7 +175,7 @@ add_custom_target(cpp_tests)  # the unit tests in C++, and the programs that tes
 function(spikeserve_test name)
   cmake_parse_arguments(ARG "UNITS" "LABEL" "SOURCES;DEPENDS" ${ARGN})
   set(units ${ARG_SOURCES})
-  if(ARG_UNITS AND SPIKESERVE_UNITY)
+  if(ARG_UNITS)
     spikeserve_units(units ${name} ${ARG_SOURCES})
   endif()
   add_executable(${name} ${units} ${SPIKESERVE_PROGRAM_SOURCES})
@@ -126,8 +193,8 @@ function(spikeserve_test name)
   endif()
 endfunction()
 
-# Links each library into a program with only the dependencies that its CMakeLists.txt names, so that a missing one
-# fails the build. Writes layers.json for tests/check_layers.py. Call it after the last library.
+# Links each library, or archive of components, into a program with only the dependencies that its CMakeLists.txt names, so
+# that a missing one fails the build. Writes layers.json for tests/check_layers.py. Call it after the last library.
 function(spikeserve_check_layers)
   get_property(layers GLOBAL PROPERTY SPIKESERVE_LAYERS)
   list(JOIN layers ",\n" layers)

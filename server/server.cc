@@ -3,12 +3,24 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
 
+#include "absl/status/status.h"
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
+#include "core/base/clock.h"
 #include "core/base/status_macros.h"
+#include "server/access/certificate_watch.h"
 #include "server/base/log.h"
+#include "server/base/periodic.h"
 #include "server/gauges.h"
+#include "server/parts.h"
+#include "server/policies/policy_poller.h"
 #include "server/web/status_json.h"
 
 namespace spikeserve {
@@ -52,39 +64,80 @@ std::string AddressForOthers(Address address) {
   return address.ToString();
 }
 
-}  // namespace
+class RunningServer : public Server {
+ public:
+  // `base` has the policies.
+  RunningServer(const ServerOptions& options, Foundation base);
+  ~RunningServer() override;
 
-absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& options) {
-  RETURN_IF_ERROR(options.Validate());
-  ReloadReport report;
-  ASSIGN_OR_RETURN(auto base, Foundation::Open(options, &report));
-  auto server = std::unique_ptr<Server>(new Server(options, std::move(base)));
-  Server* const started = server.get();
-  started->StartLedger();
-  if (started->membership_.is_shared()) {
-    started->FollowReplicas();
-    if (started->base_.registry->settings().has_joined()) {
-      started->base_.store.heads->WaitToJoin(kJoinTimeout);
-    }
+  // Starts what the server consists of. `refused` are the policies that could not be loaded.
+  absl::Status Begin(const std::vector<absl::Status>& refused);
+
+  std::string grpc_address() const override { return grpc_.transport->address().ToString(); }
+  std::string datagram_address() const override {
+    return options_.datagram_listen.empty() ? "" : grpc_.transport->datagram_address().ToString();
   }
-  RETURN_IF_ERROR(started->StartTransport());
-  RETURN_IF_ERROR(started->StartHttp());
-  if (started->certificates_.is_used()) started->certificates_.Start();
-  if (options.poll_policies > absl::ZeroDuration()) {
-    started->poller_ = std::make_unique<PolicyPoller>(started->base_.registry.get(),
-                                                      options.poll_policies, report.refused);
+  std::string http_address() const override {
+    return http_.server == nullptr ? "" : http_.server->address().ToString();
   }
-  if (started->membership_.is_shared()) {
-    started->Every(kFollowInterval, [started] { started->FollowReplicas(); });
+  void Stop() override;
+
+ private:
+  // Calls `work` at this interval until the server stops.
+  void Every(absl::Duration interval, std::function<void()> work) {
+    periodic_.push_back(std::make_unique<Periodic>(interval, std::move(work)));
   }
-  started->Every(kRolloutInterval, [started] { started->operators_.rollouts.Tick(); });
-  if (!options.tokens.empty()) {
-    started->Every(kTokensInterval, [started] { started->ReloadTokens(); });
+  void ReloadTokens();
+  void StartLedger();
+  absl::Status StartTransport();
+  void StopTransport();
+  absl::Status StartHttp();
+  // Follows the other servers, and says so when this one has joined them.
+  void FollowReplicas();
+  // False until the settings and the heads that servers share were taken over, too.
+  bool serving() const {
+    return !stopping_ && !sessions_.store.draining() && membership_.has_joined();
   }
-  return server;
+  // Returns true unless the loops of the transport are stuck.
+  bool TransportResponds() const;
+  void PublishHealth();
+
+  const ServerOptions options_;
+  const SteadyClock clock_;
+  const Foundation base_;
+  Membership membership_;
+  Sessions sessions_;
+  Operators operators_;
+  GrpcDoor grpc_;
+  HttpDoor http_;
+  CertificateWatch certificates_;  // of both doors; its thread uses them
+  MemoryTrimmer memory_;
+  std::atomic<bool> stopping_ = false;
+  bool joined_ = false;  // the value that was published last
+  // Declared last, because their threads use the members above.
+  std::unique_ptr<PolicyPoller> poller_;
+  std::vector<std::unique_ptr<Periodic>> periodic_;
+};
+
+absl::Status RunningServer::Begin(const std::vector<absl::Status>& refused) {
+  StartLedger();
+  if (membership_.is_shared()) {
+    FollowReplicas();
+    if (base_.registry->settings().has_joined()) base_.store.heads->WaitToJoin(kJoinTimeout);
+  }
+  RETURN_IF_ERROR(StartTransport());
+  RETURN_IF_ERROR(StartHttp());
+  if (certificates_.is_used()) certificates_.Start();
+  if (options_.poll_policies > absl::ZeroDuration()) {
+    poller_ = std::make_unique<PolicyPoller>(base_.registry.get(), options_.poll_policies, refused);
+  }
+  if (membership_.is_shared()) Every(kFollowInterval, [this] { FollowReplicas(); });
+  Every(kRolloutInterval, [this] { operators_.rollouts.Tick(); });
+  if (!options_.tokens.empty()) Every(kTokensInterval, [this] { ReloadTokens(); });
+  return absl::OkStatus();
 }
 
-Server::Server(const ServerOptions& options, Foundation base)
+RunningServer::RunningServer(const ServerOptions& options, Foundation base)
     : options_(options),
       base_(std::move(base)),
       membership_(&base_),
@@ -106,7 +159,7 @@ Server::Server(const ServerOptions& options, Foundation base)
              .reports = membership_.reports(),
              .unusual_deviations = options.unusual_deviations}) {}
 
-absl::Status Server::StartTransport() {
+absl::Status RunningServer::StartTransport() {
   RETURN_IF_ERROR(grpc_.Open(options_, &clock_));
   if (grpc_.tls != nullptr) certificates_.Add(grpc_.tls.get());
   Metrics& metrics = *base_.metrics;
@@ -129,7 +182,7 @@ absl::Status Server::StartTransport() {
   return grpc_.transport->Start();
 }
 
-void Server::StartLedger() {
+void RunningServer::StartLedger() {
   sessions_.store.SetOnClosed([this](SessionEntry& entry) { sessions_.ledger.OnClosed(entry); });
   if (base_.journals != nullptr) {
     base_.journals->Keep(&sessions_.store, [this] { sessions_.ledger.BookEnds(); });
@@ -139,18 +192,18 @@ void Server::StartLedger() {
   Every(options_.usage.interval, [this] { sessions_.ledger.Tick(); });
 }
 
-bool Server::TransportResponds() const {
+bool RunningServer::TransportResponds() const {
   return grpc_.transport == nullptr || grpc_.transport->Responds(kHealthTimeout);
 }
 
-void Server::PublishHealth() {
+void RunningServer::PublishHealth() {
   grpc_.health.SetServing("", serving());
   grpc_.health.SetServing(MethodOf<v1::ListPoliciesRequest>().service, serving());
   grpc_.health.SetServing(MethodOf<inference::ServerLiveRequest>().service, serving());
   grpc_.health.SetServing(MethodOf<v1::LoadPolicyRequest>().service, !stopping_);
 }
 
-void Server::FollowReplicas() {
+void RunningServer::FollowReplicas() {
   if (membership_.Follow()) sessions_.ledger.OnServerGone();
   if (grpc_.transport != nullptr && !joined_ && membership_.has_joined()) {
     joined_ = true;
@@ -158,13 +211,13 @@ void Server::FollowReplicas() {
   }
 }
 
-void Server::ReloadTokens() {
+void RunningServer::ReloadTokens() {
   if (auto status = base_.authenticator->Reload(); !status.ok()) {
     LogError("token file not reloaded; the old tokens stay valid", {{"error", status.message()}});
   }
 }
 
-absl::Status Server::StartHttp() {
+absl::Status RunningServer::StartHttp() {
   RETURN_IF_ERROR(http_.Open(options_, base_, grpc_.transport.get(), &clock_));
   if (http_.server == nullptr) return absl::OkStatus();
   if (http_.tls != nullptr) certificates_.Add(http_.tls.get());
@@ -178,9 +231,9 @@ absl::Status Server::StartHttp() {
   return absl::OkStatus();
 }
 
-Server::~Server() { Stop(); }
+RunningServer::~RunningServer() { Stop(); }
 
-void Server::Stop() {
+void RunningServer::Stop() {
   if (stopping_.exchange(true)) return;
   poller_.reset();
   periodic_.clear();
@@ -195,7 +248,7 @@ void Server::Stop() {
   base_.metrics->KeepSeries();
 }
 
-void Server::StopTransport() {
+void RunningServer::StopTransport() {
   // Before health turns NOT_SERVING: a client that sees it is not served any more.
   grpc_.gate.Drain();
   grpc_.transport->Drain();
@@ -215,6 +268,17 @@ void Server::StopTransport() {
   base_.journals->Stop(reachable ? std::max(kLeaveTimeout, end - clock_.Now()) : kLeaveTimeout);
   if (base_.store.heads != nullptr) base_.store.heads->Stop(kLeaveTimeout);
   sessions_.recovery->ForgetWaiters();
+}
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<Server>> Server::Start(const ServerOptions& options) {
+  RETURN_IF_ERROR(options.Validate());
+  ReloadReport report;
+  ASSIGN_OR_RETURN(auto base, Foundation::Open(options, &report));
+  auto server = std::make_unique<RunningServer>(options, std::move(base));
+  RETURN_IF_ERROR(server->Begin(report.refused));
+  return server;
 }
 
 }  // namespace spikeserve

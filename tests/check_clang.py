@@ -24,7 +24,7 @@ def tidy(entry, flags, _):
 
 
 def sources(entry, root):
-    """Returns an entry for each source of a unit of sources (cmake/SpikeserveTargets.cmake), or of the file itself."""
+    """Returns an entry for each source of a unit of sources (cmake/SpikeserveTargets.cmake), or the entry itself."""
     if not re.search(r"_unit_\d+\.cc$", entry["file"]):
         return [entry]
     with open(entry["file"], encoding="utf-8") as unit:
@@ -51,9 +51,9 @@ def main():
         entries = [e for e in json.load(file) if "/torch/" not in e["command"]]
     if name == "tidy":  # which complains about the file that it is given, not about what that includes
         entries = [source for entry in entries for source in sources(entry, root)]
-    build = os.path.dirname(os.path.abspath(commands))
-    prefixes = tuple(os.path.join(base, folder) + os.sep for folder in folders for base in (root, build))
-    entries = [e for e in entries if e["file"].startswith(prefixes) and not e["file"].endswith(".pb.cc")]
+    prefixes = tuple(os.path.join(root, folder) + os.sep for folder in folders)
+    # A unit of several components counts if it has one below these folders.
+    entries = [e for e in entries if any(source["file"].startswith(prefixes) for source in sources(e, root))]
     if not entries:
         sys.exit(f"check_clang {name}: no sources below " + ", ".join(folders))
 

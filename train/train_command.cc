@@ -14,7 +14,7 @@
 namespace spikeserve {
 namespace {
 
-constexpr char kRecording[] = "Recording, without --data";
+constexpr char kTrainingSource[] = "Recording, without --data";
 
 absl::Status CheckCount(absl::string_view flag, int value) {
   if (value >= 1) return absl::OkStatus();
@@ -95,10 +95,10 @@ void AddFlags(Command command, TrainFlags* flags) {
       .Add("return_scale", "RETURN", &flags->return_scale,
            "Scale of the return token; default: by environment");
   AddTrainerFlags(command, &flags->trainer);
-  FlagGroup recording = command.Flags(kRecording);
+  FlagGroup recording = command.Flags(kTrainingSource);
   AddRecordFlags(recording, &flags->record);
   AddTablesFlag(recording, &flags->record.options.expert);
-  command.RefuseBeside("data", kRecording);
+  command.RefuseBeside("data", kTrainingSource);
 }
 
 }  // namespace

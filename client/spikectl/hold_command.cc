@@ -34,8 +34,8 @@ using nlohmann::ordered_json;
 
 constexpr absl::Duration kPause = absl::Milliseconds(20);    // between two looks at the robots
 constexpr absl::Duration kStoreTimeout = absl::Seconds(30);  // of a look at what a store has
-constexpr int kPageSize = 10000;                             // sessions
-constexpr int kMostPages = 100;
+constexpr int kHoldPageSize = 10000;                         // sessions
+constexpr int kMostHoldPages = 100;
 
 struct HoldFlags {
   const ServerFlags* server = nullptr;
@@ -83,14 +83,14 @@ HeldRobots LookAtRobots(OperatorServers& servers, const std::string& id, bool st
   HeldRobots state;
   std::vector<std::string> tokens(servers.size());
   bool goes_on = true;
-  for (int page = 0; goes_on && page < kMostPages; ++page) {
+  for (int page = 0; goes_on && page < kMostHoldPages; ++page) {
     goes_on = false;
     const auto pages = servers.AtEach<v1::ListHoldsRequest, v1::ListHoldsResponse>(
         &AdminStub::ListHolds,
         [&](size_t i) {
           v1::ListHoldsRequest request;
           request.set_id(id);
-          request.set_page_size(kPageSize);
+          request.set_page_size(kHoldPageSize);
           request.set_page_token(tokens[i]);
           request.set_stored(stored);
           return request;

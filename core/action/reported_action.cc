@@ -11,7 +11,7 @@
 namespace spikeserve {
 namespace {
 
-std::string Describe(const ReportedAction& reported) {
+std::string DescribeAction(const ReportedAction& reported) {
   if (const auto* index = std::get_if<int64_t>(&reported)) return absl::StrCat("index ", *index);
   if (const auto* values = std::get_if<absl::Span<const float>>(&reported)) {
     return absl::StrCat(values->size(), " continuous values");
@@ -20,7 +20,7 @@ std::string Describe(const ReportedAction& reported) {
 }
 
 absl::Status Refusal(const std::string& expected, const ReportedAction& reported) {
-  return InvalidArgument("executed_action", expected, Describe(reported));
+  return InvalidArgument("executed_action", expected, DescribeAction(reported));
 }
 
 absl::Status CheckSource(const ReportedSource& source) {

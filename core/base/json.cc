@@ -10,11 +10,11 @@
 namespace spikeserve {
 namespace {
 
-using nlohmann::json;
+using Json = nlohmann::json;
 
 // Checks a document event by event and stores only the keys of the objects that are open. Needed
 // because nlohmann's parser accepts an object that contains a key twice and keeps the last value.
-class StrictChecker : public nlohmann::json_sax<json> {
+class StrictChecker : public nlohmann::json_sax<Json> {
  public:
   bool null() override { return CountValue(); }
   bool boolean(bool) override { return CountValue(); }
@@ -64,17 +64,17 @@ class StrictChecker : public nlohmann::json_sax<json> {
 
 }  // namespace
 
-absl::StatusOr<json> ParseJsonObject(absl::string_view field, absl::string_view text) {
+absl::StatusOr<Json> ParseJsonObject(absl::string_view field, absl::string_view text) {
   // The parser treats a zero byte as the end of its input and ignores the text after it.
   if (const size_t zero = text.find('\0'); zero != text.npos) {
     return InvalidArgument(field, "valid JSON in UTF-8",
                            absl::StrCat("a zero byte at byte ", zero + 1));
   }
   StrictChecker checker;
-  if (!json::sax_parse(text, &checker)) {
+  if (!Json::sax_parse(text, &checker)) {
     return absl::InvalidArgumentError(absl::StrCat(field, ": ", checker.error()));
   }
-  json document = json::parse(text, /*cb=*/nullptr, /*allow_exceptions=*/false);
+  Json document = Json::parse(text, /*cb=*/nullptr, /*allow_exceptions=*/false);
   if (!document.is_object()) {
     return InvalidArgument(field, "a JSON object", Describe(document));
   }
@@ -87,7 +87,7 @@ std::string Quoted(absl::string_view text) {
                       text.size() > kLongest ? "...\"" : "\"");
 }
 
-std::string Describe(const json& value) {
+std::string Describe(const Json& value) {
   if (value.is_object()) return "an object";
   if (value.is_array()) return absl::StrCat("an array of ", value.size());
   if (value.is_string()) return Quoted(value.get_ref<const std::string&>());

@@ -4,37 +4,37 @@
 
 namespace spikeserve {
 
-using nlohmann::json;
+using Json = nlohmann::json;
 
 absl::Status UnexpectedJson(absl::string_view field, absl::string_view expected,
-                            const json& received) {
+                            const Json& received) {
   return InvalidArgument(field, expected, Describe(received));
 }
 
-absl::Status ReadJson(absl::string_view field, const json& value, bool* result) {
+absl::Status ReadJson(absl::string_view field, const Json& value, bool* result) {
   if (!value.is_boolean()) return UnexpectedJson(field, "true or false", value);
   *result = value.get<bool>();
   return absl::OkStatus();
 }
 
-absl::Status ReadJson(absl::string_view field, const json& value, std::string* result) {
+absl::Status ReadJson(absl::string_view field, const Json& value, std::string* result) {
   if (!value.is_string()) return UnexpectedJson(field, "a string", value);
   *result = value.get_ref<const std::string&>();
   return absl::OkStatus();
 }
 
-absl::Status ReadJson(absl::string_view /*field*/, const json& value, json* result) {
+absl::Status ReadJson(absl::string_view /*field*/, const Json& value, Json* result) {
   *result = value;
   return absl::OkStatus();
 }
 
-absl::Status ReadJson(absl::string_view field, const json& value, double* result) {
+absl::Status ReadJson(absl::string_view field, const Json& value, double* result) {
   if (!value.is_number()) return UnexpectedJson(field, "a number", value);
   *result = value.get<double>();
   return absl::OkStatus();
 }
 
-absl::Status ReadJson(absl::string_view field, const json& value, float* result) {
+absl::Status ReadJson(absl::string_view field, const Json& value, float* result) {
   constexpr double kGreatest = std::numeric_limits<float>::max();
   if (!value.is_number() || std::abs(value.get<double>()) > kGreatest) {
     return UnexpectedJson(field, "a number that fits float32", value);
@@ -43,7 +43,7 @@ absl::Status ReadJson(absl::string_view field, const json& value, float* result)
   return absl::OkStatus();
 }
 
-absl::Status ReadJsonInteger(absl::string_view field, const json& value, int64_t least,
+absl::Status ReadJsonInteger(absl::string_view field, const Json& value, int64_t least,
                              uint64_t greatest, uint64_t* bits) {
   const auto within = [&] {
     if (value.is_number_unsigned()) {
@@ -68,7 +68,7 @@ absl::Status ReadJsonInteger(absl::string_view field, const json& value, int64_t
                         value);
 }
 
-JsonObject::JsonObject(absl::string_view field, const json& value) : field_(field), object_(value) {
+JsonObject::JsonObject(absl::string_view field, const Json& value) : field_(field), object_(value) {
   if (!value.is_object()) status_ = UnexpectedJson(field, "an object", value);
 }
 
@@ -83,7 +83,7 @@ absl::Status JsonObject::Finish() {
   return status_;
 }
 
-const json* JsonObject::Find(const char* key, bool required) {
+const Json* JsonObject::Find(const char* key, bool required) {
   read_.insert(key);
   if (!status_.ok()) return nullptr;
   const auto found = object_.find(key);

@@ -71,7 +71,7 @@ absl::Status ReadJson(absl::string_view field, const Json& json, ActionSpace* sp
 
 namespace {
 
-constexpr char kFormat[] = "spikeserve.dataset.v1";
+constexpr char kDatasetFormat[] = "spikeserve.dataset.v1";
 
 Json ActionsToJson(const std::vector<Action>& actions, bool discrete) {
   Json list = Json::array();
@@ -179,8 +179,8 @@ absl::StatusOr<Dataset> DatasetFromJson(const Json& json) {
   object.Required("action_space", &dataset.action_space);
   object.Required("episodes", &episodes);
   RETURN_IF_ERROR(object.Finish());
-  if (format != kFormat) {
-    return InvalidArgument("format", kFormat, Quoted(format));
+  if (format != kDatasetFormat) {
+    return InvalidArgument("format", kDatasetFormat, Quoted(format));
   }
   for (const Json& item : episodes) {
     const std::string field = absl::StrCat("episode ", dataset.episodes.size());
@@ -202,7 +202,7 @@ std::string SerializeDataset(const Dataset& dataset) {
   Json space = discrete
                    ? Json{{"n", dataset.action_space.n}}
                    : Json{{"low", dataset.action_space.low}, {"high", dataset.action_space.high}};
-  Json json = {{"format", kFormat},
+  Json json = {{"format", kDatasetFormat},
                {"environment", dataset.environment},
                {"observation_size", dataset.observation_size},
                {"action_space", std::move(space)},

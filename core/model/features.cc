@@ -19,15 +19,15 @@
 namespace spikeserve {
 namespace {
 
-using nlohmann::json;
+using Json = nlohmann::json;
 using nlohmann::ordered_json;
 
-constexpr size_t kLongestName = 256;  // bytes, of every text of a feature
+constexpr size_t kLongestText = 256;  // bytes, of every text of a feature
 
 absl::Status CheckText(absl::string_view field, absl::string_view text) {
-  if (text.size() <= kLongestName && IsPrintable(text)) return absl::OkStatus();
+  if (text.size() <= kLongestText && IsPrintable(text)) return absl::OkStatus();
   return InvalidArgument(field,
-                         absl::StrCat("at most ", kLongestName, " bytes of printable characters"),
+                         absl::StrCat("at most ", kLongestText, " bytes of printable characters"),
                          Quoted(std::string(text)));
 }
 
@@ -174,7 +174,7 @@ absl::Status Features::Validate(int observation_size, int action_size) const {
                          rate_tolerance);
 }
 
-absl::Status ReadJson(absl::string_view field, const json& value, Feature* feature) {
+absl::Status ReadJson(absl::string_view field, const Json& value, Feature* feature) {
   if (value.is_string()) return ReadJson(field, value, &feature->name);
   JsonObject reader(field, value);
   reader.Required("name", &feature->name);
@@ -186,7 +186,7 @@ absl::Status ReadJson(absl::string_view field, const json& value, Feature* featu
 }
 
 absl::StatusOr<Features> ParseFeatures(absl::string_view text) {
-  ASSIGN_OR_RETURN(const json object, ParseJsonObject("features", std::string(text)));
+  ASSIGN_OR_RETURN(const Json object, ParseJsonObject("features", std::string(text)));
   Features features;
   JsonObject reader("features", object);
   reader.Optional("observation", &features.observation);

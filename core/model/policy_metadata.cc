@@ -21,7 +21,7 @@
 namespace spikeserve {
 namespace {
 
-using nlohmann::json;
+using Json = nlohmann::json;
 using nlohmann::ordered_json;
 
 constexpr char kFormat[] = "spikeserve.policy.v1";
@@ -84,7 +84,7 @@ std::string FormatConfig(const ModelConfig& config) {
 }
 
 // Returns INVALID_ARGUMENT for the arithmetic of former releases that is no longer served.
-absl::Status RefuseInt8(const json& config) {
+absl::Status RefuseInt8(const Json& config) {
   const auto arithmetic = config.find("arithmetic");
   if (arithmetic == config.end() || *arithmetic != "int8") return absl::OkStatus();
   return InvalidArgument(
@@ -94,7 +94,7 @@ absl::Status RefuseInt8(const json& config) {
 }
 
 absl::Status ParseConfig(const std::string& text, ModelConfig* config) {
-  ASSIGN_OR_RETURN(const json object, ParseJsonObject("config", text));
+  ASSIGN_OR_RETURN(const Json object, ParseJsonObject("config", text));
   JsonObject reader("config", object);
   const auto read = [&reader](const char* key, auto& member) {
     // Sizes are never negative; ModelConfig::Validate() checks their other bounds.
@@ -126,9 +126,9 @@ std::string FormatActionSpace(const ActionSpace& space) {
 }
 
 absl::Status ParseActionSpace(const std::string& text, ActionSpace* space) {
-  ASSIGN_OR_RETURN(const json object, ParseJsonObject("action_space", text));
+  ASSIGN_OR_RETURN(const Json object, ParseJsonObject("action_space", text));
   JsonObject reader("action_space", object);
-  json type;
+  Json type;
   reader.Optional("type", &type);
   if (type == "Discrete") {
     reader.Required("n", &space->n, 0);

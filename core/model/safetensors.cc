@@ -22,7 +22,7 @@
 namespace spikeserve {
 namespace {
 
-using nlohmann::json;
+using Json = nlohmann::json;
 
 static_assert(std::endian::native == std::endian::little, "the file's byte order is the machine's");
 
@@ -96,7 +96,7 @@ absl::StatusOr<absl::string_view> FindHeader(absl::string_view bytes) {
   return header;
 }
 
-absl::StatusOr<std::map<std::string, std::string>> ParseMetadata(const json& header) {
+absl::StatusOr<std::map<std::string, std::string>> ParseMetadata(const Json& header) {
   std::map<std::string, std::string> metadata;
   const auto found = header.find(kMetadataKey);
   if (found == header.end()) return metadata;
@@ -113,10 +113,10 @@ absl::StatusOr<std::map<std::string, std::string>> ParseMetadata(const json& hea
   return metadata;
 }
 
-absl::Status ParseShape(const json& shape, Entry* entry) {
+absl::Status ParseShape(const Json& shape, Entry* entry) {
   constexpr int kLongest = std::numeric_limits<int>::max();
   if (!shape.is_array()) return TensorError(entry->name, "a shape", Describe(shape));
-  for (const json& length : shape) {
+  for (const Json& length : shape) {
     if (!length.is_number_unsigned() || length.get<uint64_t>() > kLongest) {
       return TensorError(entry->name, absl::StrCat("lengths from 0 to ", kLongest, " in its shape"),
                          Describe(length));
@@ -138,7 +138,7 @@ uint64_t SizeInBytes(const std::vector<int>& shape, size_t number, uint64_t limi
   return size;
 }
 
-absl::Status ParseOffsets(const json& offsets, uint64_t data_size, Entry* entry) {
+absl::Status ParseOffsets(const Json& offsets, uint64_t data_size, Entry* entry) {
   if (!offsets.is_array() || offsets.size() != 2 || !offsets[0].is_number_unsigned() ||
       !offsets[1].is_number_unsigned()) {
     return TensorError(entry->name, "data_offsets [begin, end]", Describe(offsets));
@@ -159,7 +159,7 @@ absl::Status ParseOffsets(const json& offsets, uint64_t data_size, Entry* entry)
                      absl::StrCat("data_offsets of ", entry->end - entry->begin));
 }
 
-absl::Status ParseDtype(const json& dtype, Entry* entry) {
+absl::Status ParseDtype(const Json& dtype, Entry* entry) {
   for (const AnyTensor& tensor :
        {AnyTensor(Tensor()), AnyTensor(Int8Tensor()), AnyTensor(Int16Tensor())}) {
     if (dtype != DtypeName(tensor)) continue;
@@ -169,7 +169,7 @@ absl::Status ParseDtype(const json& dtype, Entry* entry) {
   return TensorError(entry->name, "dtype \"F32\", \"I8\" or \"I16\"", Describe(dtype));
 }
 
-absl::StatusOr<Entry> ParseEntry(const std::string& name, const json& value, uint64_t data_size) {
+absl::StatusOr<Entry> ParseEntry(const std::string& name, const Json& value, uint64_t data_size) {
   if (!value.is_object()) return TensorError(name, "an object", Describe(value));
   for (const char* key : {"dtype", "shape", "data_offsets"}) {
     if (!value.contains(key)) return TensorError(name, absl::StrCat("a ", key), "none");
@@ -189,7 +189,7 @@ absl::StatusOr<Entry> ParseEntry(const std::string& name, const json& value, uin
 
 // Returns the tensors in the order of their data. INVALID_ARGUMENT unless they cover the data
 // section without overlap, hole or remainder.
-absl::StatusOr<std::vector<Entry>> ParseEntries(const json& header, uint64_t data_size) {
+absl::StatusOr<std::vector<Entry>> ParseEntries(const Json& header, uint64_t data_size) {
   std::vector<Entry> entries;
   for (const auto& [name, value] : header.items()) {
     if (name == kMetadataKey) continue;
@@ -253,7 +253,7 @@ absl::StatusOr<Safetensors> ReadSafetensors(const std::string& path) {
 absl::StatusOr<Safetensors> ParseSafetensors(absl::string_view bytes) {
   RETURN_IF_ERROR(CheckSize(bytes.size()));
   ASSIGN_OR_RETURN(const absl::string_view text, FindHeader(bytes));
-  ASSIGN_OR_RETURN(const json header, ParseJsonObject("header", text));
+  ASSIGN_OR_RETURN(const Json header, ParseJsonObject("header", text));
   ASSIGN_OR_RETURN(auto metadata, ParseMetadata(header));
   const absl::string_view data = bytes.substr(kPrefixBytes + text.size());
   ASSIGN_OR_RETURN(const auto entries, ParseEntries(header, data.size()));
@@ -289,7 +289,7 @@ absl::StatusOr<std::string> FormatSafetensors(const Safetensors& contents) {
   std::string text;
   try {
     text = header.dump();
-  } catch (const json::exception&) {  // dump() throws only for strings that are not UTF-8
+  } catch (const Json::exception&) {  // dump() throws only for strings that are not UTF-8
     return absl::InvalidArgumentError("expected names and metadata in UTF-8, received other bytes");
   }
   text.resize((text.size() + kPrefixBytes - 1) / kPrefixBytes * kPrefixBytes, ' ');

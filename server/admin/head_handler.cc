@@ -22,7 +22,7 @@
 namespace spikeserve {
 namespace {
 
-using nlohmann::json;
+using Json = nlohmann::json;
 
 constexpr double kShortestUndo = 1.0;  // seconds
 constexpr double kLongestUndo = 86400.0;
@@ -31,18 +31,18 @@ constexpr double kLongestUndo = 86400.0;
 // promoted. The record of a promoted policy is that of the ancestor that was trained, so that
 // records do not grow from promotion to promotion.
 struct Ancestor {
-  json training;
+  Json training;
   int64_t promotions = 0;
 };
 
 Ancestor TrainedAncestor(const Policy& policy) {
-  Ancestor ancestor = {.training = json::parse(policy.training)};
+  Ancestor ancestor = {.training = Json::parse(policy.training)};
   while (ancestor.training.is_object() && ancestor.training.contains("promoted")) {
-    const json counted = ancestor.training["promoted"].is_object()
-                             ? ancestor.training["promoted"].value("promotions", json())
-                             : json();
+    const Json counted = ancestor.training["promoted"].is_object()
+                             ? ancestor.training["promoted"].value("promotions", Json())
+                             : Json();
     ancestor.promotions += counted.is_number_integer() ? counted.get<int64_t>() : 1;
-    json parent = ancestor.training.value("parent_training", json());
+    Json parent = ancestor.training.value("parent_training", Json());
     ancestor.training = std::move(parent);
   }
   return ancestor;
@@ -55,7 +55,7 @@ Policy Promoted(const ServedPolicy& served, const FleetHead::Snapshot& snapshot)
   Policy policy = served.engine->CompletePolicy();
   policy.weights.head = snapshot.head;
   Ancestor ancestor = TrainedAncestor(served.policy());
-  const json lineage = {{"parent_version", served.version},
+  const Json lineage = {{"parent_version", served.version},
                         {"promotions", ancestor.promotions + 1},
                         {"updates", snapshot.updates},
                         {"base_norm", BaseNorm(served.policy())},
@@ -63,7 +63,7 @@ Policy Promoted(const ServedPolicy& served, const FleetHead::Snapshot& snapshot)
                         {"drift", snapshot.drift},
                         {"watched_return", snapshot.level.mean}};
   policy.training =
-      json{{"promoted", lineage}, {"parent_training", std::move(ancestor.training)}}.dump();
+      Json{{"promoted", lineage}, {"parent_training", std::move(ancestor.training)}}.dump();
   return policy;
 }
 

@@ -139,13 +139,13 @@ absl::Status Unexpected(absl::string_view expected) {
   return absl::UnavailableError(absl::StrCat("session store: expected ", expected));
 }
 
-bool IsArray(const redisReply& reply, size_t elements) {
+bool IsArrayOf(const redisReply& reply, size_t elements) {
   return reply.type == REDIS_REPLY_ARRAY && reply.elements == elements;
 }
 
 // Parses [id, [n, .., m, .., c, .., e, ..]].
 absl::StatusOr<LoggedEntry> ParseEntry(const redisReply& reply) {
-  if (!IsArray(reply, 2) || !IsArray(*reply.element[1], 8)) {
+  if (!IsArrayOf(reply, 2) || !IsArrayOf(*reply.element[1], 8)) {
     return Unexpected("an entry with four fields");
   }
   const redisReply& fields = *reply.element[1];
@@ -173,7 +173,7 @@ absl::StatusOr<std::vector<LoggedEntry>> ParseEntries(const redisReply& reply) {
 absl::StatusOr<StoredLog> ReadLog(RedisClient& client) {
   ASSIGN_OR_RETURN(const auto reply, client.Read());
   StoredLog stored;
-  if (!IsArray(*reply, 6) ||
+  if (!IsArrayOf(*reply, 6) ||
       !absl::SimpleAtoi(TextOf(*reply->element[1]), &stored.snapshot.number)) {
     return Unexpected("a log with its snapshot");
   }

@@ -12,7 +12,7 @@ namespace spikeserve {
 namespace {
 
 // Tries to append, each with what the log has then.
-constexpr int kMostAttempts = 4;
+constexpr int kMostExchanges = 4;
 
 // A snapshot is stored after this many entries.
 constexpr int64_t kEntriesPerSnapshot = 1000;
@@ -33,7 +33,7 @@ absl::Status VersionLog::Exchange(RedisClient& client) {
     RETURN_IF_ERROR(Reload(client, ""));
     has_joined_ = true;
   }
-  for (int i = 0; i < kMostAttempts; ++i) {
+  for (int i = 0; i < kMostExchanges; ++i) {
     ASSIGN_OR_RETURN(const auto all, AppendAndRead(client));
     if (!all) continue;
     RETURN_IF_ERROR(StoreSnapshotIfDue(client));

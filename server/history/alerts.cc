@@ -269,7 +269,7 @@ Instances BudgetNearlySpent(const AlertRule& rule, const AlertInput& input) {
   return Present(input.history.Select("spikeserve_budget_ratio"), /*below=*/false, rule, Itself);
 }
 
-const std::vector<AlertRule>& Rules() {
+const std::vector<AlertRule>& AllRules() {
   static const auto* const rules = new std::vector<AlertRule>{
 #include "alert_rules.inc"  // made of deploy/prometheus/alerts.yml by cmake/AlertRules.cmake
   };
@@ -281,7 +281,7 @@ const std::vector<AlertRule>& Rules() {
 void Alerts::Evaluate(const MetricHistory& history, absl::Duration now, double unix_seconds) {
   now_ = now;
   decltype(active_) active;
-  for (const AlertRule& rule : Rules()) {
+  for (const AlertRule& rule : AllRules()) {
     for (AlertInstance& instance : rule.evaluate(rule, {history, now, unix_seconds})) {
       const auto key = std::make_pair(&rule, std::move(instance.labels));
       const auto before = active_.find(key);
@@ -294,7 +294,7 @@ void Alerts::Evaluate(const MetricHistory& history, absl::Duration now, double u
 
 Json Alerts::ToJson() const {
   Json list = Json::array();
-  for (const AlertRule& rule : Rules()) {
+  for (const AlertRule& rule : AllRules()) {
     Json instances = Json::array();
     bool fires = false;
     for (const auto& [key, active] : active_) {

@@ -10,27 +10,27 @@
 namespace spikeserve {
 namespace {
 
-using nlohmann::json;
+using Json = nlohmann::json;
 
 constexpr char kPayloadType[] = "application/vnd.in-toto+json";
 constexpr char kPredicateType[] = "https://model_signing/signature/v1.0";
 
 // Returns the text at `path`, a JSON pointer, or an empty one if there is none.
-std::string TextAt(const json& value, const char* path) {
-  const json::json_pointer pointer(path);
+std::string MemberText(const Json& value, const char* path) {
+  const Json::json_pointer pointer(path);
   if (!value.contains(pointer) || !value.at(pointer).is_string()) return "";
   return value.at(pointer).get<std::string>();
 }
 
-absl::StatusOr<std::string> Base64At(const json& value, const char* path) {
+absl::StatusOr<std::string> Base64At(const Json& value, const char* path) {
   std::string bytes;
-  const std::string text = TextAt(value, path);
+  const std::string text = MemberText(value, path);
   if (!text.empty() && absl::Base64Unescape(text, &bytes)) return bytes;
   return absl::InvalidArgumentError(absl::StrCat("bundle", path, ": expected base64"));
 }
 
-absl::Status CheckText(const json& value, const char* path, absl::string_view expected) {
-  const std::string received = TextAt(value, path);
+absl::Status CheckText(const Json& value, const char* path, absl::string_view expected) {
+  const std::string received = MemberText(value, path);
   if (received == expected) return absl::OkStatus();
   return absl::InvalidArgumentError(
       absl::StrCat("bundle", path, ": expected ", expected, ", received ", Quoted(received)));
@@ -39,9 +39,9 @@ absl::Status CheckText(const json& value, const char* path, absl::string_view ex
 }  // namespace
 
 absl::StatusOr<SignatureBundle> ParseBundle(absl::string_view bytes) {
-  ASSIGN_OR_RETURN(const json value, ParseJsonObject("bundle", bytes));
+  ASSIGN_OR_RETURN(const Json value, ParseJsonObject("bundle", bytes));
   RETURN_IF_ERROR(CheckText(value, "/dsseEnvelope/payloadType", kPayloadType));
-  if (value.contains(json::json_pointer("/dsseEnvelope/signatures/1"))) {
+  if (value.contains(Json::json_pointer("/dsseEnvelope/signatures/1"))) {
     return absl::InvalidArgumentError(
         "bundle/dsseEnvelope/signatures: expected one, received more");
   }
@@ -54,14 +54,14 @@ absl::StatusOr<SignatureBundle> ParseBundle(absl::string_view bytes) {
 }
 
 absl::StatusOr<std::map<std::string, std::string>> FilesOf(const SignatureBundle& bundle) {
-  ASSIGN_OR_RETURN(const json statement, ParseJsonObject("bundle", bundle.statement));
+  ASSIGN_OR_RETURN(const Json statement, ParseJsonObject("bundle", bundle.statement));
   RETURN_IF_ERROR(CheckText(statement, "/predicateType", kPredicateType));
   RETURN_IF_ERROR(CheckText(statement, "/predicate/serialization/method", "files"));
-  const json resources = statement["predicate"].value("resources", json::array());
+  const Json resources = statement["predicate"].value("resources", Json::array());
   std::map<std::string, std::string> files;
-  for (const json& resource : resources) {
+  for (const Json& resource : resources) {
     RETURN_IF_ERROR(CheckText(resource, "/algorithm", "sha256"));
-    files[TextAt(resource, "/name")] = TextAt(resource, "/digest");
+    files[MemberText(resource, "/name")] = MemberText(resource, "/digest");
   }
   return files;
 }

@@ -17,7 +17,6 @@ namespace {
 namespace reflection = grpc::reflection::v1;
 using google::protobuf::DescriptorPool;
 using google::protobuf::FieldDescriptor;
-using google::protobuf::FileDescriptor;
 
 void SetNotFound(const std::string& what, reflection::ServerReflectionResponse* response) {
   response->mutable_error_response()->set_error_code(static_cast<int>(absl::StatusCode::kNotFound));
@@ -25,10 +24,11 @@ void SetNotFound(const std::string& what, reflection::ServerReflectionResponse* 
 }
 
 // Returns the description of a file, which is made once: it takes longer than a call on a loop may.
-const std::string& Described(const FileDescriptor& file) {
+const std::string& Described(const google::protobuf::FileDescriptor& file) {
   static absl::Mutex mutex(absl::kConstInit);
   // By file; never destroyed. As many as the program has.
-  static auto* const described = new std::map<const FileDescriptor*, std::string>();
+  static auto* const described =
+      new std::map<const google::protobuf::FileDescriptor*, std::string>();
   absl::MutexLock lock(&mutex);
   std::string& bytes = (*described)[&file];
   if (bytes.empty()) {
@@ -40,21 +40,23 @@ const std::string& Described(const FileDescriptor& file) {
 }
 
 // Adds the file and all files that it imports, each once.
-void AddFiles(const FileDescriptor& file, std::set<const FileDescriptor*>* added,
+void AddFiles(const google::protobuf::FileDescriptor& file,
+              std::set<const google::protobuf::FileDescriptor*>* added,
               reflection::FileDescriptorResponse* response) {
   if (!added->insert(&file).second) return;
   response->add_file_descriptor_proto(Described(file));
   for (int i = 0; i < file.dependency_count(); ++i) AddFiles(*file.dependency(i), added, response);
 }
 
-void SetFile(const FileDescriptor* file, const std::string& what,
+void SetFile(const google::protobuf::FileDescriptor* file, const std::string& what,
              reflection::ServerReflectionResponse* response) {
   if (file == nullptr) return SetNotFound(what, response);
-  std::set<const FileDescriptor*> added;
+  std::set<const google::protobuf::FileDescriptor*> added;
   AddFiles(*file, &added, response->mutable_file_descriptor_response());
 }
 
-const FileDescriptor* FileOfExtension(const reflection::ExtensionRequest& request) {
+const google::protobuf::FileDescriptor* FileOfExtension(
+    const reflection::ExtensionRequest& request) {
   const DescriptorPool& pool = *DescriptorPool::generated_pool();
   const auto* type = pool.FindMessageTypeByName(request.containing_type());
   if (type == nullptr) return nullptr;

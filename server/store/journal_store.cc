@@ -33,9 +33,9 @@ size_t BacklogOf(const JournalRecord& record) {
   return record.bytes.empty() ? kRecordBytes : record.bytes.size();
 }
 
-constexpr absl::Duration kFirstRetry = absl::Milliseconds(20);
+constexpr absl::Duration kFirstStoreRetry = absl::Milliseconds(20);
 constexpr absl::Duration kRefusedRetry = absl::Milliseconds(100);
-constexpr absl::Duration kLongestRetry = absl::Seconds(1);
+constexpr absl::Duration kLongestStoreRetry = absl::Seconds(1);
 
 prometheus::Counter& AddCounter(prometheus::Registry* registry, const char* name, const char* help,
                                 const prometheus::Labels& labels = {}) {
@@ -86,7 +86,7 @@ JournalStore::JournalStore(std::unique_ptr<JournalBackend> backend, const Clock*
                            .Help("1 while the store answers and refuses no records, otherwise 0.")
                            .Register(*registry)
                            .Add({})),
-      retry_delay_(kFirstRetry),
+      retry_delay_(kFirstStoreRetry),
       refused_delay_(kRefusedRetry) {
   reachable_gauge_.Set(1.0);
   KeepJournals();  // so that the first sessions find out what the store does not keep
@@ -115,7 +115,7 @@ void JournalStore::Hurry() {
 absl::Status JournalStore::CheckReachable() const {
   if (reachable_.load(std::memory_order_acquire)) return absl::OkStatus();
   return WithRetryDelay(absl::UnavailableError("session store: cannot be reached; try again"),
-                        kLongestRetry);
+                        kLongestStoreRetry);
 }
 
 absl::Status JournalStore::CheckBacklog() const {
@@ -124,7 +124,7 @@ absl::Status JournalStore::CheckBacklog() const {
   return WithRetryDelay(absl::UnavailableError(absl::StrCat(
                             "session store: expected a backlog of less than ", kMostBacklogBytes,
                             " bytes, received ", bytes, "; try again")),
-                        kLongestRetry);
+                        kLongestStoreRetry);
 }
 
 absl::Status JournalStore::CheckKeepsRecords() const {
@@ -340,13 +340,14 @@ void JournalStore::Refuse(JournalRecord record) {
   const auto journal = record.journal;
   waiting_.push_back(std::move(record));
   waiting_journals_.insert(journal.get());
-  journal->OnUnreachable(WithRetryDelay(refusal_, kLongestRetry));
+  journal->OnUnreachable(WithRetryDelay(refusal_, kLongestStoreRetry));
 }
 
 void JournalStore::NoteRefusals(bool tried) {
   const bool refuses = !waiting_.empty();
   if (tried && refuses) try_refused_at_ = clock_->Now() + refused_delay_;
-  if (tried) refused_delay_ = refuses ? std::min(2 * refused_delay_, kLongestRetry) : kRefusedRetry;
+  if (tried)
+    refused_delay_ = refuses ? std::min(2 * refused_delay_, kLongestStoreRetry) : kRefusedRetry;
   if (refuses == std::exchange(said_refusal_, refuses)) return;
   if (refuses) {
     LogError("session store refuses records of some sessions; tries again",
@@ -405,7 +406,7 @@ void JournalStore::RunClaims(std::vector<ClaimRequest> requests) {
 void JournalStore::SetReachable(const absl::Status& status) {
   const bool was_reachable = reachable_.exchange(status.ok(), std::memory_order_acq_rel);
   reachable_gauge_.Set(status.ok() && !said_refusal_ ? 1.0 : 0.0);
-  if (status.ok()) retry_delay_ = kFirstRetry;
+  if (status.ok()) retry_delay_ = kFirstStoreRetry;
   if (was_reachable == status.ok()) return;
   if (status.ok()) {
     LogInfo("session store reached");
@@ -429,7 +430,7 @@ bool JournalStore::WaitToRetry(std::vector<JournalRecord> records) {
     return stopping_ && (clock_->Now() >= stop_by_ || queue_.records.empty());
   };
   changed_.Wait(&mutex_, retry_delay_, gave_up);
-  retry_delay_ = std::min(2 * retry_delay_, kLongestRetry);
+  retry_delay_ = std::min(2 * retry_delay_, kLongestStoreRetry);
   return !gave_up();
 }
 

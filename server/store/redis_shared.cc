@@ -105,7 +105,7 @@ constexpr char kVersions[] = "pf:versions";
 
 std::string FileKey(const std::string& name) { return absl::StrCat("pf:", name); }
 
-absl::Status Unexpected(absl::string_view expected) {
+absl::Status UnexpectedSettings(absl::string_view expected) {
   return absl::UnavailableError(absl::StrCat("session store: expected ", expected));
 }
 
@@ -130,11 +130,11 @@ absl::StatusOr<SharedSettings::Document> RedisShared::Read() {
                    Run(/*writes=*/false, {"HMGET", kSettings, "revision", "settings"}));
   Document document;
   if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 2) {
-    return Unexpected("a revision and settings");
+    return UnexpectedSettings("a revision and settings");
   }
   const absl::string_view revision = TextOf(*reply->element[0]);
   if (!revision.empty() && !absl::SimpleAtoi(revision, &document.revision)) {
-    return Unexpected("a revision");
+    return UnexpectedSettings("a revision");
   }
   document.json = std::string(TextOf(*reply->element[1]));
   return document;
@@ -173,7 +173,7 @@ absl::StatusOr<SharedSettings::ComparedFiles> RedisShared::CompareFiles(
   ComparedFiles compared;
   if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 2 ||
       !absl::SimpleAtoi(TextOf(*reply->element[0]), &compared.revision)) {
-    return Unexpected("the outcome of a comparison");
+    return UnexpectedSettings("the outcome of a comparison");
   }
   const redisReply& different = *reply->element[1];
   for (size_t i = 0; i < different.elements; ++i) {
@@ -188,7 +188,7 @@ absl::StatusOr<std::vector<std::string>> RedisShared::ServersWithout(
       const auto reply,
       Run(/*writes=*/false, {"EVAL", kWithout, "1", kVersions, absl::StrJoin(servers, " "),
                              absl::StrCat(file.version, " ", file.sha256)}));
-  if (reply->type != REDIS_REPLY_ARRAY) return Unexpected("names of servers");
+  if (reply->type != REDIS_REPLY_ARRAY) return UnexpectedSettings("names of servers");
   std::vector<std::string> without;
   for (size_t i = 0; i < reply->elements; ++i) without.emplace_back(TextOf(*reply->element[i]));
   return without;
@@ -198,7 +198,8 @@ absl::StatusOr<int64_t> RedisShared::FilesRevision() {
   ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/false, {"HGET", kVersions, "changes"}));
   int64_t revision = 0;
   const absl::string_view text = TextOf(*reply);
-  if (!text.empty() && !absl::SimpleAtoi(text, &revision)) return Unexpected("a number of changes");
+  if (!text.empty() && !absl::SimpleAtoi(text, &revision))
+    return UnexpectedSettings("a number of changes");
   return revision;
 }
 
@@ -219,12 +220,13 @@ absl::StatusOr<std::vector<ReplicaReport>> RedisShared::Report(const std::string
                    Run(/*writes=*/false, {"EVAL", kReport, "1", kServers, replica_, json,
                                           absl::StrCat(absl::ToInt64Milliseconds(kReportLife))}));
   if (reply->type != REDIS_REPLY_ARRAY || reply->elements % 3 != 0) {
-    return Unexpected("the reports of servers");
+    return UnexpectedSettings("the reports of servers");
   }
   std::vector<ReplicaReport> reports;
   for (size_t i = 0; i < reply->elements; i += 3) {
     int64_t age = 0;
-    if (!absl::SimpleAtoi(TextOf(*reply->element[i + 1]), &age)) return Unexpected("an age");
+    if (!absl::SimpleAtoi(TextOf(*reply->element[i + 1]), &age))
+      return UnexpectedSettings("an age");
     reports.push_back({.replica = std::string(TextOf(*reply->element[i])),
                        .written = now - absl::Milliseconds(age),
                        .json = std::string(TextOf(*reply->element[i + 2]))});

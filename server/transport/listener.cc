@@ -39,7 +39,7 @@ std::string Advice(int error) {
 }
 
 // Returns " (IPv4 127.0.0.1)", or an empty string for a socket of the file system.
-std::string Place(const sockaddr* address, socklen_t size) {
+std::string PlaceOf(const sockaddr* address, socklen_t size) {
   char host[NI_MAXHOST];
   if (address->sa_family == AF_UNIX ||
       getnameinfo(address, size, host, sizeof(host), nullptr, 0, NI_NUMERICHOST) != 0) {
@@ -50,7 +50,7 @@ std::string Place(const sockaddr* address, socklen_t size) {
 
 // Names the family and the numeric address, because a host name may have several.
 std::string ListenReason(int error, const sockaddr* address, socklen_t size) {
-  return absl::StrCat(std::strerror(error), Place(address, size), Advice(error));
+  return absl::StrCat(std::strerror(error), PlaceOf(address, size), Advice(error));
 }
 
 absl::Status CannotListen(absl::string_view field, const Address& address, absl::string_view why) {

@@ -13,7 +13,7 @@
 namespace spikeserve {
 namespace {
 
-constexpr size_t kMostSessions = 256;  // of a batch, which a script of Redis books
+constexpr size_t kBatchSessions = 256;  // of a batch, which a script of Redis books
 
 // How often the store hears of a session without decisions, and how much longer it remembers one
 // than its journal can live.
@@ -168,7 +168,7 @@ bool Ledger::Book(Pending pending) {
   pending.Add(TakeClosed());
   size_t first = 0;
   while (!pending.added.empty() || first < pending.totals.size()) {
-    const size_t end = std::min(first + kMostSessions, pending.totals.size());
+    const size_t end = std::min(first + kBatchSessions, pending.totals.size());
     UsageBatch batch = {.source = options_.process, .number = ++batches_, .time = options_.now()};
     std::swap(batch.added, pending.added);
     for (; first < end; ++first) batch.totals.push_back(std::move(pending.totals[first]));

@@ -89,7 +89,7 @@ return 1)";
 
 // KEYS: packed parts, the source if it is open, open parts. ARGV: source, its revision, target, its
 // revision, packed rows.
-constexpr char kReplace[] = R"(
+constexpr char kReplacePacked[] = R"(
 local is_open = string.sub(ARGV[1], 1, 1) == 'o'
 local source = is_open and redis.call('HGET', KEYS[2], '') or
                not is_open and redis.call('HGET', KEYS[1], ARGV[1] .. ':r')
@@ -137,7 +137,7 @@ void AppendSeries(const std::string& series, std::string* out) {
   AppendField(UsageSeries::FromKey(series).tenant, out);
 }
 
-absl::Status Unexpected(absl::string_view expected) {
+absl::Status UnexpectedUsage(absl::string_view expected) {
   return absl::UnavailableError(absl::StrCat("ledger: expected ", expected));
 }
 
@@ -192,7 +192,7 @@ class RedisUsageStore final : public UsageStore {
   absl::StatusOr<UsagePart> Read(const std::string& part) override {
     UsagePart read = {.name = part};
     const auto span = SpanOf(part);
-    if (!span.has_value()) return Unexpected("the name of a part");
+    if (!span.has_value()) return UnexpectedUsage("the name of a part");
     if (part[0] == 'o') {
       const int64_t hour = absl::ToInt64Hours(span->first - absl::UnixEpoch());
       ASSIGN_OR_RETURN(const auto fields, ReadHash(OpenKey(part)));
@@ -207,7 +207,8 @@ class RedisUsageStore final : public UsageStore {
     }
     ASSIGN_OR_RETURN(const auto reply,
                      Run(/*writes=*/false, {"HMGET", kPackedKey, part, absl::StrCat(part, ":r")}));
-    if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 2) return Unexpected("two fields");
+    if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 2)
+      return UnexpectedUsage("two fields");
     read.revision = std::string(TextOf(*reply->element[1]));
     if (reply->element[0]->type == REDIS_REPLY_NIL) return read;
     ASSIGN_OR_RETURN(read.rows, UnpackRows(TextOf(*reply->element[0])));
@@ -217,8 +218,8 @@ class RedisUsageStore final : public UsageStore {
   absl::Status Replace(const UsagePart& source, const UsagePart& target,
                        const std::string& packed) override {
     return Run(/*writes=*/true,
-               {"EVAL", kReplace, "3", kPackedKey, OpenKey(source.name), kOpenKey, source.name,
-                source.revision, target.name, target.revision, packed})
+               {"EVAL", kReplacePacked, "3", kPackedKey, OpenKey(source.name), kOpenKey,
+                source.name, source.revision, target.name, target.revision, packed})
         .status();
   }
 
@@ -254,7 +255,8 @@ class RedisUsageStore final : public UsageStore {
   absl::StatusOr<std::vector<std::pair<std::string, std::string>>> ReadHash(
       const std::string& key) {
     ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/false, {"HGETALL", key}));
-    if (reply->type != REDIS_REPLY_ARRAY || reply->elements % 2 != 0) return Unexpected("a hash");
+    if (reply->type != REDIS_REPLY_ARRAY || reply->elements % 2 != 0)
+      return UnexpectedUsage("a hash");
     std::vector<std::pair<std::string, std::string>> fields;
     for (size_t i = 0; i < reply->elements; i += 2) {
       fields.emplace_back(TextOf(*reply->element[i]), TextOf(*reply->element[i + 1]));

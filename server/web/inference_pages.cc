@@ -61,7 +61,7 @@ std::optional<PageRoute> RouteOf(absl::string_view path) {
 }
 
 // Returns the method that answers the page.
-const Method& MethodOf(const PageRoute& route) {
+const Method& MethodOfPage(const PageRoute& route) {
   switch (route.page) {
     case Page::kServer:
       return MethodNamed("ServerMetadata");
@@ -180,7 +180,7 @@ void Infer(HttpCalls& calls, const PageRoute& route, HttpRequest request, HttpSe
     bool is_too_long = false;  // the body
   };
   const auto plan = std::make_shared<Plan>();
-  calls.Start({.method = &MethodOf(route),
+  calls.Start({.method = &MethodOfPage(route),
                .request = std::move(request),
                .read = [route, plan](HttpRequest* body) -> absl::StatusOr<std::string> {
                  auto infer = ReadInfer(body, route);
@@ -212,7 +212,7 @@ class InferencePages final : public CallPages {
       return JsonError(405, "method: expected GET");
     }
     absl::Duration delay;
-    auto accepted = calls_.Admit(request, MethodOf(*route), LeastBody(request), &delay);
+    auto accepted = calls_.Admit(request, MethodOfPage(*route), LeastBody(request), &delay);
     if (accepted.ok()) return *std::move(accepted);
     if (!absl::IsResourceExhausted(accepted.status()) ||
         LeastBody(request) <= calls_.max_message_bytes()) {
@@ -231,7 +231,7 @@ class InferencePages final : public CallPages {
       return done(JsonError(405, "method: expected POST"));
     }
     if (infers) return Infer(calls_, *route, std::move(request), std::move(done));
-    const Method* const method = &MethodOf(*route);
+    const Method* const method = &MethodOfPage(*route);
     absl::Duration delay;
     const auto admitted = calls_.Admit(request, *method, /*message_bytes=*/0, &delay);
     if (!admitted.ok()) return done(ErrorResponse(admitted.status(), delay));

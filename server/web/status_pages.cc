@@ -23,7 +23,7 @@
 namespace spikeserve {
 namespace {
 
-constexpr size_t kMaxWaiting =
+constexpr size_t kMaxWaitingPages =
     16;  // requests of one tenant, or of one address where there are none
 
 // The windows of /status.json and /history.json, in seconds.
@@ -78,9 +78,9 @@ std::string KeyOf(const HttpRequest& request, const Credential& caller) {
 StatusPages::StatusPages(Parts parts)
     : parts_(std::move(parts)),
       feeds_({.store = parts_.store, .clock = parts_.clock, .worker = parts_.worker}),
-      health_(kMaxWaiting, BackgroundWorker::Priority::kNormal),
-      metrics_(kMaxWaiting, BackgroundWorker::Priority::kNormal),
-      pages_(kMaxWaiting) {}
+      health_(kMaxWaitingPages, BackgroundWorker::Priority::kNormal),
+      metrics_(kMaxWaitingPages, BackgroundWorker::Priority::kNormal),
+      pages_(kMaxWaitingPages) {}
 
 void StatusPages::Answer(HttpRequest request, HttpServer::Done done) {
   const auto submit = [&](BackgroundWorker& worker, const std::string& group,

@@ -55,7 +55,7 @@ class IntegerContext : public Engine::Context {
 };
 
 // Buffers of one thread, reused by its calls. Their contents do not outlive a call.
-struct Scratch {
+struct IntegerScratch {
   std::vector<float> floats;  // a token's standardised input
   AlignedVector<int16_t> x;   // the residual stream, [pad(d)]
   SpikeInput spikes;          // into the current population
@@ -75,8 +75,8 @@ struct Scratch {
   kernels::ActiveInputs active;  // of the current map
 };
 
-Scratch& ThreadScratch() {
-  thread_local Scratch scratch;
+IntegerScratch& ThreadIntegerScratch() {
+  thread_local IntegerScratch scratch;
   return scratch;
 }
 
@@ -88,7 +88,7 @@ class IntegerTokenPass {
         config_(policy.config),
         packed_(packed),
         lif_{policy.config.leak()},
-        scratch_(ThreadScratch()) {}
+        scratch_(ThreadIntegerScratch()) {}
 
   // Computes the next token of the context's timestep from its standardised `input`, and adds its
   // cost to `counts`.
@@ -338,7 +338,7 @@ class IntegerTokenPass {
   const ModelConfig& config_;
   const PackedIntegerPolicy& packed_;
   const ShiftLif lif_;
-  Scratch& scratch_;
+  IntegerScratch& scratch_;
   IntegerContext* context_ = nullptr;
   Counts* counts_ = nullptr;
   uint64_t query_spikes_ = 0;  // of the current layer
@@ -363,7 +363,7 @@ class IntegerEngine final : public PackedEngine<PackedIntegerPolicy> {
     IntegerTokenPass pass(policy(), packed());
     const float standard_return = StandardizeReturn(policy(), return_to_go);
     pass.Run(integers, counts, TokenKind::kReturn, absl::MakeConstSpan(&standard_return, 1));
-    std::vector<float>& input = ThreadScratch().floats;
+    std::vector<float>& input = ThreadIntegerScratch().floats;
     SetStateInput(policy(), observation, &integers.previous_observation, &input);
     pass.Run(integers, counts, TokenKind::kState, input);
     pass.Readout(&output->readout);

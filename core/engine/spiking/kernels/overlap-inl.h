@@ -1,5 +1,5 @@
 // Overlaps of the bits of a query with those of the keys of a window: kernels of attention.
-// Compiled once per SIMD target; only attention_kernels.cc may include it.
+// Compiled once per SIMD target; only attention_kernels-inl.h may include it.
 #include <cstddef>
 #include <cstdint>
 #include <cstring>

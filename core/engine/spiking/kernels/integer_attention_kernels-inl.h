@@ -1,21 +1,16 @@
-#include "core/engine/spiking/kernels/integer_attention_kernels.h"
-
+// The kernels of integer_attention_kernels.h. Only integer_kernels.cc may include it, which
+// compiles it once per SIMD target.
 #include <algorithm>
 #include <cstdlib>
 #include <cstring>
 #include <limits>
 #include <numeric>
 
-#include "core/math/fixed_point.h"
-#include "core/model/fixed_point_weights.h"
-
-#undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/integer_attention_kernels.cc"
-// clang-format off
-#include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
-// clang-format on
+#include "core/engine/spiking/kernels/integer_attention_kernels.h"
 #include "core/engine/spiking/kernels/simd/integer_vectors-inl.h"
 #include "core/engine/spiking/kernels/simd/vectors-inl.h"
+#include "core/math/fixed_point.h"
+#include "core/model/fixed_point_weights.h"
 #include "hwy/highway.h"
 
 HWY_BEFORE_NAMESPACE();

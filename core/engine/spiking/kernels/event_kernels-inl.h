@@ -1,12 +1,8 @@
-#include "core/engine/spiking/kernels/event_kernels.h"
-
+// The kernels of event_kernels.h. Only integer_kernels.cc may include it, which compiles it once
+// per SIMD target.
 #include <algorithm>
 
-#undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/event_kernels.cc"
-// clang-format off
-#include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
-// clang-format on
+#include "core/engine/spiking/kernels/event_kernels.h"
 #include "core/engine/spiking/kernels/simd/integer_vectors-inl.h"
 #include "core/engine/spiking/kernels/simd/vectors-inl.h"
 #include "hwy/highway.h"
@@ -15,9 +11,9 @@ HWY_BEFORE_NAMESPACE();
 namespace spikeserve::kernels::HWY_NAMESPACE {
 namespace {
 
-// Number of vectors of neurons that run together; see lif_kernels.cc.
+// Number of vectors of neurons that run together; see lif_kernels-inl.h.
 constexpr int kLifVectors = kManyRegisters ? 8 : 4;
-// Number of vectors of a row that are added in one pass over the rows; see lif_kernels.cc.
+// Number of vectors of a row that are added in one pass over the rows; see lif_kernels-inl.h.
 constexpr int kSumVectors = kManyRegisters ? 12 : 8;
 
 void CoderPeriodsImpl(const PackedPeriodCoder& coder, const int16_t* x, int32_t* periods,

@@ -1,27 +1,22 @@
-#include "core/engine/spiking/kernels/norm_kernel.h"
-
+// The kernels of norm_kernel.h. Only integer_kernels.cc may include it, which compiles it once per
+// SIMD target.
 #include <algorithm>
 
-#include "core/math/fixed_point.h"
-
-#undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/norm_kernel.cc"
-// clang-format off
-#include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
-// clang-format on
+#include "core/engine/spiking/kernels/norm_kernel.h"
 #include "core/engine/spiking/kernels/simd/integer_vectors-inl.h"
 #include "core/engine/spiking/kernels/simd/vectors-inl.h"
+#include "core/math/fixed_point.h"
 #include "hwy/highway.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace spikeserve::kernels::HWY_NAMESPACE {
 namespace {
 
-using Narrow = hn::Rebind<int16_t, I32>;  // as many lanes as I32, in half a vector
+using HalfVector = hn::Rebind<int16_t, I32>;  // as many lanes as I32, in half a vector
 
 // Loads one vector of 16-bit numbers as 32-bit ones.
 HWY_INLINE VecI32 LoadWide16(const int16_t* numbers) {
-  return hn::PromoteTo(I32(), hn::LoadU(Narrow(), numbers));
+  return hn::PromoteTo(I32(), hn::LoadU(HalfVector(), numbers));
 }
 
 // Returns the nearest number of the residual stream.
@@ -81,7 +76,7 @@ void NormalizeImpl(const PackedNorm& norm, int32_t* sums, int16_t* x) {
     const auto product = hn::Mul(unit, LoadWide16(norm.weight.data() + k));
     const auto weighted = hn::ShiftRightSame(hn::Add(product, norm_rounding), norm.shift);
     const auto value = Saturate(hn::Add(weighted, LoadWide16(norm.bias.data() + k)));
-    hn::StoreU(hn::DemoteTo(Narrow(), value), Narrow(), x + k);
+    hn::StoreU(hn::DemoteTo(HalfVector(), value), HalfVector(), x + k);
   }
 }
 
@@ -89,7 +84,7 @@ void AddLimitedImpl(int width, const int32_t* sums, int16_t* x) {
   const I32 d;
   for (int k = 0; k < width; k += kVector) {
     const auto value = Saturate(hn::Add(hn::LoadU(d, sums + k), LoadWide16(x + k)));
-    hn::StoreU(hn::DemoteTo(Narrow(), value), Narrow(), x + k);
+    hn::StoreU(hn::DemoteTo(HalfVector(), value), HalfVector(), x + k);
   }
 }
 

@@ -1,12 +1,8 @@
-#include "core/engine/spiking/kernels/attention_kernels.h"
-
+// The kernels of attention_kernels.h. Only float_kernels.cc may include it, which compiles it once
+// per SIMD target.
 #include <vector>
 
-#undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/attention_kernels.cc"
-// clang-format off
-#include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
-// clang-format on
+#include "core/engine/spiking/kernels/attention_kernels.h"
 #include "core/engine/spiking/kernels/overlap-inl.h"
 #include "core/engine/spiking/kernels/simd/vectors-inl.h"
 #include "hwy/highway.h"

@@ -1,19 +1,14 @@
-#include "core/engine/spiking/kernels/linear_kernels.h"
-
+// The kernels of linear_kernels.h. Only float_kernels.cc may include it, which compiles it once per
+// SIMD target.
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
-#include "core/math/layer_norm.h"
-
-#undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/linear_kernels.cc"
-// clang-format off
-#include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
-// clang-format on
+#include "core/engine/spiking/kernels/linear_kernels.h"
 #include "core/engine/spiking/kernels/simd/exp-inl.h"
 #include "core/engine/spiking/kernels/simd/ordered_sum-inl.h"
 #include "core/engine/spiking/kernels/simd/vectors-inl.h"
+#include "core/math/layer_norm.h"
 #include "hwy/highway.h"
 
 HWY_BEFORE_NAMESPACE();

@@ -1,0 +1,10 @@
+// Compiles the kernels of float32 policies together, because Highway's headers take most of the
+// time of each.
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "core/engine/spiking/kernels/float_kernels.cc"
+// clang-format off
+#include "hwy/foreach_target.h"  // must come first: compiles the rest of this file once per target
+// clang-format on
+#include "core/engine/spiking/kernels/attention_kernels-inl.h"
+#include "core/engine/spiking/kernels/lif_kernels-inl.h"
+#include "core/engine/spiking/kernels/linear_kernels-inl.h"
