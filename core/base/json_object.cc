@@ -3,8 +3,11 @@
 #include "core/base/status.h"
 
 namespace spikeserve {
+namespace {
 
 using Json = nlohmann::json;
+
+}  // namespace
 
 absl::Status UnexpectedJson(absl::string_view field, absl::string_view expected,
                             const Json& received) {

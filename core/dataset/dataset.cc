@@ -23,9 +23,9 @@
 
 namespace spikeserve {
 
-using Json = nlohmann::json;
-
 namespace {
+
+using Json = nlohmann::json;
 
 absl::Status CheckServed(const Dataset& dataset, const ServedEpisode& served, size_t steps) {
   const size_t n = dataset.action_space.is_discrete() ? dataset.action_space.n : 0;

@@ -18,7 +18,11 @@
 
 namespace spikeserve {
 
+namespace {
+
 using Json = nlohmann::json;
+
+}  // namespace
 
 // Reads an index of a Discrete space or the values of a Box.
 absl::Status ReadJson(absl::string_view field, const Json& json, Action* action) {

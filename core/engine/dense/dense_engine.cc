@@ -16,7 +16,7 @@
 namespace spikeserve {
 namespace {
 
-using Vector = std::vector<float>;
+using FloatVector = std::vector<float>;
 
 float Gelu(float x) {
   constexpr float kSqrtTwoOverPi = 0.7978845608028654f;
@@ -30,8 +30,8 @@ class DensePass {
   // The key and the value of one token in one layer.
   struct KeyValue {
     TokenName token;
-    Vector key;    // [d]
-    Vector value;  // [d]
+    FloatVector key;    // [d]
+    FloatVector value;  // [d]
   };
   // Those of one layer that a query may attend to, oldest first.
   using KeyValues = std::deque<KeyValue>;
@@ -45,16 +45,16 @@ class DensePass {
   // Returns the token's output of the last layer [d], or an empty vector for returns and actions,
   // whose output of the last layer is not used. Records the token's attention in `trace` unless it
   // is null.
-  Vector Run(const Token& token, Trace* trace = nullptr) {
-    Vector x = Embed(token);
+  FloatVector Run(const Token& token, Trace* trace = nullptr) {
+    FloatVector x = Embed(token);
     for (int layer = 0; layer < policy_.config.layers; ++layer) {
       const LayerWeights& weights = policy_.weights.layers[layer];
       StoreKeysAndValues(layers_[layer], token, Affine(weights.key, x), Affine(weights.value, x));
       if (layer + 1 == policy_.config.layers && token.kind != TokenKind::kState) return {};
-      const Vector merged = Attend(Affine(weights.query, x), layers_[layer],
-                                   trace == nullptr ? nullptr : &trace->layers[layer]);
+      const FloatVector merged = Attend(Affine(weights.query, x), layers_[layer],
+                                        trace == nullptr ? nullptr : &trace->layers[layer]);
       AddResidual(weights.attention_norm, Affine(weights.attention_output, merged), x);
-      Vector hidden = Affine(weights.ffn_hidden, x);
+      FloatVector hidden = Affine(weights.ffn_hidden, x);
       for (float& h : hidden) h = Gelu(h);
       AddResidual(weights.ffn_norm, Affine(weights.ffn_output, hidden), x);
     }
@@ -62,15 +62,15 @@ class DensePass {
   }
 
   // Counts the operations of the action head, which is applied to the output of the state token.
-  void CountHead(const Vector& readout) {
+  void CountHead(const FloatVector& readout) {
     counts_.multiply_accumulates += CountProducts(policy_.weights.head, readout);
   }
 
  private:
   // Returns W x + b. Counts the products in the same loop, because a second pass over the weights
   // (CountProducts) would slow down this engine in comparisons with the spiking engine.
-  Vector Affine(const Linear& linear, const Vector& input) {
-    Vector output = linear.bias.values;
+  FloatVector Affine(const Linear& linear, const FloatVector& input) {
+    FloatVector output = linear.bias.values;
     for (size_t i = 0; i < output.size(); ++i) {
       const float* row = linear.weight.values.data() + i * input.size();
       for (size_t j = 0; j < input.size(); ++j) {
@@ -81,19 +81,19 @@ class DensePass {
     return output;
   }
 
-  void Normalize(const Norm& norm, Vector& x) {
+  void Normalize(const Norm& norm, FloatVector& x) {
     counts_.layer_norm_elements += x.size();
     LayerNorm(norm.weight.values.data(), norm.bias.values.data(), x.data(), x.size());
   }
 
-  void AddResidual(const Norm& norm, const Vector& update, Vector& x) {
+  void AddResidual(const Norm& norm, const FloatVector& update, FloatVector& x) {
     for (size_t k = 0; k < x.size(); ++k) x[k] += update[k];
     Normalize(norm, x);
   }
 
-  Vector Embed(const Token& token) {
+  FloatVector Embed(const Token& token) {
     const Embedding& embedding = EmbeddingOf(policy_.weights, token.kind);
-    Vector x = Affine(embedding.linear, token.input);
+    FloatVector x = Affine(embedding.linear, token.input);
     const Tensor& timesteps = policy_.weights.embed_timestep;
     const int row = static_cast<int>(std::min<int64_t>(token.timestep, timesteps.shape[0] - 1));
     for (size_t k = 0; k < x.size(); ++k) x[k] += timesteps.at(row, static_cast<int>(k));
@@ -101,20 +101,21 @@ class DensePass {
     return x;
   }
 
-  void StoreKeysAndValues(KeyValues& tokens, const Token& token, Vector key, Vector value) {
+  void StoreKeysAndValues(KeyValues& tokens, const Token& token, FloatVector key,
+                          FloatVector value) {
     const int64_t forgotten = token.timestep - policy_.config.context;
     while (!tokens.empty() && tokens.front().token.timestep <= forgotten) tokens.pop_front();
     tokens.push_back({{token.kind, token.timestep}, std::move(key), std::move(value)});
   }
 
-  Vector Attend(const Vector& query, const KeyValues& tokens, LayerTrace* trace) {
+  FloatVector Attend(const FloatVector& query, const KeyValues& tokens, LayerTrace* trace) {
     if (trace != nullptr) {
       for (const KeyValue& seen : tokens) trace->keys.push_back(seen.token);
     }
     const int size = policy_.config.head_size();
     const float scale = 1.0f / std::sqrt(static_cast<float>(size));
-    Vector merged(query.size(), 0.0f);
-    Vector weights(tokens.size());
+    FloatVector merged(query.size(), 0.0f);
+    FloatVector weights(tokens.size());
     for (int first = 0; first < policy_.config.hidden_size; first += size) {
       for (size_t j = 0; j < tokens.size(); ++j) {
         float dot = 0.0f;
