@@ -10,7 +10,8 @@ namespace spikeserve {
 // Returns `value` rounded to this many decimals; what rounds to nothing is 0 without a sign,
 // because "lost -0.00 %" reads like a loss.
 inline double Rounded(double value, int decimals) {
-  const double scale = std::pow(10.0, decimals);
+  double scale = 1.0;
+  for (int i = 0; i < decimals; ++i) scale *= 10.0;
   return std::round(value * scale) / scale + 0.0;  // -0 + 0 is 0
 }
 

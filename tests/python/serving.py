@@ -224,3 +224,14 @@ class Service:
     def _unary(channel, method):
         request_class, call = _bound(channel, method)
         return lambda **fields: call(request_class(**fields), timeout=DEADLINE_SECONDS)
+
+
+def schedule_of(pid, *names):
+    """Returns the processor time of the threads of these names so far, and how often they have run."""
+    nanoseconds = times = 0
+    for task in pathlib.Path(f"/proc/{pid}/task").iterdir():
+        if (task / "comm").read_text().strip() in names:
+            spent, _, runs = map(int, (task / "schedstat").read_text().split())
+            nanoseconds += spent
+            times += runs
+    return nanoseconds / 1e9, times

@@ -11,7 +11,7 @@ import pytest
 from gymnasium import make
 from random_policy import export_random
 from security import ADMIN, OBSERVATION, POLICY, TOKENS, Bearer, entry, http_body, service_with, until
-from serving import Service, running_server
+from serving import Service, running_server, schedule_of
 
 INFERENCE = "inference.GRPCInferenceService"
 VERSIONS = 1000
@@ -123,17 +123,6 @@ def servers(tmp_path_factory):
             stack.enter_context(running_server(folder / which, flags=[f"--tokens={tokens}"]))
             for which in ("one", "many")
         ]
-
-
-def schedule_of(pid, *names):
-    """Returns the processor time of the threads of these names so far, and how often they have run."""
-    nanoseconds = times = 0
-    for task in pathlib.Path(f"/proc/{pid}/task").iterdir():
-        if (task / "comm").read_text().strip() in names:
-            spent, _, runs = map(int, (task / "schedstat").read_text().split())
-            nanoseconds += spent
-            times += runs
-    return nanoseconds / 1e9, times
 
 
 def wait_for_threads(pid):

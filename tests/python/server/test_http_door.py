@@ -18,8 +18,7 @@ from security import (
     entry,
     tls_flags,
 )
-from serving import DEADLINE_SECONDS, http_call, running_server, series
-from test_call_costs import schedule_of
+from serving import DEADLINE_SECONDS, http_call, running_server, schedule_of, series
 from test_grpc_web import BINARY, framed, parts
 from test_http_inference import infer_body
 

@@ -6,7 +6,8 @@ It measures time, so it is a slow test: CI asks test_call_costs, which threads a
 import contextlib
 
 from security import POLICY, service_with
-from test_call_costs import INFERENCE, METHODS, UNARY, called, schedule_of, servers, wait_for_threads, with_session
+from serving import schedule_of
+from test_call_costs import INFERENCE, METHODS, UNARY, called, servers, wait_for_threads, with_session
 
 __all__ = ["servers"]  # a fixture
 
