@@ -28,7 +28,7 @@ def sources(entry, root):
     if not re.search(r"_unit_\d+\.cc$", entry["file"]):
         return [entry]
     with open(entry["file"], encoding="utf-8") as unit:
-        files = [os.path.join(root, line.split('"')[1]) for line in unit]
+        files = [os.path.join(root, line.split('"')[1]) for line in unit if line.startswith("#include")]
     return [{**entry, "file": file, "command": entry["command"].replace(entry["file"], file)} for file in files]
 
 
