@@ -44,11 +44,11 @@ install(TARGETS spikeserve_client spikeserve_datagram spikeserve_robot spikeserv
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT client
   INCLUDES DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 
-# The engine on a robot, one archive of the rooms that it links, so that none of them is a library of the package.
+# The engine on a robot, one archive of the components that it links, so that none of them is a library of the package.
 set(objects)
-foreach(room action agent base contract dataset dense_engine digest engine engine_factory journal learning local_engine math model reference_engine session
+foreach(component action agent base contract dataset dense_engine digest engine engine_factory journal learning local_engine math model reference_engine session
     spiking_engine)
-  spikeserve_compiled_in(compiled spikeserve_${room})
+  spikeserve_compiled_in(compiled spikeserve_${component})
   list(APPEND objects $<TARGET_OBJECTS:${compiled}>)
 endforeach()
 list(REMOVE_DUPLICATES objects)

@@ -24,8 +24,9 @@ if(SPIKESERVE_TSAN)
     ${PROJECT_SOURCE_DIR}/tests/sanitizers/tsan_absl.cc ${PROJECT_SOURCE_DIR}/tests/sanitizers/tsan_grpc.cc)
 endif()
 
-# spikeserve_optimize(LEVEL): compiles the current folder with LEVEL instead of -O3, a release's default, which core/math
-# and the spiking engine keep. What carries decisions has -O2, command lines have -O1: they take less time to compile.
+# spikeserve_optimize(LEVEL): compiles the current folder with LEVEL instead of -O3, a release's default, which core/math,
+# the spiking engine and all that names no level keep. What carries decisions has -O2, command lines have -O1: they take less
+# time to compile.
 macro(spikeserve_optimize level)
   string(REGEX REPLACE "-O[23]" ${level} CMAKE_CXX_FLAGS_RELEASE "${CMAKE_CXX_FLAGS_RELEASE}")
 endmacro()
