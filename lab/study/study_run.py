@@ -24,6 +24,7 @@ from spikeserve.imitation.figures import Figures
 from study_cloning import fit
 
 ENVIRONMENTS = 16  # of Gymnasium, played at once
+TIMED_STARTS = 5  # by which the latency is measured where spiketrain plays
 # The figures of a policy in integers, and the energy models of their estimates: with memory, and without.
 ENERGIES = {"int_sram_nanojoules_per_decision": "int_sram_45nm", "int_nanojoules_per_decision": "int_45nm"}
 LARGEST_LOSS = 0.01  # of the range, beyond chance: the gate of `spiketrain quantize`
@@ -167,17 +168,22 @@ class Workshop:
         }
 
     def _play_own(self, policy, first_start, starts):
-        arguments = ("eval", f"--policy={policy}", f"--episodes={starts}", f"--seed={first_start}", "--json")
-        began = time.perf_counter()
-        figures = json.loads(self._program(*arguments))
-        seconds = time.perf_counter() - began
+        figures, _ = self._evaluate(policy, first_start, starts)
+        result = {"first_start": first_start, "starts": starts} | own_figures(figures)
         prices = figures["estimated_energy_joules_per_decision"]
-        names = ("mean_return", "std_return", "spikes_per_decision")
-        result = {"first_start": first_start, "starts": starts, **{name: figures[name] for name in names}}
-        if ENERGIES["int_nanojoules_per_decision"] not in prices:
-            return result
-        result |= {name: 1e9 * prices[model] for name, model in ENERGIES.items()}
-        return result | {"microseconds_per_decision": 1e6 * seconds / figures["decisions"]}
+        return result | self._latency(policy, first_start) if ENERGIES["int_nanojoules_per_decision"] in prices else result
+
+    def _evaluate(self, policy, first_start, starts):
+        """Returns the figures of `spiketrain eval`, and the seconds that it took."""
+        began = time.perf_counter()
+        figures = self._program("eval", f"--policy={policy}", f"--episodes={starts}", f"--seed={first_start}", "--json")
+        return json.loads(figures), time.perf_counter() - began
+
+    def _latency(self, policy, first_start):
+        """Returns the time of a decision on the first starts: what those after the first one take."""
+        first, seconds = self._evaluate(policy, first_start, 1)
+        figures, longer = self._evaluate(policy, first_start, 1 + TIMED_STARTS)
+        return {"microseconds_per_decision": 1e6 * (longer - seconds) / (figures["decisions"] - first["decisions"])}
 
     def _play_longer(self, task, policy, run):
         """Returns the mean returns in contexts that are longer than that of the training, by context."""
@@ -209,7 +215,9 @@ class Workshop:
             played = json.loads(self._program(*command, *starts, "--allow_loss"))
             result = {"first_start": run.first_start, "starts": self._budget.starts}
             result |= {"mean_return": played["mean_returns"][0], "spikes_per_decision": played["spikes_per_decision"][0]}
-            result["integer"] = self._priced_own(run, rounded, played["verdict"]["rounding_loss"])
+            evaluation = json.loads(metadata(self._folder / rounded)["training"])["evaluation"]
+            figures = own_figures(evaluation) | self._latency(rounded, run.first_start)
+            result["integer"] = self._gate(rounded, played["verdict"]["rounding_loss"]) | starts_of(evaluation) | figures
         if not result["integer"]["refused"] or run.arm == "dense":  # which is trained in float32 alone
             return result
         result["rounded"] = result["integer"]
@@ -217,7 +225,8 @@ class Workshop:
         if run.plan.is_gymnasium:
             judge = ["quantize", f"--policy={policy}", f"--data={data}", f"--out={run.name}/judged.safetensors", "--json"]
             return result | {"integer": self._priced_gymnasium(run, trained, before, judge)}
-        return result | {"integer": self._priced_own(run, trained, self._lost_by(run, policy, trained, result["rounded"]))}
+        loss = self._lost_by(run, policy, trained, result["rounded"])
+        return result | {"integer": self._gate(trained, loss) | self._play_own(trained, run.first_start, self._budget.starts)}
 
     def _train_through(self, run, policy, data, flags):
         """Trains a policy through its rounding. Returns the file."""
@@ -225,9 +234,6 @@ class Workshop:
         command = ["train", "--arithmetic=integer", f"--init={policy}", f"--data={data}", f"--out={folder}", "--overwrite"]
         self._program(*command, *study_plan.flags_through(flags), "--episodes=1", "--allow_loss")
         return f"{folder}/policy.safetensors"
-
-    def _priced_own(self, run, integer, loss):
-        return self._gate(integer, loss) | self._play_own(integer, run.first_start, self._budget.starts)
 
     def _priced_gymnasium(self, run, integer, before, quantize):
         """Returns the figures of a policy in integers in an environment of Gymnasium. `quantize` judges by returns, as its rule is."""
@@ -259,11 +265,31 @@ class Workshop:
         return hashlib.sha256((self._folder / policy).read_bytes()).hexdigest()
 
 
+def own_figures(evaluation):
+    """Returns the figures of an evaluation by spiketrain, and the energies of a policy in integers."""
+    prices = evaluation["estimated_energy_joules_per_decision"]
+    energies = {name: 1e9 * prices[model] for name, model in ENERGIES.items() if model in prices}
+    return {name: evaluation[name] for name in ("mean_return", "std_return", "spikes_per_decision")} | energies
+
+
+def starts_of(evaluation):
+    return {"first_start": evaluation["first_seed"], "starts": evaluation["episodes"]}
+
+
+def header_of(data):
+    """Returns the header of a policy file, and the size of its text."""
+    size = int.from_bytes(data[:8], "little")
+    return json.loads(data[8 : 8 + size]), size
+
+
+def metadata(policy):
+    return header_of(policy.read_bytes())[0]["__metadata__"]
+
+
 def write_with_context(policy, context, out):
     """Writes a policy file with another context. The weights do not depend on it."""
     data = policy.read_bytes()
-    size = int.from_bytes(data[:8], "little")
-    header = json.loads(data[8 : 8 + size])
+    header, size = header_of(data)
     config = json.loads(header["__metadata__"]["config"]) | {"context": context}
     header["__metadata__"]["config"] = json.dumps(config)
     text = json.dumps(header).encode()
