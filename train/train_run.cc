@@ -485,6 +485,7 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
   if (flags.activity_router) options.frozen.emplace_back(kActivityRouterTensors);
   ASSIGN_OR_RETURN(const nlohmann::ordered_json sources, IdentifySources(flags.init, flags.data));
 
+  AdviseOnKernels();
   Trainer trainer(initial, source, options);
   const std::string checkpoint = absl::StrCat(flags.out, "/checkpoint.pt");
   if (flags.resume && std::filesystem::exists(checkpoint)) {

@@ -17,4 +17,8 @@ absl::StatusOr<torch::Device> DeviceNamed(absl::string_view name);
 // compute there exactly what the engines do.
 absl::Status CheckDevice(torch::Device device, Arithmetic arithmetic);
 
+// Prints to standard error what to set for a faster training, if there is something. OpenBLAS
+// before 0.3.25 takes its slowest kernels on processors that are younger than it (its issue 4267).
+void AdviseOnKernels();
+
 }  // namespace spikeserve

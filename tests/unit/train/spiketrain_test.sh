@@ -63,8 +63,11 @@ grep -qx 'target return: 500, the default for CartPole-v1; --target_return sets 
 grep -q '^closed-loop play: CartPole-v1, 2 episodes' told.txt || fail "the play"
 grep -q 'spikes per decision' told.txt || fail "the spikes"
 ! grep -q validation told.txt told.err || fail "a validation without data for it"
-"$spiketrain" train --data=data.cbor --out=asked "${tiny[@]}" --iterations=1 --target_return=321 2>/dev/null |
+OPENBLAS_CORETYPE=Prescott "$spiketrain" train --data=data.cbor --out=asked "${tiny[@]}" --iterations=1 --target_return=321 2>asked.err |
   grep -qx 'target return: 321, from --target_return' || fail "--target_return"
+if [[ $(uname -m) == x86_64 ]] && grep -qw avx2 /proc/cpuinfo; then
+  grep -q '^OpenBLAS .* OPENBLAS_CORETYPE=Haswell ' asked.err || fail "the advice on kernels: $(cat asked.err)"
+fi
 "$spiketrain" eval --policy=asked/policy.safetensors --episodes=1 >/dev/null
 # An environment that spiketrain cannot play: the data of CartPole under another name of the same length.
 LC_ALL=C sed 's/CartPole-v1/MyRobot1-v1/g' disturbed.cbor >other.cbor
