@@ -153,11 +153,11 @@ double SramPrice(double bytes) {
 }
 
 ModelConfig DenseBaseline(const ModelConfig& config) {
-  ModelConfig twin = config;
-  twin.mode = Mode::kDense;
-  twin.norm = NormKind::kLayer;
-  twin.arithmetic = Arithmetic::kInteger;
-  return twin;
+  ModelConfig dense = config;
+  dense.mode = Mode::kDense;
+  dense.norm = NormKind::kLayer;
+  dense.arithmetic = Arithmetic::kInteger;
+  return dense;
 }
 
 Counts DenseBaselineCounts(const ModelConfig& config, int inputs, int actions) {
