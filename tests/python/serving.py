@@ -75,7 +75,7 @@ class Server:
 
     def spikectl(self, *arguments, **options):
         """Runs spikectl for this server, as run() does."""
-        return run("spikectl", *arguments, f"--server={self.grpc}", timeout=DEADLINE_SECONDS, **options)
+        return run("spikectl", *arguments, f"--server={self.grpc}", timeout=4 * DEADLINE_SECONDS, **options)
 
 
 def run(program, *arguments, status=0, **options):
