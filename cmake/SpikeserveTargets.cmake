@@ -33,10 +33,10 @@ endmacro()
 
 # Most of the time of a source goes into headers. A unit compiles them once for many sources: a quarter of the processor time for
 # everything, but more after a change of one source.
-option(SPIKESERVE_UNITY "Compile many sources at once: a library, a test, or the components of an archive" ON)
+option(SPIKESERVE_UNITY "Compile many sources at once: a library, a program, or the components of an archive" ON)
 
 # Writes units that include the sources `ARGN`, up to 16 each, and returns in the variable `out` what is to be compiled instead. The paths
-# in a unit are relative to the project, so that clones in different folders share the compiler cache. A source of another folder
+# in a unit are relative to the project, so that clones in different folders share the compiler cache. A source with its full path
 # stays alone, and a single one is no unit.
 function(spikeserve_units out name)
   set(generated ${ARGN})
@@ -147,14 +147,10 @@ function(spikeserve_note_layer name sources public private)
   set_property(GLOBAL APPEND PROPERTY SPIKESERVE_LAYERS "{${entry}}")
 endfunction()
 
-# spikeserve_program(NAME [UNITS] SOURCES file... [DEPENDS target...]): adds a program, built in <build>/bin. UNITS: compiles
-# the sources in units.
+# spikeserve_program(NAME SOURCES file... [DEPENDS target...]): adds a program, built in <build>/bin.
 function(spikeserve_program name)
-  cmake_parse_arguments(ARG "UNITS" "" "SOURCES;DEPENDS" ${ARGN})
-  set(units ${ARG_SOURCES})
-  if(ARG_UNITS)
-    spikeserve_units(units ${name} ${ARG_SOURCES})
-  endif()
+  cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS" ${ARGN})
+  spikeserve_units(units ${name} ${ARG_SOURCES})
   add_executable(${name} ${units} ${SPIKESERVE_PROGRAM_SOURCES})
   target_link_libraries(${name} PRIVATE spikeserve_options ${ARG_DEPENDS})
   spikeserve_note_layer(${name} "${ARG_SOURCES}" "" "${ARG_DEPENDS}")
@@ -170,18 +166,20 @@ endfunction()
 
 add_custom_target(cpp_tests)  # the unit tests in C++, and the programs that tests with the label integration start
 
-# spikeserve_test(NAME LABEL unit|parity|slow [UNITS] SOURCES file... [DEPENDS target...]): adds a GoogleTest
-# program and a ctest test that runs it whole: a process for each TEST takes longer than most TESTs. UNITS: compiles the
-# sources in units.
-function(spikeserve_test name)
-  cmake_parse_arguments(ARG "UNITS" "LABEL" "SOURCES;DEPENDS" ${ARGN})
-  set(units ${ARG_SOURCES})
-  if(ARG_UNITS)
-    spikeserve_units(units ${name} ${ARG_SOURCES})
-  endif()
+# spikeserve_test_program(NAME SOURCES file... [DEPENDS target...]): adds a program that tests start, built in <build>/tests.
+function(spikeserve_test_program name)
+  cmake_parse_arguments(ARG "" "" "SOURCES;DEPENDS" ${ARGN})
+  spikeserve_units(units ${name} ${ARG_SOURCES})
   add_executable(${name} ${units} ${SPIKESERVE_PROGRAM_SOURCES})
   set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${CMAKE_BINARY_DIR}/tests)
-  target_link_libraries(${name} PRIVATE spikeserve_options ${ARG_DEPENDS} spikeserve_test_main)
+  target_link_libraries(${name} PRIVATE spikeserve_options ${ARG_DEPENDS})
+endfunction()
+
+# spikeserve_test(NAME LABEL unit|parity|slow SOURCES file... [DEPENDS target...]): adds a GoogleTest program and a ctest
+# test that runs it whole: a process for each TEST takes longer than most TESTs.
+function(spikeserve_test name)
+  cmake_parse_arguments(ARG "" "LABEL" "SOURCES;DEPENDS" ${ARGN})
+  spikeserve_test_program(${name} SOURCES ${ARG_SOURCES} DEPENDS ${ARG_DEPENDS} spikeserve_test_main)
   if(ARG_LABEL STREQUAL "unit")
     add_dependencies(cpp_tests ${name})
   endif()

@@ -13,7 +13,7 @@ namespace {
 
 namespace interception = grpc::experimental;
 
-std::atomic<int64_t> newest = -1;
+std::atomic<int64_t> newest_step = -1;
 
 class AnswerInterceptor final : public interception::Interceptor {
  public:
@@ -25,7 +25,7 @@ class AnswerInterceptor final : public interception::Interceptor {
         methods->QueryInterceptionHookPoint(InterceptionHookPoints::POST_RECV_MESSAGE)) {
       const auto* answer = static_cast<const v1::ActResponse*>(methods->GetRecvMessage());
       if (answer != nullptr && answer->has_action()) {
-        newest = std::max<int64_t>(newest, answer->step());  // one thread at a time
+        newest_step = std::max<int64_t>(newest_step, answer->step());  // one thread at a time
       }
     }
     methods->Proceed();
@@ -49,6 +49,6 @@ void WatchAnswers() {
   interception::RegisterGlobalClientInterceptorFactory(&factory);
 }
 
-int64_t NewestAnswer() { return newest; }
+int64_t NewestAnswer() { return newest_step; }
 
 }  // namespace spikeserve

@@ -15,7 +15,7 @@ namespace {
 constexpr size_t kOutputs = 2;
 constexpr size_t kInputs = 3;
 
-Policy TestPolicy() {
+Policy LearnerPolicy() {
   Policy policy;
   policy.action_space = ActionSpace::Discrete(kOutputs);
   policy.weights.head.weight = {.shape = {kOutputs, kInputs},
@@ -49,7 +49,7 @@ class LearnerTest : public ::testing::Test {
     }
   }
 
-  Policy policy_ = TestPolicy();
+  Policy policy_ = LearnerPolicy();
   Learner learner_;
   double reward_ = 0.0;  // of the last decision
 };

@@ -38,8 +38,9 @@ std::function<void(Safetensors&)> SetConfig(const std::string& key, const json& 
   };
 }
 
-std::vector<float>& Floats(Safetensors& contents, const std::string& name) {
-  return std::get<Tensor>(contents.tensors.at(name)).values;
+template <class Typed = Tensor>
+auto& Numbers(Safetensors& contents, const std::string& name) {
+  return std::get<Typed>(contents.tensors.at(name)).values;
 }
 
 class PolicyFileRefusalTest : public DirectoryTest {
@@ -81,12 +82,12 @@ TEST_F(PolicyFileRefusalTest, Tensors) {
        "tensor \"observation.mean\": expected at least one value, received 0"},
       {[](auto& c) { c.tensors["observation.mean"] = Tensor::Zeros({5}); },
        "tensor \"embed.state.weight\": expected shape [16, 5], received [16, 4] with 64 values"},
-      {[](auto& c) { Floats(c, "layers.0.attention.query.weight")[7] = kNan; },
+      {[](auto& c) { Numbers(c, "layers.0.attention.query.weight")[7] = kNan; },
        "tensor \"layers.0.attention.query.weight\": expected finite numbers, received nan at index "
        "7"},
-      {[](auto& c) { Floats(c, "phase.omega")[1] = kInfinity; },
+      {[](auto& c) { Numbers(c, "phase.omega")[1] = kInfinity; },
        "tensor \"phase.omega\": expected finite numbers, received inf at index 1"},
-      {[](auto& c) { Floats(c, "observation.std")[2] = -1.0f; },
+      {[](auto& c) { Numbers(c, "observation.std")[2] = -1.0f; },
        "tensor \"observation.std\" at index 2: expected a positive finite number, received -1"},
   });
 }
@@ -102,7 +103,7 @@ TEST_F(PolicyFileRefusalTest, ObservationChanges) {
   ModelConfig config = SmallConfig();
   config.observation_changes = true;
   ExpectRefused(
-      {{[](auto& c) { Floats(c, "observation.change_std")[1] = 0.0f; },
+      {{[](auto& c) { Numbers(c, "observation.change_std")[1] = 0.0f; },
         "tensor \"observation.change_std\" at index 1: expected a positive finite number, "
         "received 0"},
        {[](auto& c) { c.tensors["observation.change_std"] = Tensor::Zeros({3}); },
@@ -141,18 +142,12 @@ TEST_F(PolicyFileRefusalTest, TensorsOfAnotherDtype) {
 }
 
 TEST_F(PolicyFileRefusalTest, IntegerTensors) {
-  const auto ints8 = [](Safetensors & c, const char* name) -> auto& {
-    return std::get<Int8Tensor>(c.tensors.at(name)).values;
-  };
-  const auto ints16 = [](Safetensors & c, const char* name) -> auto& {
-    return std::get<Int16Tensor>(c.tensors.at(name)).values;
-  };
   // The largest sum that is allowed, in neuron 2 of 16 coder and 2 phase inputs.
   const auto fill_neuron = [=](Safetensors& c, int bias) {
     for (int j = 0; j < 18; ++j) {
-      ints8(c, "layers.1.attention.key.weight")[2 * 18 + j] = j % 2 == 0 ? 127 : -127;
+      Numbers<Int8Tensor>(c, "layers.1.attention.key.weight")[2 * 18 + j] = j % 2 == 0 ? 127 : -127;
     }
-    ints16(c, "layers.1.attention.key.bias")[2] = static_cast<int16_t>(bias);
+    Numbers<Int16Tensor>(c, "layers.1.attention.key.bias")[2] = static_cast<int16_t>(bias);
   };
   const std::string too_large =
       "tensor \"layers.1.attention.key.weight\": expected |bias| + sum of |weight| of at most "
@@ -168,30 +163,31 @@ TEST_F(PolicyFileRefusalTest, IntegerTensors) {
       {[](auto& c) { c.tensors["layers.0.ffn.hidden.threshold"] = Int16Tensor::Zeros({31}); },
        "tensor \"layers.0.ffn.hidden.threshold\": expected shape [32], received [31] with 31 "
        "values"},
-      {[=](auto& c) { ints8(c, "layers.0.attention.query.weight")[5] = -128; },
+      {[=](auto& c) { Numbers<Int8Tensor>(c, "layers.0.attention.query.weight")[5] = -128; },
        "tensor \"layers.0.attention.query.weight\": expected -127 to 127, received -128 at index "
        "5"},
-      {[=](auto& c) { ints8(c, "layers.1.ffn.output.weight")[0] = -128; },
+      {[=](auto& c) { Numbers<Int8Tensor>(c, "layers.1.ffn.output.weight")[0] = -128; },
        "tensor \"layers.1.ffn.output.weight\": expected -127 to 127, received -128 at index 0"},
-      {[=](auto& c) { ints16(c, "layers.0.attention.key.threshold")[3] = 0; },
+      {[=](auto& c) { Numbers<Int16Tensor>(c, "layers.0.attention.key.threshold")[3] = 0; },
        "tensor \"layers.0.attention.key.threshold\": expected 1 to 32767, received 0 at index 3"},
-      {[=](auto& c) { ints16(c, "layers.0.ffn.hidden.threshold")[31] = -5; },
+      {[=](auto& c) { Numbers<Int16Tensor>(c, "layers.0.ffn.hidden.threshold")[31] = -5; },
        "tensor \"layers.0.ffn.hidden.threshold\": expected 1 to 32767, received -5 at index 31"},
       {[=](auto& c) { fill_neuron(c, 32767 - 18 * 127 + 1); }, too_large},
       {[=](auto& c) { fill_neuron(c, -(32767 - 18 * 127 + 1)); }, too_large},
       {[=](auto& c) {
-         for (int j = 0; j < 18; ++j) ints8(c, "layers.1.attention.key.weight")[2 * 18 + j] = 0;
-         ints16(c, "layers.1.attention.key.bias")[2] = -32768;
+         for (int j = 0; j < 18; ++j)
+           Numbers<Int8Tensor>(c, "layers.1.attention.key.weight")[2 * 18 + j] = 0;
+         Numbers<Int16Tensor>(c, "layers.1.attention.key.bias")[2] = -32768;
        },
        too_large},
   };
   for (const char* name : {"layers.1.attention.query.scale", "layers.0.ffn.hidden.scale"}) {
     const std::string tensor = "tensor \"" + std::string(name) + "\": expected ";
-    refusals.push_back({[=](auto& c) { Floats(c, name)[1] = 0.0f; },
+    refusals.push_back({[=](auto& c) { Numbers(c, name)[1] = 0.0f; },
                         tensor + "positive finite numbers, received 0 at index 1"});
-    refusals.push_back({[=](auto& c) { Floats(c, name)[1] = -0.5f; },
+    refusals.push_back({[=](auto& c) { Numbers(c, name)[1] = -0.5f; },
                         tensor + "positive finite numbers, received -0.5 at index 1"});
-    refusals.push_back({[=](auto& c) { Floats(c, name)[1] = kNan; },
+    refusals.push_back({[=](auto& c) { Numbers(c, name)[1] = kNan; },
                         tensor + "finite numbers, received nan at index 1"});
   }
   for (const char* name : {"layers.0.attention.query", "layers.0.attention.key",
@@ -353,6 +349,65 @@ TEST_F(PolicyFileRefusalTest, Config) {
       "tensor \"layers.0.routing.gate.bias\": not expected in a policy of "
       "mode baseline in float32");
   ExpectRefused(refusals);
+}
+
+TEST_F(PolicyFileRefusalTest, SumsOfIntegersThatCanOverflow) {
+  ExpectRefused(
+      {{[](auto& c) {
+          const std::string map = "layers.0.attention.output";
+          for (int j = 0; j < 8; ++j) Numbers<Int8Tensor>(c, map + ".weight")[8 + j] = 127;
+          Numbers<Int8Tensor>(c, map + ".shift")[1] = -15;
+          Numbers<Int16Tensor>(c, map + ".bias")[1] = 0;
+        },
+        "tensor \"layers.0.attention.output.weight\": expected sums of at most 2147450880 for "
+        "inputs of at most 255, received 8489533440 at index 1"},
+       {[](auto& c) {
+          const std::string hidden = "layers.1.ffn.hidden";
+          for (int j = 0; j < 16; ++j) Numbers<Int8Tensor>(c, hidden + ".weight")[32 + j] = 127;
+          Numbers<Int16Tensor>(c, hidden + ".bias")[2] = -30736;
+        },
+        "tensor \"layers.1.ffn.hidden.weight\": expected |bias| + sum of |weight| of at most "
+        "32767, received 32768 at index 2"}},
+      *QuantizeToInteger(SmallPolicy()));
+}
+
+TEST_F(PolicyFileRefusalTest, IntegersOutOfRange) {
+  ExpectRefused(
+      {{[](auto& c) { Numbers<Int8Tensor>(c, "readout.coder.sign")[3] = 0; },
+        "tensor \"readout.coder.sign\": expected 1 or -1, received 0 at index 3"},
+       {[](auto& c) {
+          auto& thresholds = Numbers<Int16Tensor>(c, "layers.0.coder.threshold");
+          thresholds[5] = 7;
+          thresholds[6] = 8;
+        },
+        "tensor \"layers.0.coder.threshold\": expected at most 7, received 8 at index 6"},
+       {[](auto& c) { Numbers<Int8Tensor>(c, "embed.state.norm.shift")[0] = 16; },
+        "tensor \"embed.state.norm.shift\": expected 0 to 15, received 16 at index 0"},
+       {[](auto& c) { Numbers<Int8Tensor>(c, "layers.0.ffn.output.shift")[2] = 32; },
+        "tensor \"layers.0.ffn.output.shift\": expected -15 to 31, received 32 at index 2"}},
+      *QuantizeToInteger(SmallPolicy()));
+}
+
+TEST_F(PolicyFileRefusalTest, ConfigsThatIntegersLack) {
+  ExpectRefused(
+      {{SetConfig("coder", "bernoulli"), "config.coder: expected lif, received \"bernoulli\""},
+       {SetConfig("membrane_decay", 0.95),
+        "membrane_decay: expected 1 - m / 256 for an m from 1 to 128 in integers, received 0.95"},
+       {SetConfig("leak", "none"), "config.leak: expected shift, received \"none\""},
+       {SetConfig("attention", "linear"),
+        "config.attention: expected shiftmax_by_tick or shiftmax, received \"linear\""},
+       {[](auto& c) {
+          for (const auto& [key, value] :
+               {std::pair("attention", "shiftmax"), {"merge", "concat"}, {"gate", "sigmoid"}}) {
+            SetConfig(key, value)(c);
+          }
+        },
+        "attention: expected shiftmax_by_tick with concatenated heads and sigmoid gates, "
+        "received shiftmax, which multiplied these gates by the heads; quantize the float32 "
+        "policy again"},
+       {SetConfig("ticks", 256), "ticks: expected 1 to 255, received 256"},
+       {SetConfig("input_fraction", 15), "input_fraction: expected 1 to 14, received 15"}},
+      *QuantizeToInteger(SmallPolicy()));
 }
 
 }  // namespace

@@ -25,8 +25,6 @@ using testing::StartsWith;
 
 using PolicyFileTest = DirectoryTest;
 
-constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-
 // Returns the bits of the values: unlike ==, these distinguish 0 from -0.
 std::vector<uint32_t> Bits(const std::vector<float>& values) {
   std::vector<uint32_t> bits;
@@ -201,7 +199,7 @@ TEST_F(PolicyFileTest, ABrokenContainerIsRefusedWithThePath) {
 TEST_F(PolicyFileTest, AnInvalidPolicyIsNotWritten) {
   WriteBytes(Path(), "as it was");
   Policy policy = SmallPolicy();
-  policy.weights.head.weight.values[0] = kNan;
+  policy.weights.head.weight.values[0] = NAN;
   const absl::Status status = WritePolicyFile(policy, Path());
   EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
   EXPECT_THAT(std::string(status.message()), StartsWith(Path() + ": tensor \"head.weight\""));

@@ -58,6 +58,14 @@ TEST(QuantizeToInteger, RoundsToTheNearestLevelOfEachNeuron) {
   EXPECT_EQ(integer.threshold.values[1], 127);
 }
 
+TEST(QuantizeToInteger, TheLeakIsTheNearest) {
+  for (const auto& [decay, leak] : {std::pair(0.95f, 13), {0.5f, 128}, {0.9f, 26}, {1.0f, 1}}) {
+    ModelConfig config = SmallConfig();
+    config.membrane_decay = decay;
+    EXPECT_EQ(QuantizeToInteger(SmallPolicy(config))->config.leak(), leak) << decay;
+  }
+}
+
 TEST(QuantizeToInteger, AThresholdIsAtLeastOneUnitAndAtMost16384) {
   Policy policy = SmallPolicy(TinyConfig());
   Linear& hidden = policy.weights.layers[0].ffn_hidden;

@@ -12,12 +12,12 @@ using std::chrono::milliseconds;
 using std::chrono::seconds;
 using What = Task::Kind;
 
-constexpr Time kPeriod = milliseconds(20);
-
 Error ErrorOf(Failure kind) { return {.kind = kind, .message = "why", .text = "why"}; }
 
 class RobotSessionTest : public ::testing::Test {
  protected:
+  static constexpr Time kPeriod = milliseconds(20);
+
   void Open(bool is_stored, size_t servers = 1, bool has_engine = false, bool shares_head = false) {
     robot_.emplace(Settings{.observation_size = 1,
                             .period = kPeriod,

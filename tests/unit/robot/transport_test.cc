@@ -12,11 +12,12 @@ using std::chrono::milliseconds;
 using std::chrono::seconds;
 using What = Task::Kind;
 
-constexpr Time kPeriod = milliseconds(20);
 constexpr Time kRoundTrip = milliseconds(50);
 
 class TransportTest : public ::testing::Test {
  protected:
+  static constexpr Time kPeriod = milliseconds(20);
+
   // Opens the stream; the server offers a channel.
   void Connect(int redundancy = 1, size_t observation_size = 1) {
     observation_.assign(observation_size, 1.0f);

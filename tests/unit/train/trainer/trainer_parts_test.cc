@@ -132,7 +132,7 @@ TEST(MirrorTest, RefusesAMiddleWhoseStartIsOutsideOfTheContext) {
   EXPECT_FALSE(Mirror(1, &policy).ok());
 }
 
-constexpr int kSteps = 7;
+constexpr int kClipSteps = 7;
 constexpr double kMean = 3.0, kDeviation = 2.0;
 
 torch::Tensor Random(std::vector<int64_t> shape, double least, double most) {
@@ -151,31 +151,31 @@ std::vector<float> Values(const torch::Tensor& tensor) {
 }
 
 // Two clips, the second one of which ends after three steps.
-struct Clips {
+struct TwoClips {
   ModelOutput output;
   PlasticityInputs inputs;
 };
 
-Clips MakeClips(const Policy& policy) {
+TwoClips MakeClips(const Policy& policy) {
   const ActionSpace& space = policy.action_space;
-  Clips clips;
-  clips.output.logits = Random({2, kSteps, space.size()}, -2.0, 2.0);
-  clips.output.readout = Random({2, kSteps, policy.config.hidden_size}, 0.0, 1.0);
-  clips.inputs.return_to_go = Random({2, kSteps}, -2.0, 8.0);
-  clips.inputs.mask = torch::ones({2, kSteps});
+  TwoClips clips;
+  clips.output.logits = Random({2, kClipSteps, space.size()}, -2.0, 2.0);
+  clips.output.readout = Random({2, kClipSteps, policy.config.hidden_size}, 0.0, 1.0);
+  clips.inputs.return_to_go = Random({2, kClipSteps}, -2.0, 8.0);
+  clips.inputs.mask = torch::ones({2, kClipSteps});
   clips.inputs.mask[1].slice(0, 3) = 0.0;
   clips.inputs.targets = space.is_discrete()
-                             ? torch::one_hot(torch::arange(2 * kSteps) % space.size())
+                             ? torch::one_hot(torch::arange(2 * kClipSteps) % space.size())
                                    .to(torch::kFloat)
-                                   .view({2, kSteps, space.size()})
-                             : Random({2, kSteps, space.size()}, -0.9, 0.9);
+                                   .view({2, kClipSteps, space.size()})
+                             : Random({2, kClipSteps, space.size()}, -0.9, 0.9);
   clips.inputs.mean = kMean;
   clips.inputs.deviation = kDeviation;
   return clips;
 }
 
 // Returns what a session learns that makes the decisions of one clip, by the learner of the server.
-std::vector<float> Learned(const HeadPlasticity& plasticity, Policy policy, const Clips& clips,
+std::vector<float> Learned(const HeadPlasticity& plasticity, Policy policy, const TwoClips& clips,
                            int clip, int steps) {
   policy.modulator_mean = kMean;
   policy.modulator_std = kDeviation;
@@ -213,8 +213,8 @@ TEST_P(HeadPlasticityTest, ChangesTheHeadAsSessionsLearn) {
   for (const ActionSpace& space :
        {ActionSpace::Discrete(3), ActionSpace::Box({-1.0f, -1.0f}, {1.0f, 1.0f})}) {
     const Policy policy = SmallPolicy(SmallConfig(), space);
-    const Clips clips = MakeClips(policy);
-    const std::vector<float> first = Learned(plasticity, policy, clips, 0, kSteps);
+    const TwoClips clips = MakeClips(policy);
+    const std::vector<float> first = Learned(plasticity, policy, clips, 0, kClipSteps);
     const std::vector<float> second = Learned(plasticity, policy, clips, 1, 3);
     const std::vector<float> change =
         Values(HeadChange(plasticity, space, clips.output, clips.inputs));
