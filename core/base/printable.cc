@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <iterator>
 
 #include "absl/strings/str_format.h"
 #include "core/contract/dcheck.h"
@@ -22,8 +23,10 @@ constexpr Range kControls[] = {{0x00, 0x1f},     {0x7f, 0x9f},     {0xad, 0xad},
                                {0xfeff, 0xfeff}, {0xfff9, 0xfffb}, {0xe0000, 0xe007f}};
 
 bool IsControl(uint32_t code) {
-  return std::ranges::any_of(
-      kControls, [code](const Range& range) { return code >= range.first && code <= range.last; });
+  // Emscripten's library has no std::ranges::any_of.
+  return std::any_of(std::begin(kControls), std::end(kControls), [code](const Range& range) {
+    return code >= range.first && code <= range.last;
+  });
 }
 
 // Returns the bytes of a character of UTF-8 by its first one, or 0.
