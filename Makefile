@@ -99,7 +99,7 @@ dist: configure
 # Makes a site of docs/ in build/site, with the playground if there is one.
 site:
 	$(SETUP) release
-	build/release-tools/venv/bin/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 build/release-tools/venv/bin/mkdocs build --strict --quiet
 	test ! -d build/wasm/playground || cp -r build/wasm/playground build/site
 
 # Compiles the engine to WebAssembly and makes a page of it, on which a policy plays in the browser, in build/wasm/playground.
