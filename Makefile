@@ -141,7 +141,7 @@ chaos: build setup
 # Shows one decision, from an agent in Python through nginx to Redis, as a collector of traces receives it; a few seconds.
 trace: build setup
 	ctest --test-dir $(BUILD) --output-on-failure --tests-regex '^python_client_install$$'
-	SPIKESERVE_PROGRAM=$(BIN)/spikeserve PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
+	SPIKESERVE_PROGRAM=$(BIN)/spikeserve SPIKESERVE_INTEROP=build/interop PYTHONPATH=$$(ls -td $(BUILD)/tests/python_client-* | head -1) \
 	  build/venv/bin/python -m tests.tracing
 
 # Does all kinds of work for hours and prints what the server holds after each minute of it. Fails if memory grows by more

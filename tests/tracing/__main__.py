@@ -4,7 +4,7 @@ usage: python -m tests.tracing
 
 Starts Redis, two servers that share it, nginx in front of them, a collector, and an agent whose spans OpenTelemetry's
 own SDK sends to the collector. The agent plays on a SYNC session, and goes on after the server that owns it was killed.
-Needs the variable SPIKESERVE_PROGRAM, redis-server, nginx and the package of the Python client.
+Needs the variables SPIKESERVE_PROGRAM and SPIKESERVE_INTEROP, redis-server, nginx and the package of the Python client.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ from opentelemetry.sdk.trace.export import SimpleSpanProcessor, SpanExporter, Sp
 from redis_servers import free_port  # noqa: E402
 from replicated import running_fleet  # noqa: E402
 from security import make_authority, make_certificate, until  # noqa: E402
-from test_proxied_replicas import nginx, running  # noqa: E402
+from test_proxied_replicas import in_front  # noqa: E402
 from traces import Span, collecting, environment  # noqa: E402
 
 SHOWN = ("db.system.name", "rpc.response.status_code", "spikeserve.policy", "spikeserve.policy.version")
@@ -81,9 +81,7 @@ def balanced(fleet, path):
     make_authority(path, "ca")
     make_certificate(path, "server", "ca")
     port = free_port()
-    command = nginx(path, port, path, fleet.replicas)
-    # It complains about the server that is killed.
-    with running([path / "nginx.log" if part == "stderr" else part for part in command]):
+    with in_front("nginx", path, port, path, fleet.replicas):
         yield f"localhost:{port}", grpc.ssl_channel_credentials((path / "ca.pem").read_bytes())
 
 

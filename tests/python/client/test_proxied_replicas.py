@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import pathlib
+import sys
 
 import grpc
 import pytest
@@ -12,7 +13,7 @@ from deployed_proxies import PROXIES, installed, running
 from redis_servers import free_port
 from replicated import SESSIONS, options_of, policy_of, running_fleet
 from security import until
-from serving import DEADLINE_SECONDS
+from serving import DEADLINE_SECONDS, run
 from test_cpp_replicas import CppCalls, CppStreams
 from test_replicas import AsyncStreams, Calls, Streams, undisturbed  # noqa: F401
 
@@ -140,3 +141,11 @@ def test_sessions_go_on(address, fleet, root, undisturbed, player):  # noqa: F81
     finally:
         player.more = ()
     assert answers == undisturbed
+
+
+def test_a_decision_is_shown_from_the_agent_to_redis():
+    """`make trace`."""
+    installed("nginx")
+    shown = run(sys.executable, "-m", "tests.tracing", cwd=pathlib.Path(__file__).parents[3]).stdout
+    names = [line.split()[0] for line in shown.splitlines() if line.startswith("    ")]
+    assert names == ["decide", "append", "claim", "decide", "append"]
