@@ -1,7 +1,5 @@
 """Writes the result of the benchmark as a Markdown page."""
 
-import json
-import pathlib
 import statistics
 
 from server_bench import OWN_SHARES

@@ -28,7 +28,7 @@ class Attack:
     run: typing.Callable
     tls: bool = False
     descriptors: int | None = None  # the server's limit
-    budget: int | None = None  # megabytes of the server above idle, as docs/limits.md promises; None: the transport's
+    budget: int | None = None  # megabytes of the server above idle, as docs/reference/limits.md promises; None: the transport's
     http: bool = False  # the address is that of the HTTP port
     flags: tuple = ()  # of the server; {folder} is an empty folder
     versions: int = 0  # of one small policy, beside the shipped ones

@@ -313,7 +313,7 @@ def test_a_closed_session_is_lost_for_all(fleet):
 
 
 def test_all_clients_rank_the_servers_equally():
-    """The C++ client computes the same numbers: tests/unit/client/replicas_test.cc."""
+    """The C++ client computes the same numbers: tests/unit/client/parts_test.cc."""
     ranks = [rank("0123456789abcdef" * 2, address) for address in ("10.0.0.1:50051", "unix:/a")]
     assert ranks == [15574301511887128372, 15821398357803811023]
 
