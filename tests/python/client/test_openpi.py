@@ -1,5 +1,6 @@
 """`python -m spikeserve.gateway --openpi` in front of a real server, called as openpi-client calls it."""
 
+import asyncio
 import concurrent.futures
 import contextlib
 import functools
@@ -23,6 +24,9 @@ from gateways import running_gateway
 from security import until
 from serving import running_server
 from spikeserve.gateway.__main__ import main
+from spikeserve.gateway.connection import Connection
+from websockets.protocol import State
+from websockets.server import ServerProtocol
 from websockets.sync.client import connect
 
 SEED = 1_000_000
@@ -239,6 +243,21 @@ def test_what_is_sent_before_the_answer_is_not_read(gateway):
     with socket.create_connection((host, int(port))) as stranger, contextlib.suppress(ConnectionError):
         stranger.sendall(upgrade() + (b"\x89\x80" + bytes(4)) * 10_000)
         assert len(stranger.makefile("rb").read()) < 2000  # 20,000 bytes, if all were answered
+
+
+def test_pings_are_answered_in_one_piece():
+    """asyncio logs each write to a connection that its client has cut."""
+    transport = unittest.mock.Mock()
+    transport.is_closing.return_value = False
+
+    async def receive(data):
+        connection = Connection(ServerProtocol(state=State.OPEN), unittest.mock.Mock())
+        connection.transport = transport
+        connection.data_received(data)
+
+    asyncio.run(receive((b"\x89\x80" + bytes(4)) * 100 + b"\x88\x80" + bytes(4)))  # and an end
+    transport.write.assert_called_once_with(b"\x8a\0" * 100 + b"\x88\0")
+    transport.write_eof.assert_called_once_with()
 
 
 def test_texts_of_errors_are_bounded(gateway):

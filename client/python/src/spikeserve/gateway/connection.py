@@ -10,7 +10,7 @@ from typing import Any
 
 from websockets.asyncio.server import ServerConnection
 from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
-from websockets.protocol import State
+from websockets.protocol import SEND_EOF, State
 
 _PIECE = 1024  # bytes that are read before other connections have their turn again
 _BURST = 256  # frames at once, and fragments of a message; each KiB of them allows one more
@@ -36,6 +36,13 @@ class Connection(ServerConnection):
             if self._is_over or self.transport.is_closing():
                 return
             super().data_received(data[begin : begin + _PIECE])
+
+    def send_data(self) -> None:
+        """Sends what is due, such as many pongs, at once: asyncio logs each write to a lost client."""
+        due = self.protocol.data_to_send()
+        data = b"".join(due)
+        self.protocol.writes = [data] * bool(data) + [SEND_EOF] * (SEND_EOF in due)
+        super().send_data()
 
     def process_event(self, event: Any) -> None:
         """Handles the request, then frames."""
