@@ -6,7 +6,8 @@ usage: PYTHONPATH=CLIENT build/venv/bin/python -m tests.attacks --program=build/
 In each round there is a calm, then the attack hits another server of the machine, and then that of the neighbour. So the
 middle one shows what the attacker takes of the processors, and other work of the machine is in all three. An attack is
 within its bounds if the server stays below its budget of memory, and the p99 of the neighbour and of the health page below
-twice what they were in the calm, or elsewhere. Exits with status 1 if an attack that has a budget of its own is not.
+twice what they were in the calm, or elsewhere. Exits with status 1 if an attack that has a budget of its own is not. The
+servers log to build/attacks.txt.
 """
 
 import argparse
@@ -113,7 +114,7 @@ def main():
     outside = []
     print(f"| {' | '.join(COLUMNS)} |")
     print("| --- |" + " ---: |" * (len(COLUMNS) - 1), flush=True)
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, (ROOT / "build/attacks.txt").open("wb") as log:
         folder = pathlib.Path(name)
         make_authority(folder, "ca")
         make_certificate(folder, "server", "ca")
@@ -123,7 +124,7 @@ def main():
             number = 1 if count else arguments.rounds
             seconds = 600 if count else arguments.seconds / number
             rounds = Rounds(number, seconds, CALM_SECONDS, elsewhere=True)
-            seen = observe(ATTACKS[attack], folder / "tokens.json", folder, rounds, 20 * MEGABYTE, count)
+            seen = observe(ATTACKS[attack], folder / "tokens.json", folder, rounds, 20 * MEGABYTE, count, log)
             budget = ATTACKS[attack].budget or TRANSPORT
             print(f"| {' | '.join(row(seen, budget))} |", flush=True)
             if ATTACKS[attack].budget is not None and not is_within(seen, budget):

@@ -78,7 +78,7 @@ class Gateway:
 
 
 @contextlib.contextmanager
-def attacked_server(attack, tokens, certificates):
+def attacked_server(attack, tokens, certificates, log):
     """Starts the server that an attack needs, and yields its Addresses; with a gateway those of this one.
 
     Asserts that SIGTERM ends the server with status 0, unless it has ended before.
@@ -91,7 +91,7 @@ def attacked_server(attack, tokens, certificates):
         policies = SHIPPED_POLICIES if attack.versions == 0 else many_versions(folder, attack.versions)
         try:
             with contextlib.ExitStack() as stack:
-                addresses = stack.enter_context(running_server(policies, flags=flags, prefix=prefix))
+                addresses = stack.enter_context(running_server(policies, flags=flags, log=log, prefix=prefix))
                 if attack.gateway:
                     gateway = running_gateway(addresses.grpc, "--policy=cartpole", token="operator")
                     addresses = Gateway(stack.enter_context(gateway))
@@ -141,14 +141,14 @@ class Rounds:
     elsewhere: bool = False
 
 
-def observe(attack, tokens, certificates, rounds, return_limit, count=None):
-    """Attacks a new server. Returns the Observation.
+def observe(attack, tokens, certificates, rounds, return_limit, count=None, log=None):
+    """Attacks a new server, which logs to `log`, an open file; None: to stderr. Returns the Observation.
 
     The periods take turns, so that other work of the machine is in all of them.
     """
     with contextlib.ExitStack() as stack:
         addresses, *others = [
-            stack.enter_context(attacked_server(attack, tokens, certificates)) for _ in range(1 + rounds.elsewhere)
+            stack.enter_context(attacked_server(attack, tokens, certificates, log)) for _ in range(1 + rounds.elsewhere)
         ]
         process = Process(addresses.process.pid)
         authority = [f"{certificates}/ca.pem"] if attack.tls else []
