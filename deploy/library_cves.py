@@ -27,14 +27,13 @@ def linked_libraries(program):
     return re.findall(r"=> (/\S+)", output("ldd", program))
 
 
-def package_of(library):
-    """Returns the installed package that contains a library, or None."""
-    path = pathlib.Path(library).resolve()
+def packages_of(libraries):
+    """Returns the installed packages that contain libraries, sorted."""
+    paths = {str(pathlib.Path(library).resolve()) for library in libraries}
     # Packages of Debian 12 may name /lib for what lies in /usr/lib.
-    for name in (path, pathlib.Path(str(path).removeprefix("/usr"))):
-        if owners := output("dpkg-query", "--search", str(name)):
-            return owners.split(":")[0]
-    return None
+    paths |= {path.removeprefix("/usr") for path in paths}
+    owners = output("dpkg-query", "--search", *paths)
+    return sorted({owner.split(":")[0] for owner in owners.splitlines()})
 
 
 def description(package):
@@ -79,7 +78,7 @@ def main():
     tracker = json.loads(arguments.tracker.read_text()) if arguments.tracker else None
     columns = ["package", "version", "fixed by Debian"] + (["open"] if tracker is not None else [])
     print(f"| {' | '.join(columns)} |\n|{' --- |' * len(columns)}")
-    for package in sorted({package_of(path) for path in linked_libraries(arguments.program)} - {None}):
+    for package in packages_of(linked_libraries(arguments.program)):
         source, version = description(package)
         row = [package, version, shortened(fixed_cves(package))]
         if tracker is not None:

@@ -18,7 +18,7 @@ import zipfile
 
 ROOT = pathlib.Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "deploy"))
-from library_cves import linked_libraries, output, package_of  # noqa: E402
+from library_cves import linked_libraries, output, packages_of  # noqa: E402
 
 # Packages whose code is compiled or linked into the programs.
 COMPILED_IN = (
@@ -117,7 +117,7 @@ def main():
     for path in sorted(dist.iterdir()):
         ref = add_file(document, path, version)
         if path.suffix == ".deb" and (program := PROGRAMS.get(path.name.split("_")[0])):
-            for package in sorted({package_of(library) for library in linked_libraries(programs / program)} - {None}):
+            for package in packages_of(linked_libraries(programs / program)):
                 document.relate(ref, "DYNAMIC_LINK", document.add_package_of_debian(package))
             for package in COMPILED_IN:
                 document.relate(ref, "STATIC_LINK", document.add_package_of_debian(package))
