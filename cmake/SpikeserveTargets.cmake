@@ -35,7 +35,7 @@ endmacro()
 # everything, but more after a change of one source.
 option(SPIKESERVE_UNITY "Compile many sources at once: a library, a program, or the components of an archive" ON)
 
-# Writes units that include the sources `ARGN`, up to 16 each, and returns in the variable `out` what is to be compiled instead. The paths
+# Writes units that include the sources `ARGN`, up to 32 each, and returns in the variable `out` what is to be compiled instead. The paths
 # in a unit are relative to the project, so that clones in different folders share the compiler cache. A source with its full path
 # stays alone, and a single one is no unit.
 function(spikeserve_units out name)
@@ -51,7 +51,7 @@ function(spikeserve_units out name)
   set(compiled ${generated})
   set(number 0)
   foreach(source ${sources})
-    math(EXPR unit "${number} / 16")
+    math(EXPR unit "${number} / 32")
     math(EXPR number "${number} + 1")
     spikeserve_include(line ${source})
     string(APPEND text_${unit} ${line})

@@ -284,7 +284,7 @@ void AddLabel(FlagGroup& group, AdminFlags* flags) {
   group.Add("label", "NAME", &flags->label, "Name of a version, such as stable");
 }
 
-void AddTraffic(FlagGroup& group, AdminFlags* flags) {
+void AddTrafficFlags(FlagGroup& group, AdminFlags* flags) {
   AddPolicy(group, flags);
   group
       .AddList("shares", "VERSION:PERCENT,...", &flags->shares,
@@ -376,7 +376,11 @@ constexpr AdminAction kActions[] = {
     {"default", "Makes a version the default", true, {AddNewDefault}, Default},
     {"label", "Names a version", true, {AddVersion, AddLabel}, Label},
     {"unlabel", "Removes the name of a version", true, {AddPolicy, AddLabel}, Unlabel},
-    {"traffic", "Splits new sessions among versions, or shadows them", true, {AddTraffic}, Traffic},
+    {"traffic",
+     "Splits new sessions among versions, or shadows them",
+     true,
+     {AddTrafficFlags},
+     Traffic},
     {"rollout",
      "Moves new sessions to a version step by step",
      true,

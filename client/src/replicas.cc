@@ -16,7 +16,7 @@ namespace spikeserve {
 namespace {
 
 // How long AwaitConnection waits for the other servers after the first one is connected.
-constexpr absl::Duration kGrace = absl::Milliseconds(250);
+constexpr absl::Duration kConnectGrace = absl::Milliseconds(250);
 
 bool IsPending(grpc_connectivity_state state) {
   return state == GRPC_CHANNEL_IDLE || state == GRPC_CHANNEL_CONNECTING;
@@ -87,7 +87,7 @@ bool Replicas::AwaitConnection(absl::Duration timeout) {
       if (IsPending(state)) pending = {replica.get(), state};
     }
     const absl::Duration now = SteadyNow();
-    if (is_connected) until = std::min(until, now + kGrace);
+    if (is_connected) until = std::min(until, now + kConnectGrace);
     if (now >= until || (is_connected && !pending.has_value())) break;
     const absl::Duration pause = std::min(until - now, absl::Milliseconds(10));
     if (pending.has_value()) {

@@ -30,7 +30,7 @@ constexpr std::array<EnumName<GroupKey>, 6> EnumNames(GroupKey) {
 }
 
 // Tenant, policy, version, label and first hour.
-using Group = std::tuple<std::string, std::string, int64_t, std::string, int64_t>;
+using UsageGroup = std::tuple<std::string, std::string, int64_t, std::string, int64_t>;
 
 absl::StatusOr<absl::CivilMonth> ParseMonth(const std::string& text, absl::Time now) {
   if (text.empty()) return absl::ToCivilMonth(now, absl::UTCTimeZone());
@@ -76,7 +76,7 @@ absl::Status AdminHandler::GetUsage(CallContext& context, const v1::GetUsageRequ
   const absl::Time to = absl::FromCivil(month + 1, absl::UTCTimeZone());
   const int64_t first_hour = absl::ToInt64Hours(from - absl::UnixEpoch());
   ASSIGN_OR_RETURN(const auto rows, parts_.ledger->Read(from, to));
-  std::map<Group, UsageCounts> groups;
+  std::map<UsageGroup, UsageCounts> groups;
   for (const UsageRow& row : rows) {
     const UsageSeries series = UsageSeries::FromKey(row.series);
     if (!context.caller->CanRead(series.tenant)) continue;

@@ -45,8 +45,8 @@ struct Judged {
   std::string values;
   // The observations in [0, 1], of which lower ones are worse, and by how much a mean may be lower;
   // empty: so many that their means are normal.
-  std::vector<Observed> fresh = {};
-  std::vector<Observed> stable = {};
+  std::vector<ObservedValue> fresh = {};
+  std::vector<ObservedValue> stable = {};
   double margin = 0.0;
 };
 
@@ -55,8 +55,8 @@ double ShareOf(int64_t part, int64_t all) {
 }
 
 // Returns values whose middle is 0 in units of `range`, as numbers in [0, 1].
-std::vector<Observed> InRange(const std::vector<double>& values, double range) {
-  std::vector<Observed> observed;
+std::vector<ObservedValue> InRange(const std::vector<double>& values, double range) {
+  std::vector<ObservedValue> observed;
   for (const double value : values) {
     observed.push_back({.value = std::clamp(0.5 + value / range, 0.0, 1.0)});
   }

@@ -21,10 +21,10 @@ constexpr int kMeans = 100;  // values of the mean that are tried
 
 // Returns the logarithm of what bets have won that the mean of the values, or of 1 minus the values
 // if they are `mirrored`, is above `mean`, which is above 0. Falls with `mean`.
-double LogBets(absl::Span<const Observed> observations, double mean, bool mirrored) {
+double LogBets(absl::Span<const ObservedValue> observations, double mean, bool mirrored) {
   std::array<double, kStakes.size()> logs = {};
   for (size_t i = 0; i < kStakes.size(); ++i) {
-    for (const Observed& observed : observations) {
+    for (const ObservedValue& observed : observations) {
       const double value = mirrored ? 1.0 - observed.value : observed.value;
       logs[i] += static_cast<double>(observed.count) *
                  portable::Log(1.0 + kStakes[i] * (value - mean) / mean);
@@ -60,8 +60,8 @@ double LogWorseRatio(const Comparison& comparison, double scale) {
          portable::LogNormalDistribution(z);
 }
 
-double LogBettingRatio(absl::Span<const Observed> fresh, absl::Span<const Observed> stable,
-                       double margin) {
+double LogBettingRatio(absl::Span<const ObservedValue> fresh,
+                       absl::Span<const ObservedValue> stable, double margin) {
   if (fresh.empty() || stable.empty()) return 0.0;
   // If the new version is not worse, its mean is at least m - margin and the stable one's at most
   // m, for some m. Between two values of m, the bets have won at least what the first one wins with

@@ -36,7 +36,7 @@ inline constexpr int64_t kFewestObservations = 20;
 double LogWorseRatio(const Comparison& comparison, double scale);
 
 // `count` observations with the same value, in [0, 1].
-struct Observed {
+struct ObservedValue {
   double value = 0.0;
   int64_t count = 1;
 };
@@ -49,7 +49,7 @@ inline constexpr int64_t kFewestNormal = 100;
 // `stable` by more than `margin` (Waudby-Smith and Ramdas, "Estimating means of bounded random
 // variables by betting", 2024). If it is not, the probability that this ever reaches 1/alpha is at
 // most alpha, for any number of observations in [0, 1] of any distribution. 0 without observations.
-double LogBettingRatio(absl::Span<const Observed> fresh, absl::Span<const Observed> stable,
-                       double margin);
+double LogBettingRatio(absl::Span<const ObservedValue> fresh,
+                       absl::Span<const ObservedValue> stable, double margin);
 
 }  // namespace spikeserve

@@ -19,17 +19,25 @@ namespace spikeserve {
 
 // Decides its requests in groups, one in a turn of the loop, so that other calls do not wait for
 // all of them.
-class ActBatchCall final : public UnaryCall<v1::ActBatchRequest, v1::ActBatchResponse>,
-                           public QueuedBatch {
+class ActBatchCall final : public UnaryCall, public QueuedBatch {
  public:
   // `queue` must outlive the call.
   ActBatchCall(const ServiceContext* context, Call* call, const Method& method, ActQueue* queue)
-      : UnaryCall(context, call, method), queue_(*queue) {}
+      : UnaryCall(context, call, method, v1::ActBatchRequest::default_instance(),
+                  v1::ActBatchResponse::default_instance()),
+        queue_(*queue) {}
 
   bool DecideGroup(const PolicyHandler& handler, DeferredWork* deferred,
                    StepBudget* budget) override;
 
  private:
+  const v1::ActBatchRequest& request() const {
+    return static_cast<const v1::ActBatchRequest&>(UnaryCall::request());
+  }
+  v1::ActBatchResponse* response() const {
+    return static_cast<v1::ActBatchResponse*>(UnaryCall::response());
+  }
+
   void Handle() override;
   std::vector<std::string> MissingSessions(const absl::Status& status) override;
   bool has_items() const override { return true; }

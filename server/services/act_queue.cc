@@ -19,8 +19,8 @@ using Group = absl::InlinedVector<T, kMaxSessionsPerGroup>;
 QueuedAct::QueuedAct(const ServiceContext* context, ActQueue* queue)
     : context_(*context), queue_(*queue) {
   act_.context = &call_context();
-  act_.request = messages_.request();
-  act_.response = messages_.response();
+  act_.request = request();
+  act_.response = response();
   act_.received = context->clock->Now();
 }
 

@@ -32,11 +32,11 @@ class QueuedAct : public GatedRequest, public std::enable_shared_from_this<Queue
   // Received now. Both must outlive the request.
   QueuedAct(const ServiceContext* context, ActQueue* queue);
 
-  v1::ActRequest* request() { return messages_.request(); }
-  v1::ActResponse* response() { return messages_.response(); }
+  v1::ActRequest* request() { return static_cast<v1::ActRequest*>(messages_.request()); }
+  v1::ActResponse* response() { return static_cast<v1::ActResponse*>(messages_.response()); }
   DecisionRequest& act() { return act_; }
   // Bytes that a request occupies, beside what is too long for its memory.
-  static constexpr size_t kBytes = sizeof(CallMessages<v1::ActRequest, v1::ActResponse>);
+  static constexpr size_t kBytes = sizeof(CallMessages);
 
   // Lets the queue decide the request of `caller`.
   void Enter(const Credential* caller);
@@ -60,7 +60,8 @@ class QueuedAct : public GatedRequest, public std::enable_shared_from_this<Queue
  private:
   const ServiceContext& context_;
   ActQueue& queue_;
-  CallMessages<v1::ActRequest, v1::ActResponse> messages_;
+  CallMessages messages_ = {v1::ActRequest::default_instance(),
+                            v1::ActResponse::default_instance()};
   DecisionRequest act_;
 };
 

@@ -4,24 +4,29 @@
 #pragma once
 
 #include <google/protobuf/arena.h>
+#include <google/protobuf/message.h>
 
 #include <cstddef>
 #include <cstdint>
 
 namespace spikeserve {
 
-template <typename Request, typename Response>
 class CallMessages {
  public:
-  CallMessages()
-      : arena_(block_, sizeof(block_)),
-        request_(google::protobuf::Arena::CreateMessage<Request>(&arena_)),
-        response_(google::protobuf::Arena::CreateMessage<Response>(&arena_)) {}
+  using Message = google::protobuf::Message;
+
+  // The messages have the types of `request` and `response`, which must outlive this object.
+  CallMessages(const Message& request, const Message& response)
+      : request_type_(request),
+        response_type_(response),
+        arena_(block_, sizeof(block_)),
+        request_(request.New(&arena_)),
+        response_(response.New(&arena_)) {}
   CallMessages(const CallMessages&) = delete;
   CallMessages& operator=(const CallMessages&) = delete;
 
-  Request* request() { return request_; }
-  Response* response() { return response_; }
+  Message* request() const { return request_; }
+  Message* response() const { return response_; }
 
   // Returns the bytes that the messages occupy beside this object.
   int64_t extra_bytes() const {
@@ -31,16 +36,18 @@ class CallMessages {
   // Frees the memory of both messages, which are empty then.
   void Free() {
     arena_.Reset();
-    request_ = google::protobuf::Arena::CreateMessage<Request>(&arena_);
-    response_ = google::protobuf::Arena::CreateMessage<Response>(&arena_);
+    request_ = request_type_.New(&arena_);
+    response_ = response_type_.New(&arena_);
   }
 
  private:
+  const Message& request_type_;
+  const Message& response_type_;
   // Holds an Act; the arena allocates more if needed.
   alignas(std::max_align_t) char block_[1536];
   google::protobuf::Arena arena_;
-  Request* request_;
-  Response* response_;
+  Message* request_;
+  Message* response_;
 };
 
 }  // namespace spikeserve

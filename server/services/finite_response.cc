@@ -4,6 +4,7 @@
 #include <google/protobuf/reflection.h>
 
 #include <cmath>
+#include <type_traits>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -72,8 +73,8 @@ absl::Status CheckFinite(const Message& response, const std::string& policy) {
                                           policy.empty() ? "" : " of policy ", policy));
 }
 
-std::string PolicyOf(const Message& message) {
-  const auto* field = message.GetDescriptor()->FindFieldByName("policy");
+std::string TextOf(const Message& message, const std::string& name) {
+  const auto* field = message.GetDescriptor()->FindFieldByName(name);
   if (field == nullptr || field->is_repeated() ||
       field->cpp_type() != FieldDescriptor::CPPTYPE_STRING) {
     return "";

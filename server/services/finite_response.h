@@ -7,23 +7,16 @@
 #include <google/protobuf/message.h>
 
 #include <string>
-#include <type_traits>
 
 #include "absl/status/status.h"
-#include "spikeserve/v1/policy_service.pb.h"
 
 namespace spikeserve {
-
-// True for responses whose numbers AgentSession has checked.
-template <typename Response>
-inline constexpr bool kHoldsDecisions =
-    std::is_same_v<Response, v1::ActResponse> || std::is_same_v<Response, v1::ActBatchResponse>;
 
 // Returns INTERNAL, which names the field and `policy`, unless every number of `response`, at all
 // levels, is finite. `policy` may be empty.
 absl::Status CheckFinite(const google::protobuf::Message& response, const std::string& policy);
 
-// Returns the field `policy` of a message; empty if it has none.
-std::string PolicyOf(const google::protobuf::Message& message);
+// Returns the text of the field `name` of a message; empty if it has no such field.
+std::string TextOf(const google::protobuf::Message& message, const std::string& name);
 
 }  // namespace spikeserve

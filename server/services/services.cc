@@ -1,6 +1,5 @@
 #include "server/services/services.h"
 
-#include <type_traits>
 #include <utility>
 
 #include "absl/status/status.h"
@@ -86,66 +85,58 @@ void Services::AddCall(const Method& method, OpenCall open) {
   });
 }
 
-template <typename H, typename Request, typename Response>
-void Services::Add(const H* handler, HandlerMethod<H, Request, Response> answer) {
-  Handler<Request, Response> bound = std::bind_front(answer, handler);
-  const Method& method = MethodOf<Request>();
+void Services::Add(Handler handler) {
+  const Method& method = MethodOf(*handler.request_type.GetDescriptor());
   if (!RunsOnLoop(method.cost)) {
     return AddBackground(method.cost == Cost::kListing ? handlers_.list_worker : handlers_.worker,
-                         std::move(bound));
+                         std::move(handler));
   }
-  AddCall(method,
-          [this, bound = std::move(bound)](Call* call, const Method& called, LoopServices* loop) {
-            return std::make_shared<InlineCall<Request, Response>>(&context_, call, called,
-                                                                   &loop->deferred(), &bound);
-          });
-}
-
-template <typename Request, typename Response>
-void Services::AddBackground(BackgroundWorker* worker, Handler<Request, Response> handler,
-                             bool is_recorded) {
-  AddCall(MethodOf<Request>(), [this, worker, handler = std::move(handler), is_recorded](
-                                   Call* call, const Method& method, LoopServices* /*loop*/) {
-    return std::make_shared<BackgroundCall<Request, Response>>(&context_, call, method, worker,
-                                                               &handler, is_recorded);
+  AddCall(method, [this, handler = std::move(handler)](Call* call, const Method& called,
+                                                       LoopServices* loop) {
+    return std::make_shared<InlineCall>(&context_, call, called, &loop->deferred(), &handler);
   });
 }
 
-template <typename H, typename Request, typename Response>
-void Services::AddAdmin(const H* handler, HandlerMethod<H, Request, Response> answer) {
-  if (MethodOf<Request>().access == Access::kOperatorOnly) return AddRecorded(handler, answer);
-  AddBackground<Request, Response>(handlers_.list_worker, std::bind_front(answer, handler));
+void Services::AddBackground(BackgroundWorker* worker, Handler handler, bool is_recorded) {
+  const Method& method = MethodOf(*handler.request_type.GetDescriptor());
+  AddCall(method, [this, worker, handler = std::move(handler), is_recorded](
+                      Call* call, const Method& called, LoopServices* /*loop*/) {
+    return std::make_shared<BackgroundCall>(&context_, call, called, worker, &handler, is_recorded);
+  });
 }
 
-template <typename H, typename Request, typename Response>
-void Services::AddRecorded(const H* handler, HandlerMethod<H, Request, Response> answer) {
-  const Method& method = MethodOf<Request>();
+void Services::AddAdmin(Handler handler) {
+  const Method& method = MethodOf(*handler.request_type.GetDescriptor());
+  if (method.access == Access::kOperatorOnly) return AddRecorded(std::move(handler));
+  AddBackground(handlers_.list_worker, std::move(handler));
+}
+
+void Services::AddRecorded(Handler handler) {
+  using google::protobuf::Message;
+  const Method& method = MethodOf(*handler.request_type.GetDescriptor());
   // What agents and viewers ask for does not stand in the way of operators.
   const bool is_operators = method.access == Access::kOperatorOnly;
-  AddBackground<Request, Response>(
-      is_operators ? handlers_.admin_worker : handlers_.worker,
-      [audit = handlers_.audit, &method, handler, answer](
-          CallContext& context, const Request& request, Response* response) {
-        const auto change = [&] { return (handler->*answer)(context, request, response); };
-        if constexpr (std::is_same_v<Request, v1::PushPolicyRequest>) {
-          return audit->RunAndRecord(method, context, WithoutData(request), change);
-        } else {
-          return audit->RunAndRecord(method, context, request, change);
-        }
-      },
-      /*is_recorded=*/true);
+  handler.answer = [audit = handlers_.audit, &method, answer = std::move(handler.answer)](
+                       CallContext& context, const Message& request, Message* response) {
+    const auto change = [&] { return answer(context, request, response); };
+    const auto* push = google::protobuf::DynamicCastToGenerated<v1::PushPolicyRequest>(&request);
+    if (push == nullptr) return audit->RunAndRecord(method, context, request, change);
+    return audit->RunAndRecord(method, context, WithoutData(*push), change);
+  };
+  AddBackground(is_operators ? handlers_.admin_worker : handlers_.worker, std::move(handler),
+                /*is_recorded=*/true);
 }
 
 void Services::AddPolicyService() {
   const PolicyHandler* policy = handlers_.policy;
-  Add(policy, &PolicyHandler::ListPolicies);
-  Add(policy, &PolicyHandler::OpenSession);
-  Add(policy, &PolicyHandler::EndEpisode);
-  Add(policy, &PolicyHandler::AmendEpisode);
-  Add(policy, &PolicyHandler::GetSession);
-  Add(policy, &PolicyHandler::CloseSession);
-  Add(policy, &PolicyHandler::Explain);
-  AddRecorded(policy, &PolicyHandler::ExportSession);
+  Add({policy, &PolicyHandler::ListPolicies});
+  Add({policy, &PolicyHandler::OpenSession});
+  Add({policy, &PolicyHandler::EndEpisode});
+  Add({policy, &PolicyHandler::AmendEpisode});
+  Add({policy, &PolicyHandler::GetSession});
+  Add({policy, &PolicyHandler::CloseSession});
+  Add({policy, &PolicyHandler::Explain});
+  AddRecorded({policy, &PolicyHandler::ExportSession});
   AddCall(MethodNamed("ActBatch"), [this](Call* call, const Method& method, LoopServices* loop) {
     return std::make_shared<ActBatchCall>(&context_, call, method, &loop->acts());
   });
@@ -158,53 +149,53 @@ void Services::AddPolicyService() {
 
 void Services::AddPolicyAdmin() {
   const AdminHandler* admin = handlers_.admin;
-  AddAdmin(admin, &AdminHandler::LoadPolicy);
-  AddAdmin(admin, &AdminHandler::UnloadPolicy);
-  AddAdmin(admin, &AdminHandler::ReloadPolicies);
-  AddAdmin(admin, &AdminHandler::SetDefaultVersion);
-  AddAdmin(admin, &AdminHandler::SetLabel);
-  AddAdmin(admin, &AdminHandler::RemoveLabel);
-  AddAdmin(admin, &AdminHandler::SetTraffic);
-  AddAdmin(admin, &AdminHandler::SetTrafficShares);
-  AddAdmin(admin, &AdminHandler::SetShadow);
-  AddAdmin(admin, &AdminHandler::ListHistory);
-  AddAdmin(admin, &AdminHandler::ListSessions);
-  AddAdmin(admin, &AdminHandler::Drain);
-  AddAdmin(admin, &AdminHandler::GetUsage);
-  AddAdmin(admin, &AdminHandler::PushPolicy);
-  AddAdmin(admin, &AdminHandler::PullPolicy);
-  AddAdmin(admin, &AdminHandler::RemovePolicy);
-  AddAdmin(admin, &AdminHandler::StartRollout);
-  AddAdmin(admin, &AdminHandler::AbortRollout);
-  AddAdmin(admin, &AdminHandler::ListRollouts);
-  AddAdmin(admin, &AdminHandler::GetHead);
-  AddAdmin(admin, &AdminHandler::PromoteHead);
-  AddAdmin(admin, &AdminHandler::RollbackHead);
-  AddAdmin(admin, &AdminHandler::UndoCorrections);
-  AddAdmin(admin, &AdminHandler::PauseLearning);
-  AddAdmin(admin, &AdminHandler::ResumeLearning);
-  AddAdmin(admin, &AdminHandler::HoldSessions);
-  AddAdmin(admin, &AdminHandler::ResumeSessions);
-  AddAdmin(admin, &AdminHandler::ListHolds);
-  AddAdmin(admin, &AdminHandler::TakeControl);
-  Add(admin, &AdminHandler::SteerSession);  // as often as an agent acts, so it is not recorded
-  AddAdmin(admin, &AdminHandler::ReturnControl);
+  AddAdmin({admin, &AdminHandler::LoadPolicy});
+  AddAdmin({admin, &AdminHandler::UnloadPolicy});
+  AddAdmin({admin, &AdminHandler::ReloadPolicies});
+  AddAdmin({admin, &AdminHandler::SetDefaultVersion});
+  AddAdmin({admin, &AdminHandler::SetLabel});
+  AddAdmin({admin, &AdminHandler::RemoveLabel});
+  AddAdmin({admin, &AdminHandler::SetTraffic});
+  AddAdmin({admin, &AdminHandler::SetTrafficShares});
+  AddAdmin({admin, &AdminHandler::SetShadow});
+  AddAdmin({admin, &AdminHandler::ListHistory});
+  AddAdmin({admin, &AdminHandler::ListSessions});
+  AddAdmin({admin, &AdminHandler::Drain});
+  AddAdmin({admin, &AdminHandler::GetUsage});
+  AddAdmin({admin, &AdminHandler::PushPolicy});
+  AddAdmin({admin, &AdminHandler::PullPolicy});
+  AddAdmin({admin, &AdminHandler::RemovePolicy});
+  AddAdmin({admin, &AdminHandler::StartRollout});
+  AddAdmin({admin, &AdminHandler::AbortRollout});
+  AddAdmin({admin, &AdminHandler::ListRollouts});
+  AddAdmin({admin, &AdminHandler::GetHead});
+  AddAdmin({admin, &AdminHandler::PromoteHead});
+  AddAdmin({admin, &AdminHandler::RollbackHead});
+  AddAdmin({admin, &AdminHandler::UndoCorrections});
+  AddAdmin({admin, &AdminHandler::PauseLearning});
+  AddAdmin({admin, &AdminHandler::ResumeLearning});
+  AddAdmin({admin, &AdminHandler::HoldSessions});
+  AddAdmin({admin, &AdminHandler::ResumeSessions});
+  AddAdmin({admin, &AdminHandler::ListHolds});
+  AddAdmin({admin, &AdminHandler::TakeControl});
+  Add({admin, &AdminHandler::SteerSession});  // as often as an agent acts, so it is not recorded
+  AddAdmin({admin, &AdminHandler::ReturnControl});
 }
 
 void Services::AddInferenceService() {
   const InferenceHandler* handler = handlers_.inference;
-  Add(handler, &InferenceHandler::ServerLive);
-  Add(handler, &InferenceHandler::ServerReady);
-  Add(handler, &InferenceHandler::ModelReady);
-  Add(handler, &InferenceHandler::ServerMetadata);
-  Add(handler, &InferenceHandler::ModelMetadata);
+  Add({handler, &InferenceHandler::ServerLive});
+  Add({handler, &InferenceHandler::ServerReady});
+  Add({handler, &InferenceHandler::ModelReady});
+  Add({handler, &InferenceHandler::ServerMetadata});
+  Add({handler, &InferenceHandler::ModelMetadata});
   // Its requests have the type of ModelStreamInfer's, too; MethodOf() means the unary method.
-  Add(handler, &InferenceHandler::ModelInfer);
-  Add(handler, &InferenceHandler::ModelConfig);
-  Add(handler, &InferenceHandler::ModelStatistics);
-  Add(handler, &InferenceHandler::RepositoryIndex);
-  AddAdmin(handler, &InferenceHandler::RepositoryModelLoad);
-  AddAdmin(handler, &InferenceHandler::RepositoryModelUnload);
+  Add({handler, &InferenceHandler::ModelInfer});
+  Add({handler, &InferenceHandler::ModelConfig});
+  Add({handler, &InferenceHandler::ModelStatistics});
+  Add({handler, &InferenceHandler::RepositoryIndex});
+  AddAdmin({handler, &InferenceHandler::RepositoryModelLoad});
+  AddAdmin({handler, &InferenceHandler::RepositoryModelUnload});
   AddCall(MethodNamed("ModelStreamInfer"),
           [this](Call* call, const Method& method, LoopServices* loop) {
             return std::make_shared<InferStreamCall>(&context_, call, method, handlers_.inference,

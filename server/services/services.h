@@ -105,23 +105,14 @@ class Services {
   void AddInferenceService();
   void AddStandardServices();
 
-  // The methods of all handlers have this form; see call_context.h.
-  template <typename H, typename Request, typename Response>
-  using HandlerMethod = absl::Status (H::*)(CallContext&, const Request&, Response*) const;
-
-  // Adds the method of these requests, which `handler.*answer` answers, on the loop or on a worker,
-  // by its cost.
-  template <typename H, typename Request, typename Response>
-  void Add(const H* handler, HandlerMethod<H, Request, Response> answer);
+  // Adds the method of these requests, which `handler` answers, on the loop or on a worker, by its
+  // cost.
+  void Add(Handler handler);
   // As Add. What only operators may call runs on their own worker and is recorded in the audit log,
   // because it changes something; the rest are lists.
-  template <typename H, typename Request, typename Response>
-  void AddAdmin(const H* handler, HandlerMethod<H, Request, Response> answer);
-  template <typename H, typename Request, typename Response>
-  void AddRecorded(const H* handler, HandlerMethod<H, Request, Response> answer);
-  template <typename Request, typename Response>
-  void AddBackground(BackgroundWorker* worker, Handler<Request, Response> handler,
-                     bool is_recorded = false);
+  void AddAdmin(Handler handler);
+  void AddRecorded(Handler handler);
+  void AddBackground(BackgroundWorker* worker, Handler handler, bool is_recorded = false);
   // Adds a method whose calls `open` opens; they are started here.
   using OpenCall = std::function<std::shared_ptr<ServiceCall>(Call*, const Method&, LoopServices*)>;
   void AddCall(const Method& method, OpenCall open);

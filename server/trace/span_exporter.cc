@@ -127,7 +127,7 @@ absl::StatusOr<int64_t> ReadRejectedSpans(absl::string_view response) {
 
 constexpr char kPath[] = "/opentelemetry.proto.collector.trace.v1.TraceService/Export";
 constexpr absl::Duration kStopTime = absl::Seconds(2);
-constexpr absl::Duration kFirstRetry = absl::Seconds(1);
+constexpr absl::Duration kFirstResend = absl::Seconds(1);
 // A collector that is restarted is back within the time of these tries: 15 seconds.
 constexpr int kTries = 5;
 
@@ -231,7 +231,7 @@ void SpanExporter::Send(const Batch& batch) {
   const auto spans = static_cast<double>(batch.size());
   const std::string request = FormatOtlp(options_, batch);
   absl::StatusOr<int64_t> rejected;
-  absl::Duration delay = kFirstRetry;
+  absl::Duration delay = kFirstResend;
   for (int tries = 1;; ++tries) {
     const auto response = client_->Call(kPath, request, TimeLeft());
     rejected = response.ok() ? ReadRejectedSpans(*response) : response.status();

@@ -110,8 +110,8 @@ TEST(SequentialTest, EqualsConfseq) {
 // with theta=1, trunc_scale=1 and the constant bets s / m; of the new version for 1 - x and 1 - m,
 // added to that of the stable version, at the least of all m.
 TEST(BettingTest, EqualsConfseq) {
-  const std::vector<Observed> fresh = {{0.2}, {0.4}, {0.1}, {0.5}, {0.3}, {0.2}, {0.45}};
-  const std::vector<Observed> stable = {{0.7}, {0.9}, {0.6}, {0.8}, {0.75}, {1.0}};
+  const std::vector<ObservedValue> fresh = {{0.2}, {0.4}, {0.1}, {0.5}, {0.3}, {0.2}, {0.45}};
+  const std::vector<ObservedValue> stable = {{0.7}, {0.9}, {0.6}, {0.8}, {0.75}, {1.0}};
   EXPECT_NEAR(LogBettingRatio(fresh, stable, 0.0), 1.1218506686222218, 1e-12);
   EXPECT_NEAR(LogBettingRatio(fresh, stable, 0.1), 0.7690228102869591, 1e-12);
   EXPECT_NEAR(LogBettingRatio({{{0.0, 15}, {1.0, 10}}}, {{{1.0, 30}, {0.0, 1}}}, 0.01),
