@@ -17,7 +17,7 @@ SOURCES = $(shell git ls-files --cached --others --exclude-standard '*.h' '*.cc'
   setup configure
 
 # Installs and builds only the server and spikectl. PLAY=1 keeps playing. A build folder that is configured already keeps its other targets.
-DEMO_PROCESSOR_MINUTES := 8
+DEMO_PROCESSOR_MINUTES := 6
 demo: export NINJA_STATUS = demo: 2/3 compiling, %f of %t files after %e s: $(EMPTY)
 demo:
 	@echo "demo: 1/3 installing 102 packages, the first time: 119 MB to download, 1 to 3 minutes"
