@@ -38,7 +38,7 @@ class Connection(ServerConnection):
             super().data_received(data[begin : begin + _PIECE])
 
     def send_data(self) -> None:
-        """Sends what is due, such as many pongs, at once: asyncio logs each write to a lost client."""
+        """Sends all that is due in one write, since asyncio logs each to a client that has gone."""
         due = self.protocol.data_to_send()
         data = b"".join(due)
         self.protocol.writes = [data] * bool(data) + [SEND_EOF] * (SEND_EOF in due)
