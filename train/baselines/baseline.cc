@@ -20,6 +20,7 @@ using Matrix = RowMajorMatrix<float>;
 constexpr double kRidge = 1e-6;  // of the standardised inputs, relative to the number of rows
 constexpr int kBatch = 256;
 constexpr int kMostIterations = 12'000, kMostQuickIterations = 1500;
+constexpr int64_t kMostPasses = 1000;  // over all rows, of which a short recording has few
 // The loss on held-out steps is checked after about an epoch. After so many checks without a new
 // lowest, the fit returns to the best weights with a lower rate, until that is below the least.
 constexpr int kLeastCheck = 50, kMostCheck = 300;
@@ -169,7 +170,8 @@ void Train(const ActionSpace& space, const Rows& training, const Rows& held_out,
            MlpTensors* tensors) {
   const int64_t rows = training.inputs.size(0);
   const auto check = static_cast<int>(std::clamp<int64_t>(rows / kBatch, kLeastCheck, kMostCheck));
-  const int most = fit.quick ? kMostQuickIterations : kMostIterations;
+  const int64_t most = std::min<int64_t>(fit.quick ? kMostQuickIterations : kMostIterations,
+                                         kMostPasses * (1 + rows / kBatch));
   Descent descent(space, held_out, tensors);
   for (int iteration = 1; iteration <= most; ++iteration) {
     const torch::Tensor batch = DrawBatch(fit.seed, iteration, rows);
