@@ -3,10 +3,12 @@
 #include "core/cli/printable_output.h"
 #include "core/cli/program.h"
 #include "train/commands.h"
+#include "train/trainer/device.h"
 #include "train/trainer/memory.h"
 
 int main(int argc, char** argv) {
   spikeserve::KeepFreedMemory();
+  spikeserve::UseThreads(1);  // a training may have more
   const spikeserve::PrintableOutput output;
   spikeserve::Program program("spiketrain", "Trains Spiking Decision Transformers");
   spikeserve::AddExpertCommand(program);

@@ -1,5 +1,6 @@
 #include "train/trainer/device.h"
 
+#include <ATen/Parallel.h>
 #include <dlfcn.h>
 #include <torch/cuda.h>
 
@@ -12,6 +13,15 @@
 #include "core/base/status.h"
 
 namespace spikeserve {
+namespace {
+
+// Returns a function of OpenBLAS; null if libtorch has another library for linear algebra.
+template <typename F>
+F* OpenBlas(const char* name) {
+  return reinterpret_cast<F*>(dlsym(RTLD_DEFAULT, name));
+}
+
+}  // namespace
 
 absl::StatusOr<torch::Device> DeviceNamed(absl::string_view name) {
   if (name == "cpu") return torch::Device(torch::kCPU);
@@ -43,11 +53,14 @@ absl::Status CheckDevice(torch::Device device, Arithmetic arithmetic) {
   return absl::OkStatus();
 }
 
+void UseThreads(int count) {
+  at::set_num_threads(count);
+  if (const auto set = OpenBlas<void(int)>("openblas_set_num_threads")) set(count);
+}
+
 void AdviseOnKernels() {
 #if defined(__x86_64__)
-  // libtorch may have another library for linear algebra.
-  const auto name =
-      reinterpret_cast<const char* (*)()>(dlsym(RTLD_DEFAULT, "openblas_get_corename"));
+  const auto name = OpenBlas<const char*()>("openblas_get_corename");
   if (name != nullptr && absl::string_view(name()) == "Prescott" &&
       __builtin_cpu_supports("avx2") != 0) {
     std::fputs(

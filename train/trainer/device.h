@@ -1,4 +1,5 @@
-// Where a training computes. Free functions, safe to call from many threads.
+// Where a training computes. Free functions, safe to call from many threads,
+// but UseThreads() only while nothing is computed.
 #pragma once
 
 #include <torch/types.h>
@@ -16,6 +17,10 @@ absl::StatusOr<torch::Device> DeviceNamed(absl::string_view name);
 // Returns INVALID_ARGUMENT if this arithmetic can be trained on the processor alone: integers
 // compute there exactly what the engines do.
 absl::Status CheckDevice(torch::Device device, Arithmetic arithmetic);
+
+// Computes with `count` threads, in OpenBLAS, too, which libtorch leaves with one for each
+// processor. On a busy machine these wait for each other many times as long as they work.
+void UseThreads(int count);
 
 // Prints to standard error what to set for a faster training, if there is something. OpenBLAS
 // before 0.3.25 takes its slowest kernels on processors that are younger than it (its issue 4267).

@@ -1,6 +1,5 @@
 #include "train/trainer/trainer.h"
 
-#include <ATen/Parallel.h>
 #include <torch/nn/utils/clip_grad.h>
 #include <torch/optim/adamw.h>
 #include <torch/serialize.h>
@@ -21,6 +20,7 @@
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
+#include "train/trainer/device.h"
 #include "train/trainer/initial_policy.h"
 
 namespace spikeserve {
@@ -211,7 +211,7 @@ Trainer::Trainer(Policy initial, const EpisodeSource& source, const TrainOptions
       model_(initial, options.surrogate, options.arithmetic, options.patches, options.seed,
              options.device),
       optimizer_(Optimizer::Make(model_.parameters(), options)) {
-  at::set_num_threads(options.threads);
+  UseThreads(options.threads);
   if (options.norm == NormTraining::kFade) model_.FadeNorms();
   if (source.resident()) {
     clips_ = std::make_unique<ClipSampler>(source.dataset(), split_.training, clip_);

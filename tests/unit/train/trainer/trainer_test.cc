@@ -1,5 +1,6 @@
 #include "train/trainer/trainer.h"
 
+#include <dlfcn.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -53,6 +54,16 @@ std::vector<float> AllWeights(const Trainer& trainer) {
                slot.tensor);
   }
   return all;
+}
+
+// Which libtorch does not tell how many it may have.
+TEST_F(TrainerTest, ItsThreadsAreThoseOfTheLinearAlgebra) {
+  const auto set = reinterpret_cast<void (*)(int)>(dlsym(RTLD_DEFAULT, "openblas_set_num_threads"));
+  const auto get = reinterpret_cast<int (*)()>(dlsym(RTLD_DEFAULT, "openblas_get_num_threads"));
+  if (set == nullptr || get == nullptr) GTEST_SKIP() << "libtorch has another library";
+  set(2);
+  const Trainer trainer(Initial(), source_, options_);
+  EXPECT_EQ(get(), 1);
 }
 
 TEST_F(TrainerTest, ResumedRunEqualsTheUninterruptedOne) {

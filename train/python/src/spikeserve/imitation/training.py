@@ -121,11 +121,9 @@ class Spiketrain:
     def _run(self, *arguments: str) -> str:
         command = [self.program, *arguments]
         self.commands.append(shlex.join(command))
-        environment = os.environ | {"OMP_NUM_THREADS": str(self.threads)}  # of `compare`
         finished = subprocess.run(
             command,
             cwd=self.folder,
-            env=environment,
             check=False,
             stdout=subprocess.PIPE,
             text=True,
