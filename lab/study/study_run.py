@@ -8,7 +8,6 @@ import csv
 import fcntl
 import hashlib
 import json
-import os
 import subprocess
 import time
 
@@ -107,9 +106,8 @@ class Workshop:
             return {int(line["iteration"]): float(line["validation_loss"]) for line in csv.DictReader(file)}
 
     def _program(self, *arguments):
-        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
         command = [self._spiketrain, *arguments]
-        finished = subprocess.run(command, cwd=self._folder, env=environment, check=False, capture_output=True, text=True)
+        finished = subprocess.run(command, cwd=self._folder, check=False, capture_output=True, text=True)
         if finished.returncode != 0:
             raise RuntimeError(f"{' '.join(command)}: status {finished.returncode}\n{finished.stderr[-2000:]}")
         return finished.stdout
