@@ -103,7 +103,6 @@ void AgentSession::Report(EndReport report, std::optional<double> episode_return
   for (const auto& listener : listeners_) {
     if (((*listener).*report)(session_, contribution())) is_taken = true;
   }
-  if (contribution() != nullptr) life_.OnContribution();
   if (contribution() != nullptr && !is_taken) contribution()->Append();
   if (!episode_return.has_value()) return;
   // A target may be more than the policy has ever reached.

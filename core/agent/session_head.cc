@@ -186,12 +186,14 @@ void SessionHead::MergeIntoFleet(int64_t episode, double episode_return, const C
   const bool is_logged = served_->log != nullptr;
   if (!is_logged && !learner.suspended) {
     served_->learning->MergeUnlessPaused([&] {
+      ++contributions_;
       outcome = fleet.Merge(contribution, clock.Now());
       served_->observer->OnHeadUpdate(outcome.update);
     });
   }
   TakeOutcome(outcome, summary);
   if (!is_logged || learner.suspended) return;
+  ++contributions_;
   contribution.summary = *summary;
   session->pending = std::make_shared<const Contribution>(std::move(contribution));
 }

@@ -60,6 +60,8 @@ class SessionHead {
   // Returns what the last episode that has ended contributes to the head of the fleet, from
   // NewContribution() until TakeMerged() finds its outcome; otherwise null.
   const std::shared_ptr<FleetContribution>& contribution() const { return contribution_; }
+  // Returns how many episodes have contributed to the head of the fleet in this process.
+  int64_t contributions() const { return contributions_; }
   // Makes the contribution of `session.pending`, if there is one.
   void NewContribution(const Session& session);
   // Completes the summary of the last episode when the outcome of its contribution is known.
@@ -86,6 +88,7 @@ class SessionHead {
   std::optional<Linear> private_head_;         // absent: the policy's or the fleet's head is used
   std::unique_ptr<FleetHead::Member> member_;  // null: of no fleet
   std::shared_ptr<FleetContribution> contribution_;
+  int64_t contributions_ = 0;
 };
 
 }  // namespace spikeserve

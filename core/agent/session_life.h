@@ -134,12 +134,9 @@ class SessionLife {
   void OnCounts(const Counts& counts) { counts_ += counts; }
   HelpSignals& help() { return help_; }
   const HelpSignals& help() const { return help_; }
-  void OnContribution() { ++contributions_; }
 
   // Returns the sum over the decisions of this life.
   const Counts& counts() const { return counts_; }
-  // Returns the episodes that had a contribution to the head of a fleet.
-  int64_t contributions() const { return contributions_; }
 
   // Returns the rewards after step 0 that were left out, and counted as 0.
   int64_t missing_rewards() const { return missing_rewards_; }
@@ -165,7 +162,6 @@ class SessionLife {
   int64_t missing_rewards_ = 0;
   std::optional<StepSource> last_source_;
   std::array<uint64_t, kSourceKinds> steps_by_source_ = {};
-  int64_t contributions_ = 0;
   Counts counts_;
   HelpSignals help_;
 };

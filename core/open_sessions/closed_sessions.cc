@@ -42,15 +42,21 @@ std::shared_ptr<SessionEntry> ClosedSessions::Find(const std::string& id,
   return found == end ? nullptr : found->second.entry;
 }
 
-std::vector<std::shared_ptr<SessionEntry>> ClosedSessions::Settle() {
+std::vector<std::shared_ptr<SessionEntry>> ClosedSessions::Settle(
+    absl::FunctionRef<void(SessionEntry&)> visit) {
   std::vector<std::shared_ptr<SessionEntry>> waiting;
   {
     absl::MutexLock lock(&mutex_);
     for (const auto& [name, closed] : closed_) waiting.push_back(closed.entry);
   }
-  std::erase_if(waiting, [](const auto& entry) {
-    absl::MutexLock lock(&entry->mutex);
-    return IsLost(*entry) || !entry->agent.Settle();
+  std::erase_if(waiting, [&](const auto& entry) {
+    bool waits = false;
+    {
+      absl::MutexLock lock(&entry->mutex);
+      waits = !IsLost(*entry) && entry->agent.Settle();
+    }
+    visit(*entry);
+    return !waits;
   });
   std::ranges::sort(waiting);
   const absl::Time now = absl::Now();

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
+#include "absl/functional/function_ref.h"
 #include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 
@@ -32,10 +33,11 @@ class ClosedSessions {
   std::shared_ptr<SessionEntry> Find(const std::string& id, const std::string& tenant)
       ABSL_LOCKS_EXCLUDED(mutex_);
 
-  // Learns from episodes whose time is over as they are. Forgets sessions for which no episode has
-  // waited for a minute, or none waits after their time, and returns them. To be called from time
-  // to time.
-  std::vector<std::shared_ptr<SessionEntry>> Settle() ABSL_LOCKS_EXCLUDED(mutex_);
+  // Learns from episodes whose time is over as they are, and then calls `visit` for every session.
+  // Forgets sessions for which no episode has waited for a minute, or none waits after their time,
+  // and returns them. To be called from time to time.
+  std::vector<std::shared_ptr<SessionEntry>> Settle(absl::FunctionRef<void(SessionEntry&)> visit)
+      ABSL_LOCKS_EXCLUDED(mutex_);
 
   int64_t size() const ABSL_LOCKS_EXCLUDED(mutex_);
 

@@ -284,7 +284,10 @@ int64_t SessionStore::RemoveIdle(absl::Duration time_to_live) {
     });
   }
   for (const auto& [id, entry] : idle) NotifyClosed(id, entry);
-  for (const auto& entry : closed_.Settle()) Forget(*entry);
+  const auto report = [&](SessionEntry& entry) {
+    if (on_closed_ != nullptr) on_closed_(entry);
+  };
+  for (const auto& entry : closed_.Settle(report)) Forget(*entry);
   return static_cast<int64_t>(idle.size());
 }
 

@@ -76,8 +76,9 @@ class SessionStore {
   absl::Status Restore(std::shared_ptr<const ServedPolicy> served, Session session,
                        SessionExtras extras);
 
-  // Calls `on_closed` for each session that has left the store, before its journal ends. To be
-  // called once, before sessions are opened.
+  // Calls `on_closed` for each session that has left the store, before its journal ends, and from
+  // time to time while its episodes wait for verdicts. To be called once, before sessions are
+  // opened.
   void SetOnClosed(std::function<void(SessionEntry&)> on_closed) {
     on_closed_ = std::move(on_closed);
   }

@@ -66,13 +66,14 @@ struct UsageCounts {
 // The first fields, over the life of a session.
 using UsageTotals = std::array<double, kJournalFields>;
 
-// What the ledger remembers of an open session. Guarded by the session's lock.
+// What the ledger remembers of a session. Guarded by the session's lock.
 struct SessionUsage {
   UsageCounts booked;          // of what this process has counted
   UsageTotals totals = {};     // that were booked last
   UsageTotals seen = {};       // totals at the last look, which may not be stored yet
   double seen_changes = -1.0;  // Session::changes() then; negative: not looked at yet
   double booked_at = 0.0;      // seconds of the clock
+  bool is_closed = false;      // all but the contributions is booked
 };
 
 }  // namespace spikeserve

@@ -107,7 +107,7 @@ class FileBackend final : public JournalBackend {
           }));
       visitor.visit(id, std::move(records));
     }
-    return absl::OkStatus();
+    return visitor.end();
   }
 
   // Removes old sessions, and dates the others from now on.
@@ -171,7 +171,8 @@ class FileBackend final : public JournalBackend {
     if (environment_ == nullptr) return absl::UnavailableError("session store: is not open");
     return VisitJournals({.begin = nullptr,
                           .wants = [](const std::string&, uint64_t) { return true; },
-                          .visit = visit});
+                          .visit = visit,
+                          .end = [] { return absl::OkStatus(); }});
   }
 
  private:

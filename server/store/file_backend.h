@@ -33,6 +33,8 @@ struct JournalVisitor {
   // Returns whether the journal of a session with so many decisions is to be read.
   std::function<bool(const std::string& id, uint64_t decisions)> wants;
   std::function<void(const std::string& id, std::vector<std::string> records)> visit;
+  // Called when `wants` has been asked about every session.
+  std::function<absl::Status()> end;
 };
 
 // Opens the store in `directory`, which is created if it does not exist, and removes the sessions

@@ -52,7 +52,7 @@ UsageCounts CountsOf(SessionEntry& entry, absl::Duration now)
   counts[UsageField::kLocal] = static_cast<double>(beats.local);
   counts[UsageField::kSafe] = static_cast<double>(beats.safe);
   counts[UsageField::kSessionSeconds] = absl::ToDoubleSeconds(now - entry.agent.created());
-  counts[UsageField::kContributions] = static_cast<double>(life.contributions());
+  counts[UsageField::kContributions] = static_cast<double>(entry.agent.contributions());
   counts[UsageField::kSessions] = entry.journal == nullptr || entry.journal->is_new() ? 1.0 : 0.0;
   return counts;
 }
@@ -100,13 +100,14 @@ Ledger::Ledger(LedgerOptions options, std::shared_ptr<UsageStore> books,
       clock_(*clock) {}
 
 void Ledger::Take(SessionEntry& entry, bool is_closed, Pending* pending) const {
-  const absl::Duration now = clock_.Now();
   SessionUsage& usage = entry.usage;
+  const bool was_closed = std::exchange(usage.is_closed, usage.is_closed || is_closed);
+  const absl::Duration now = was_closed ? absl::Seconds(usage.booked_at) : clock_.Now();
   const SessionJournal* const journal = entry.journal.get();
   // Of ASYNC, all is answered at once. It counts even if another server has taken the session over
   // before the store had it: whoever decides it again, the ledger takes the most of both.
   const bool is_answered = journal != nullptr && !journal->is_sync();
-  const bool is_stored = journal != nullptr && (is_answered || !journal->lost());
+  const bool is_stored = journal != nullptr && !was_closed && (is_answered || !journal->lost());
   UsageTotals totals = usage.totals;
   if (is_stored) {
     const UsageTotals stored = StoredTotals(entry);
@@ -119,7 +120,8 @@ void Ledger::Take(SessionEntry& entry, bool is_closed, Pending* pending) const {
   const bool is_due = seconds - usage.booked_at >= absl::ToDoubleSeconds(kRefresh);
   UsageCounts other = added;  // than time, which alone is booked now and then
   other[UsageField::kSessionSeconds] = 0.0;
-  if (!is_closed && !is_due && totals == usage.totals && other == UsageCounts()) return;
+  const bool is_end = is_closed && !was_closed;
+  if (!is_end && !is_due && totals == usage.totals && other == UsageCounts()) return;
   const std::string series = SeriesOf(entry.agent.session().options, options_.label).ToKey();
   pending->added[series] += added;
   if (is_stored) pending->totals.push_back({journal->stored_as(), series, totals});
@@ -226,12 +228,12 @@ void Ledger::FollowMonth() {
 }
 
 void Ledger::Maintain() {
-  const absl::Time now = options_.now();
+  const absl::Duration now = clock_.Now();
   if (now - maintained_ < kMaintenance) return;
   maintained_ = now;
-  Note("ledger not compacted; tries again", CompactUsage(*reads_, now));
+  Note("ledger not compacted; tries again", CompactUsage(*reads_, options_.now()));
   const absl::Duration life = std::max(options_.session_life, kRefresh) + kRemembered;
-  Note("ledger not compacted; tries again", reads_->Forget(now - life));
+  Note("ledger not compacted; tries again", reads_->Forget(life));
 }
 
 std::vector<TenantBudgets> Ledger::Budgets() const {

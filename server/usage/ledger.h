@@ -60,7 +60,8 @@ class Ledger {
          std::shared_ptr<UsageStore> reads, FindOwnerless find_ownerless, SessionStore* sessions,
          const Authenticator* authenticator, const Clock* clock);
 
-  // Takes what is left of a session that is closed. Called before the journal ends.
+  // Takes what is left of a session that is closed. Called before the journal ends, and again while
+  // its episodes wait for verdicts: what they contribute to the head of a fleet.
   void OnClosed(SessionEntry& entry) ABSL_LOCKS_EXCLUDED(mutex_);
   // Books what OnClosed() has taken. Called before the ends of journals are written. If that fails,
   // it is tried again, and only a crash until then loses it.
@@ -122,7 +123,7 @@ class Ledger {
 
   // Of the thread of Tick():
   std::map<std::string, std::pair<int64_t, int64_t>> calls_;  // refusals and bytes, by tenant
-  absl::Time maintained_ = absl::InfinitePast();
+  absl::Duration maintained_ = -absl::InfiniteDuration();     // of `clock_`
 
   mutable absl::Mutex mutex_;
   Pending closed_ ABSL_GUARDED_BY(mutex_);

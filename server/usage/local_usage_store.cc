@@ -43,12 +43,15 @@ std::string FormatTotals(absl::Time time, const UsageTotals& totals) {
   return text;
 }
 
-void ParseTotals(absl::string_view text, int64_t* seconds, UsageTotals* totals) {
+std::pair<int64_t, UsageTotals> ParseTotals(absl::string_view text) {
+  std::pair<int64_t, UsageTotals> parsed = {};
+  auto& [seconds, totals] = parsed;
   const std::vector<absl::string_view> parts = absl::StrSplit(text, ' ');
-  if (parts.size() != totals->size() + 1 || !absl::SimpleAtoi(parts[0], seconds)) return;
-  for (size_t i = 0; i < totals->size(); ++i) {
-    if (!absl::SimpleAtod(parts[i + 1], &(*totals)[i])) (*totals)[i] = 0.0;
+  if (parts.size() != totals.size() + 1 || !absl::SimpleAtoi(parts[0], &seconds)) return parsed;
+  for (size_t i = 0; i < totals.size(); ++i) {
+    if (!absl::SimpleAtod(parts[i + 1], &totals[i])) totals[i] = 0.0;
   }
+  return parsed;
 }
 
 // Returns the part that a key belongs to; empty: none.
@@ -59,6 +62,8 @@ absl::string_view PartOf(absl::string_view key) {
 
 class LocalStore final : public LocalUsageStore {
  public:
+  explicit LocalStore(const Clock* clock) : clock_(*clock), opened_(clock->Now()) {}
+
   // Locks and reads the folder.
   absl::Status OpenFolder(const std::string& directory) {
     std::error_code error;
@@ -83,19 +88,13 @@ class LocalStore final : public LocalUsageStore {
 
   double BookedDecisions(const std::string& session) override ABSL_LOCKS_EXCLUDED(mutex_) {
     absl::MutexLock lock(&mutex_);
-    int64_t seconds = 0;
-    UsageTotals booked = {};
-    if (const auto found = table_.find(absl::StrCat(kSessionPrefix, session));
-        found != table_.end()) {
-      ParseTotals(found->second, &seconds, &booked);
-    }
-    return booked[0];
+    return BookedTotals(absl::StrCat(kSessionPrefix, session))[0];
   }
 
   absl::Status Book(const UsageBatch& batch) override {
     absl::MutexLock lock(&mutex_);
     std::map<std::string, UsageCounts> added = batch.added;
-    for (const SessionTotals& session : batch.totals) BookTotals(batch, session, &added);
+    for (const SessionTotals& session : batch.totals) BookTotals(session, &added);
     const std::string part = OpenPart(batch.time);
     for (const auto& [series, counts] : added) {
       const bool fits =
@@ -164,18 +163,15 @@ class LocalStore final : public LocalUsageStore {
     return Flush();
   }
 
-  absl::Status Forget(absl::Time time) override {
-    absl::MutexLock lock(&mutex_);
-    std::vector<std::string> old;
-    for (auto at = table_.lower_bound(kSessionPrefix);
-         at != table_.end() && absl::StartsWith(at->first, kSessionPrefix); ++at) {
-      int64_t seconds = 0;
-      UsageTotals totals;
-      ParseTotals(at->second, &seconds, &totals);
-      if (seconds < absl::ToUnixSeconds(time)) old.push_back(at->first);
-    }
-    for (const std::string& key : old) Remove(key);
-    return Flush();
+  absl::Status Forget(absl::Duration unused) override {
+    const int64_t oldest = absl::ToUnixSeconds(Now() - unused);
+    return ForgetSessions([&](absl::string_view, int64_t seconds) { return seconds < oldest; });
+  }
+
+  absl::Status ForgetAllBut(const std::set<std::string>& sessions) override {
+    return ForgetSessions([&](absl::string_view session, int64_t) {
+      return !sessions.contains(std::string(session));
+    });
   }
 
  private:
@@ -194,7 +190,10 @@ class LocalStore final : public LocalUsageStore {
     RETURN_IF_ERROR(
         transaction.Scan(records, "", [&](absl::string_view key, absl::string_view value) {
           mutex_.AssertHeld();
-          Set(std::string(key), std::string(value));
+          // Nobody knows how long the server was off, and its sessions did not get older by it.
+          Set(std::string(key), absl::StartsWith(key, kSessionPrefix)
+                                    ? FormatTotals(Now(), ParseTotals(value).second)
+                                    : std::string(value));
         }));
     changed_.clear();
     return transaction.Commit();
@@ -223,22 +222,40 @@ class LocalStore final : public LocalUsageStore {
   }
 
   // Adds what is new since the session was booked to `added`.
-  void BookTotals(const UsageBatch& batch, const SessionTotals& session,
-                  std::map<std::string, UsageCounts>* added) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+  void BookTotals(const SessionTotals& session, std::map<std::string, UsageCounts>* added)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const std::string key = absl::StrCat(kSessionPrefix, session.session);
-    int64_t seconds = 0;
-    UsageTotals booked = {};
-    if (const auto found = table_.find(key); found != table_.end()) {
-      ParseTotals(found->second, &seconds, &booked);
-    }
+    UsageTotals booked = BookedTotals(key);
     UsageCounts& counts = (*added)[session.series];
     for (size_t i = 0; i < booked.size(); ++i) {
       const double more = std::max(0.0, session.totals[i] - booked[i]);
       counts.values[i] += more;
       booked[i] = std::max(booked[i], session.totals[i]);
     }
-    Set(key, FormatTotals(batch.time, booked));
+    Set(key, FormatTotals(Now(), booked));
   }
+
+  UsageTotals BookedTotals(const std::string& key) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
+    const auto found = table_.find(key);
+    return found == table_.end() ? UsageTotals() : ParseTotals(found->second).second;
+  }
+
+  // Forgets the totals of the sessions for which `is_old` returns true, by id and time.
+  template <typename IsOld>
+  absl::Status ForgetSessions(IsOld is_old) ABSL_LOCKS_EXCLUDED(mutex_) {
+    absl::MutexLock lock(&mutex_);
+    std::vector<std::string> old;
+    for (auto at = table_.lower_bound(kSessionPrefix); at != table_.end(); ++at) {
+      absl::string_view session = at->first;
+      if (!absl::ConsumePrefix(&session, kSessionPrefix)) break;
+      if (is_old(session, ParseTotals(at->second).first)) old.push_back(at->first);
+    }
+    for (const std::string& key : old) Remove(key);
+    return Flush();
+  }
+
+  // Returns the time of day at which the store was opened, and what has passed since then.
+  absl::Time Now() const { return opened_at_ + (clock_.Now() - opened_); }
 
   std::string RevisionOf(const std::string& part) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) {
     const auto found = revisions_.find(part);
@@ -262,6 +279,9 @@ class LocalStore final : public LocalUsageStore {
     return absl::OkStatus();
   }
 
+  const Clock& clock_;
+  const absl::Duration opened_;  // of `clock_`
+  const absl::Time opened_at_ = absl::Now();
   FileDescriptor lock_;  // of the folder, so that no other server uses it
   absl::Mutex mutex_;
   Table table_ ABSL_GUARDED_BY(mutex_);
@@ -274,9 +294,10 @@ class LocalStore final : public LocalUsageStore {
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<LocalUsageStore>> LocalUsageStore::Open(
-    const std::string& directory) {
-  auto store = std::make_unique<LocalStore>();
+absl::StatusOr<std::unique_ptr<LocalUsageStore>> LocalUsageStore::Open(const std::string& directory,
+                                                                       const Clock* clock) {
+  static const SteadyClock steady;
+  auto store = std::make_unique<LocalStore>(clock == nullptr ? &steady : clock);
   if (!directory.empty()) RETURN_IF_ERROR(store->OpenFolder(directory));
   return store;
 }

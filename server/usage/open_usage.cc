@@ -55,12 +55,14 @@ JournalVisitor UsageStores::visitor() {
           },
           .wants =
               [this](const std::string& id, uint64_t decisions) {
+                stored_.insert(id);
                 return local_->BookedDecisions(id) < static_cast<double>(decisions);
               },
           .visit =
               [this](const std::string& id, const std::vector<std::string>& records) {
                 AddTotals(id, records, usage_options_.label, &found_);
-              }};
+              },
+          .end = [this] { return local_->ForgetAllBut(std::exchange(stored_, {})); }};
 }
 
 absl::Status UsageStores::Open() {

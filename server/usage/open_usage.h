@@ -8,6 +8,7 @@
 #pragma once
 
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -48,6 +49,7 @@ class UsageStores {
   const StoreOptions store_options_;
   const UsageOptions usage_options_;
   std::shared_ptr<LocalUsageStore> local_;
+  std::set<std::string> stored_;  // sessions, while their journals are visited
   std::vector<SessionTotals> found_;
 };
 

@@ -25,9 +25,10 @@ namespace spikeserve {
 namespace {
 
 // Books a batch, unless the process has booked it already. KEYS: processes, sessions, the open
-// part, the month, open parts. ARGV: process, number, seconds, name of the open part, most series,
-// series, sessions. A field of the last two ends with the byte 254: series, other series, tenant
-// and counts; and session, series, other series, tenant and totals.
+// part, the month, open parts. ARGV: process, number, name of the open part, most series, series,
+// sessions. A field of the last two ends with the byte 254: series, other series, tenant and
+// counts; and session, series, other series, tenant and totals. Times are those of Redis, by which
+// journals expire.
 constexpr char kBook[] = R"(
 local last = redis.call('HGET', KEYS[1], ARGV[1])
 if last and tonumber(string.match(last, '^%d+')) >= tonumber(ARGV[2]) then return 0 end
@@ -56,9 +57,10 @@ local function count(series, other, tenant, counts)
   add(rows[series], counts)
   add(tenants[tenant], counts)
 end
-local added = fields(ARGV[6])
+local seconds = redis.call('TIME')[1]
+local added = fields(ARGV[5])
 for i = 1, #added, 4 do count(added[i], added[i + 1], added[i + 2], parse(added[i + 3])) end
-local sessions = fields(ARGV[7])
+local sessions = fields(ARGV[6])
 for i = 1, #sessions, 5 do
   local booked = parse(redis.call('HGET', KEYS[2], sessions[i]))
   local more = {}
@@ -69,7 +71,7 @@ for i = 1, #sessions, 5 do
     totals[j] = math.max(totals[j], before)
   end
   count(sessions[i + 1], sessions[i + 2], sessions[i + 3], more)
-  redis.call('HSET', KEYS[2], sessions[i], ARGV[3] .. ' ' .. format(totals))
+  redis.call('HSET', KEYS[2], sessions[i], seconds .. ' ' .. format(totals))
 end
 local function store(key, field, counts)
   local sums = parse(redis.call('HGET', key, field))
@@ -78,13 +80,13 @@ local function store(key, field, counts)
 end
 redis.call('HINCRBY', KEYS[3], '', 1)
 for series, counts in pairs(rows) do
-  local fits = redis.call('HLEN', KEYS[3]) <= tonumber(ARGV[5]) or
+  local fits = redis.call('HLEN', KEYS[3]) <= tonumber(ARGV[4]) or
                redis.call('HEXISTS', KEYS[3], series) == 1
   store(KEYS[3], fits and series or counts.other, counts)
 end
 for tenant, counts in pairs(tenants) do store(KEYS[4], tenant, counts) end
-redis.call('SADD', KEYS[5], ARGV[4])
-redis.call('HSET', KEYS[1], ARGV[1], ARGV[2] .. ' ' .. ARGV[3])
+redis.call('SADD', KEYS[5], ARGV[3])
+redis.call('HSET', KEYS[1], ARGV[1], ARGV[2] .. ' ' .. seconds)
 return 1)";
 
 // KEYS: packed parts, the source if it is open, open parts. ARGV: source, its revision, target, its
@@ -102,14 +104,16 @@ redis.call('SREM', KEYS[3], ARGV[1])
 redis.call('HDEL', KEYS[1], ARGV[1], ARGV[1] .. ':r')
 return 1)";
 
-// Removes the fields of a part of a hash that are older, and returns the cursor of the next part.
-// The time is the number at `ARGV[3]` of a field. KEYS: hash. ARGV: cursor, seconds, position.
+// Removes the fields of a part of a hash that are older than so many seconds, and returns the
+// cursor of the next part. The time is the number at `ARGV[3]` of a field. KEYS: hash. ARGV:
+// cursor, seconds, position.
 constexpr char kForget[] = R"(
+local oldest = redis.call('TIME')[1] - ARGV[2]
 local found = redis.call('HSCAN', KEYS[1], ARGV[1], 'COUNT', 500)
 for i = 1, #found[2], 2 do
   local numbers = {}
   for number in string.gmatch(found[2][i + 1], '%S+') do numbers[#numbers + 1] = tonumber(number) end
-  if (numbers[tonumber(ARGV[3])] or 0) < tonumber(ARGV[2]) then
+  if (numbers[tonumber(ARGV[3])] or 0) < oldest then
     redis.call('HDEL', KEYS[1], found[2][i])
   end
 end
@@ -162,9 +166,8 @@ class RedisUsageStore final : public UsageStore {
     const std::string part = OpenPart(batch.time);
     return Run(/*writes=*/true,
                {"EVAL", kBook, "5", kProcessesKey, kSessionsKey, OpenKey(part),
-                RedisMonthKey(batch.time), kOpenKey, batch.source, absl::StrCat(batch.number),
-                absl::StrCat(absl::ToUnixSeconds(batch.time)), part, absl::StrCat(kMostSeries),
-                series, sessions})
+                RedisMonthKey(batch.time), kOpenKey, batch.source, absl::StrCat(batch.number), part,
+                absl::StrCat(kMostSeries), series, sessions})
         .status();
   }
 
@@ -223,8 +226,8 @@ class RedisUsageStore final : public UsageStore {
         .status();
   }
 
-  absl::Status Forget(absl::Time time) override {
-    const std::string seconds = absl::StrCat(absl::ToUnixSeconds(time));
+  absl::Status Forget(absl::Duration unused) override {
+    const std::string seconds = absl::StrCat(absl::ToInt64Seconds(unused));
     for (const auto& [key, position] :
          {std::pair(kProcessesKey, "2"), std::pair(kSessionsKey, "1")}) {
       std::string cursor = "0";

@@ -11,6 +11,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -18,6 +19,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/time.h"
+#include "core/base/clock.h"
 #include "core/store/redis_options.h"
 #include "server/usage/usage_rows.h"
 
@@ -64,8 +66,9 @@ class UsageStore {
   virtual absl::Status Replace(const UsagePart& source, const UsagePart& target,
                                const std::string& packed) = 0;
 
-  // Forgets the totals of sessions that were not booked since `time`.
-  virtual absl::Status Forget(absl::Time time) = 0;
+  // Forgets the totals of sessions that were not booked for so long, by the clock by which the
+  // session store's journals get older: a time of day that is wrong makes nothing older.
+  virtual absl::Status Forget(absl::Duration unused) = 0;
 };
 
 // Keeps the ledger of one server in memory and, if it has a folder, in LMDB there.
@@ -75,11 +78,15 @@ class UsageStore {
 class LocalUsageStore : public UsageStore {
  public:
   // Opens the ledger in `directory`, which is created if it does not exist; empty: memory alone.
+  // `clock`, which must outlive the store, is the time that passes; null: that of the machine.
   // INVALID_ARGUMENT if the folder cannot be used.
-  static absl::StatusOr<std::unique_ptr<LocalUsageStore>> Open(const std::string& directory);
+  static absl::StatusOr<std::unique_ptr<LocalUsageStore>> Open(const std::string& directory,
+                                                               const Clock* clock = nullptr);
 
   // Returns how many decisions of a session were booked.
   virtual double BookedDecisions(const std::string& session) = 0;
+  // Forgets the totals of all other sessions, which the session store has no more.
+  virtual absl::Status ForgetAllBut(const std::set<std::string>& sessions) = 0;
 };
 
 // Keeps the ledger of all servers that share a Redis. Methods block for at most a few

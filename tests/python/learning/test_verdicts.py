@@ -134,7 +134,7 @@ def test_a_fleet_learns_although_its_robots_have_closed_their_sessions(replicas)
 
 def test_closed_sessions_are_no_robots_and_end(tmp_path):
     """They count as open until then. A fleet learns from what waits when its time is over; a private head is gone."""
-    flags = [f"--session_store=file:{tmp_path}/sessions", "--compact_after=1s", "--max_sessions=2"]
+    flags = [f"--session_store=file:{tmp_path}/sessions", "--compact_after=1s", "--max_sessions=2", "--usage_interval=50ms"]
     with running_server(flags=flags) as server:
         agent, admin = server.agent, server.admin
         for i, (scope, seconds) in enumerate((("SESSION", HOUR), ("FLEET", HOUR), ("FLEET", 1.0))):
@@ -153,6 +153,7 @@ def test_closed_sessions_are_no_robots_and_end(tmp_path):
         until(lambda: admin.ListSessions().stored_sessions == 1)
         agent.OpenSession(policy="cartpole")
         assert agent.AmendEpisode(**verdict("cartpole", 1, reward=1.0)).learning.updates == 1
+        until(lambda: admin.GetUsage().rows[0].usage.contributions == 2)
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import time
 import grpc
 import gymnasium
 import pytest
+from machine import Clock
 from random_policy import export_random
 from redis_servers import WITHOUT_REDIS, Redis, stopping
 from security import ADMIN, OBSERVATION, TOKENS, code_of, entry, fails_with, service_with, until
@@ -54,6 +55,25 @@ def test_a_killed_server_had_booked_nothing_and_loses_nothing(tmp_path):
             usage = total(server.admin)
             assert (usage.decisions, usage.spikes) == (28, spikes)
     assert usage.sessions == 1  # what the journals do not have ended with the process
+
+
+def test_the_days_that_a_server_was_off_count_nothing_again(tmp_path):
+    clock = Clock(tmp_path / "clock")
+    start = {"flags": [f"--session_store=file:{tmp_path}/store", OFTEN], "prefix": clock.prefix}
+    step = {"observation": OBSERVATION, "reward": 1.0}
+    with running_server(**start) as server:
+        session = server.agent.OpenSession(policy="cartpole", durability="SYNC").session_id
+        for t in range(20):
+            server.agent.Act(session_id=session, step=t, **step)
+    clock.jump(3 * 86400)
+    with running_server(**start) as server:
+        for others in (1, 2):  # when the second is counted, the ledger has forgotten what it forgets
+            play(server.agent, 1)
+            until(lambda: total(server.admin).decisions >= 20 + others)
+        server.agent.Act(session_id=session, step=20, **step)
+        play(server.agent, 1)
+        until(lambda: total(server.admin).decisions >= 24)
+        assert total(server.admin).decisions == 24
 
 
 @WITHOUT_REDIS

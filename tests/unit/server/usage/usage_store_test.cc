@@ -13,6 +13,7 @@
 #include "absl/strings/str_cat.h"
 #include "gtest/gtest.h"
 #include "server/usage/usage_rows.h"
+#include "tests/support/fake_clock.h"
 
 namespace spikeserve {
 namespace {
@@ -140,7 +141,7 @@ class LocalUsageStoreTest : public testing::Test {
   // Opens the folder, again.
   void Open() {
     store_ = nullptr;
-    auto opened = LocalUsageStore::Open(folder_);
+    auto opened = LocalUsageStore::Open(folder_, &clock_);
     ASSERT_TRUE(opened.ok()) << opened.status();
     store_ = *std::move(opened);
   }
@@ -150,6 +151,7 @@ class LocalUsageStoreTest : public testing::Test {
     return SumOf(*rows);
   }
 
+  FakeClock clock_;
   const std::string folder_;
   std::unique_ptr<LocalUsageStore> store_;
 };
@@ -169,7 +171,14 @@ TEST_F(LocalUsageStoreTest, BooksTheTotalsOfASessionOnce) {
   EXPECT_EQ(sum[UsageField::kDecisions], 7);
   EXPECT_EQ(sum[UsageField::kSpikes], 70);
   EXPECT_EQ(store_->BookedDecisions("id"), 7);
-  ASSERT_TRUE(store_->Forget(Day(11, 30, 1)).ok());
+  clock_.Advance(absl::Hours(2));
+  Open();  // the time without a server makes the totals no older
+  clock_.Advance(absl::Hours(1));
+  ASSERT_TRUE(store_->Forget(absl::Hours(1)).ok());
+  ASSERT_TRUE(store_->ForgetAllBut({"id"}).ok());
+  EXPECT_EQ(store_->BookedDecisions("id"), 7);
+  clock_.Advance(absl::Seconds(2));
+  ASSERT_TRUE(store_->Forget(absl::Hours(1)).ok());
   EXPECT_EQ(store_->BookedDecisions("id"), 0);
   EXPECT_EQ(store_->MonthOf(Day(11, 3))->at("tenant-1")[UsageField::kDecisions], 7);
 }
