@@ -24,7 +24,7 @@ bool RepeatsEnd(const Place& place, const Session& session) {
 // Returns whether the episode that the request names, by its decision, has ended, whatever was
 // decided since.
 bool HasEnded(const Place& place, const Session& session) {
-  return place.decision.has_value() && *place.episode + 1 == session.episode &&
+  return place.decision.has_value() && *place.episode == session.episode - 1 &&
          *place.decision + static_cast<uint64_t>(session.step) == session.decisions;
 }
 

@@ -100,7 +100,7 @@ absl::Status CheckForm(const Step& step) {
     return InvalidArgument("skipped_rewards", absl::StrCat("at most ", kMostSkippedRewards),
                            skipped);
   }
-  if (FirstStep(step) < skipped) {
+  if (*step.place.step < static_cast<int64_t>(step.history.size) + skipped) {
     return InvalidArgument(
         "history",
         absl::StrCat("at most ", *step.place.step, " beats and skipped_rewards before step ",
