@@ -61,8 +61,9 @@ struct DecisionRequest {
   const v1::ActRequest* request = nullptr;
   v1::ActResponse* response = nullptr;
   DecisionState state = DecisionState::kArriving;
-  int item = -1;         // index in the batch; -1: a request of its own
-  bool is_next = false;  // true: decides at the step that the session expects, so never a retry
+  int item = -1;          // index in the batch; -1: a request of its own
+  bool has_paid = false;  // counted at the tenant's rate
+  bool is_next = false;   // true: decides at the step that the session expects, so never a retry
   std::shared_ptr<SessionEntry> entry = nullptr;  // only while it is decided
   absl::Status status = absl::OkStatus();
   std::string policy = "";                         // of the session; empty: none was found

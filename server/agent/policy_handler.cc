@@ -119,8 +119,9 @@ size_t PolicyHandler::ActGroup(absl::Span<DecisionRequest* const> acts, Deferred
     if (absl::c_any_of(acts.first(size), is_of_session)) break;
     act.status = absl::OkStatus();
     act.Become(DecisionState::kWaiting);
-    // A request that goes on with its history has counted already.
-    if (act.step.result.started) act.context->has_paid = true;
+    // Handled again, with more of its history or after its session was taken over.
+    if (act.has_paid) act.context->has_paid = true;
+    act.has_paid = true;
     auto entry = FindForDecision(*act.context, *act.request);
     act.status = entry.status();
     if (!entry.ok()) {
@@ -158,6 +159,7 @@ int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest
                                  StepOutcome* progress, StepBudget* budget) const {
   SPIKESERVE_DCHECK(CheckBatch(request).ok());
   SPIKESERVE_DCHECK(first >= 0 && first <= request.requests_size());
+  SPIKESERVE_DCHECK(response->results_size() == request.requests_size());
   const int limit =
       std::min(request.requests_size(), first + static_cast<int>(kMaxSessionsPerGroup));
   int end = std::min(first + 1, limit);
@@ -167,10 +169,13 @@ int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest
   absl::InlinedVector<DecisionRequest, kMaxSessionsPerGroup> items;
   absl::InlinedVector<DecisionRequest*, kMaxSessionsPerGroup> acts;
   for (int i = first; i < end; ++i) {
+    v1::ActResult& result = *response->mutable_results(i);
+    if (result.has_response() || result.code() != 0) continue;
     items.push_back({.context = &context,
                      .request = &request.requests(i),
-                     .response = response->add_results()->mutable_response(),
+                     .response = result.mutable_response(),
                      .item = i,
+                     .has_paid = progress->started || context.has_claimed,
                      .received = received,
                      .step = {.result = std::exchange(*progress, {})}});
   }
@@ -181,7 +186,7 @@ int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest
   }
   for (const DecisionRequest& item : items) {
     if (!item.is_decided()) {
-      response->mutable_results()->RemoveLast();
+      response->mutable_results(item.item)->Clear();
       *progress = item.step.result;
       return first;
     }

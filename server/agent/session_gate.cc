@@ -243,7 +243,7 @@ void SessionGate::OnFound(Search& search, const std::string& id, const absl::Sta
   if (!claimed.ok() && !request.has_items()) {
     return request.Answer(failed ? claimed : search.status);
   }
-  request.call_context().commits.clear();
+  if (!request.has_items()) request.call_context().commits.clear();
   request.call_context().has_claimed = true;
   request.HandleAgain(search.unclaimed);
 }

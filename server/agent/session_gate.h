@@ -45,8 +45,9 @@ class GatedRequest {
   virtual std::vector<std::string> MissingSessions(const absl::Status& /*status*/) { return {}; }
   // Returns true for a batch: its items fail alone.
   virtual bool has_items() const { return false; }
-  // Handles the request from its start. `unclaimed` tells why sessions could not be taken over; it
-  // is empty unless the request has items. A request that only reads has CallContext::read now.
+  // Handles the request from its start, or those of its items that found no session. `unclaimed`
+  // tells why sessions could not be taken over; it is empty unless the request has items. A request
+  // that only reads has CallContext::read now.
   virtual void HandleAgain(const std::map<std::string, absl::Status>& /*unclaimed*/) {}
 
   // Returns true if the request only reads its session, which then stays with its owner.

@@ -49,6 +49,7 @@ void ActBatchCall::Handle() {
   // Counted before the first decision: a batch that was decided must be answered.
   if (status.ok()) status = HoldMessages(request().requests_size() * kAnswerBytes);
   if (!status.ok()) return End(status);
+  while (response()->results_size() < request().requests_size()) response()->add_results();
   decided_ = 0;
   received_at_ = context().clock->Now();
   progress_ = {};
@@ -78,7 +79,9 @@ std::vector<std::string> ActBatchCall::MissingSessions(const absl::Status& /*sta
 
 void ActBatchCall::HandleAgain(const std::map<std::string, absl::Status>& unclaimed) {
   unclaimed_ = unclaimed;
-  response()->Clear();
+  for (v1::ActResult& result : *response()->mutable_results()) {
+    if (IsMissing(result)) result.Clear();
+  }
   Handle();
 }
 

@@ -1,8 +1,10 @@
 """Limits of a tenant: the server rejects its excess calls and serves other tenants as before."""
 
+import json
+
 import grpc
-from security import OBSERVATION, POLICY, code_of, fails_with, service_with
-from serving import DEADLINE_SECONDS, message_class, method_of
+from security import OBSERVATION, POLICY, code_of, entry, fails_with, service_with
+from serving import DEADLINE_SECONDS, message_class, method_of, running_server
 
 
 def retry_delay(addresses, error):
@@ -71,6 +73,21 @@ def test_a_batch_over_the_limit_waits_for_its_answer(addresses):
         # The limit allows one request every 0.2 s, and a rejection takes at least 0.05 s. Without that delay the
         # server would reject all ten requests.
         assert not all([is_refused() for _ in range(10)])
+
+
+def test_a_batch_is_counted_and_decided_once(addresses, tmp_path):
+    """Also if the store is asked for a session that one of its items has not found."""
+    tokens = tmp_path / "tokens.json"
+    tokens.write_text(json.dumps({"tenants": {"ten": {"decisions_per_second": 10}}, "tokens": [entry("ten", "agent", "ten")]}))
+    with running_server(flags=[f"--tokens={tokens}", f"--session_store=file:{tmp_path}/store"]) as server:
+        with service_with(server, "ten") as ten:
+            session = ten.OpenSession(policy="cartpole", durability="SYNC").session_id
+            steps = [{"session_id": session, "step": t, "observation": OBSERVATION, "reward": 1.0} for t in range(9)]
+            results = ten.ActBatch(requests=[*steps[:4], steps[0] | {"session_id": "0" * 32}, *steps[4:]]).results
+    codes = [result.code for result in results]
+    assert codes == [0] * 4 + [grpc.StatusCode.NOT_FOUND.value[0]] + [0] * 5
+    assert [result.response.step for result in results if not result.code] == list(range(9))
+    assert [result.response.durable_decision for result in results if not result.code] == list(range(1, 10))
 
 
 def test_an_oversized_message_is_resource_exhausted(addresses):
