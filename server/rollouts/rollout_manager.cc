@@ -269,11 +269,11 @@ std::string RolloutManager::FindAbort(const std::string& policy, const CatalogPo
     // The answers to operators do not name tenants, whom they may not see.
     LogWarning(is_disputed ? "roll-out disputed" : "roll-out not disputed any more",
                {{"policy", policy}, {"tenant", verdict.tenant}, {"reason", verdict.reason}});
-    if (rollout.step > 0 && is_disputed) {
-      GoBack(policy, progress);
-    } else {
-      SaveOrLog(policy);
-    }
+  }
+  if (is_disputed && rollout.step > 0) {  // until that is written
+    GoBack(policy, progress);
+  } else if (has_changed) {
+    SaveOrLog(policy);
   }
   return "";
 }
@@ -291,14 +291,16 @@ void RolloutManager::GoBack(const std::string& policy, const Progress& progress)
 
 absl::Status RolloutManager::EnterStep(const std::string& policy, const Progress& progress,
                                        int64_t step) {
-  running_[policy].held_seconds = 0.0;
-  metrics_->EvidenceOf(policy, progress.rollout.version)->NextStep();
-  return Save(policy, [&](Rollout* changed, PolicySettings* settings) {
+  RETURN_IF_ERROR(Save(policy, [&](Rollout* changed, PolicySettings* settings) {
+    changed->held_seconds = 0.0;
     changed->step = step;
     changed->step_started = UnixSeconds();
     changed->episodes_at_step = CappedEpisodes(progress.new_version);
     settings->shares = SharesOf(*changed);
-  });
+  }));
+  running_[policy].held_seconds = 0.0;
+  metrics_->EvidenceOf(policy, progress.rollout.version)->NextStep();
+  return absl::OkStatus();
 }
 
 void RolloutManager::Advance(const std::string& policy, const Progress& progress) {

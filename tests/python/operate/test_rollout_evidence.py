@@ -37,8 +37,11 @@ def served(tmp_path, tokens):
     policies = tmp_path / "policies"
     for version in (STABLE, NEW):
         shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", policies / "cartpole" / str(version))
+    settings = tmp_path / "settings"
+    settings.mkdir()
     with (
-        running_server(policies, [f"--tokens={tokens}"]) as addresses,
+        (tmp_path / "log").open("w") as log,
+        running_server(policies, [f"--tokens={tokens}", f"--policy_settings={settings}/settings.json"], log=log) as addresses,
         service_with(addresses, "operator", ADMIN) as admin,
         service_with(addresses, "agent") as fleet,
         service_with(addresses, "rival") as rival,
@@ -236,7 +239,8 @@ def test_a_rollout_begins_with_a_part(served):
         rollout.start(steps=[100])
 
 
-def test_while_it_is_disputed_the_stable_version_serves(served):
+@pytest.mark.parametrize("is_written_at_once", [True, False])
+def test_while_it_is_disputed_the_stable_version_serves(served, tmp_path, is_written_at_once):
     """A version serves all sessions when one tenant's are found to be worse."""
     rollout, fleet, rival = served
     rollout.start(steps=[50, 100], hold_seconds=0.05, min_episodes=600)
@@ -254,6 +258,10 @@ def test_while_it_is_disputed_the_stable_version_serves(served):
         play(rival, 5, worse)
         return rollout.state().disputed
 
+    if not is_written_at_once:
+        settings = (tmp_path / "settings").rename(tmp_path / "away")
+        until(lambda: disputed() or "roll-out not changed" in (tmp_path / "log").read_text())
+        settings.rename(tmp_path / "settings")
     until(disputed)
     state = rollout.state()
     assert (rollout.name(), state.percent, state.step) == ("running", 50, 0)
