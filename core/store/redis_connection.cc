@@ -12,7 +12,8 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
-#include "absl/time/clock.h"
+#include "absl/time/time.h"
+#include "core/base/clock.h"
 #include "core/base/status_macros.h"
 
 namespace spikeserve {
@@ -132,12 +133,13 @@ absl::StatusOr<RedisReply> RedisConnection::ReadNext() {
   auto reply = Parse();
   if (!reply.ok() || *reply != nullptr) return reply;
   RETURN_IF_ERROR(SendAll());
-  const absl::Time end = absl::Now() + kTimeoutsOfReply * timeout_;
+  const SteadyClock clock;
+  const absl::Duration end = clock.Now() + kTimeoutsOfReply * timeout_;
   while (reply.ok() && *reply == nullptr) {
     RETURN_IF_ERROR(Receive());
     if (reply_bytes_ > kMostReplyBytes) return Failed("a reply is too large");
     reply = Parse();
-    if (reply.ok() && *reply == nullptr && absl::Now() > end) {
+    if (reply.ok() && *reply == nullptr && clock.Now() > end) {
       return Failed("a reply has not arrived in time");
     }
   }

@@ -37,7 +37,7 @@ int64_t SizeOf(absl::Span<const std::string> records) {
 constexpr char kLiving[] = R"(
 local time = redis.call('TIME')
 local now = time[1] * 1000 + math.floor(time[2] / 1000)
-return redis.call('ZRANGEBYSCORE', KEYS[1], now - ARGV[1], '+inf'))";
+return redis.call('ZRANGEBYSCORE', KEYS[1], now - ARGV[1], now + ARGV[1]))";
 
 // A session's hash in Redis.
 struct RedisSession {

@@ -39,6 +39,9 @@ local function keep_members(key, names, alive)
   local time = redis.call('TIME')
   local now = time[1] * 1000 + math.floor(time[2] / 1000)
   for name in string.gmatch(names, '[^\n]+') do redis.call('ZADD', key, now, name) end
+  for _, name in ipairs(redis.call('ZRANGEBYSCORE', key, '(' .. now, '+inf')) do
+    redis.call('ZADD', key, now, name)  -- the clock was set back
+  end
   redis.call('ZREMRANGEBYSCORE', key, '-inf', now - alive)
   redis.call('PEXPIRE', key, alive)
 end

@@ -19,11 +19,15 @@ if tonumber(found) + 1 ~= tonumber(ARGV[1]) then return 0 end
 redis.call('HSET', KEYS[1], 'revision', ARGV[1], 'settings', ARGV[2])
 return 1)";
 
-// Returns the members that were alive lately. KEYS: sorted set. ARGV: member, milliseconds.
+// Returns the members that were alive lately. Where the clock was set back, they were alive at most
+// now. KEYS: sorted set. ARGV: member, milliseconds.
 constexpr char kBeat[] = R"(
 local time = redis.call('TIME')
 local now = time[1] * 1000 + math.floor(time[2] / 1000)
 redis.call('ZADD', KEYS[1], now, ARGV[1])
+for _, member in ipairs(redis.call('ZRANGEBYSCORE', KEYS[1], '(' .. now, '+inf')) do
+  redis.call('ZADD', KEYS[1], now, member)
+end
 redis.call('ZREMRANGEBYSCORE', KEYS[1], '-inf', now - ARGV[2])
 return redis.call('ZRANGE', KEYS[1], 0, -1))";
 
@@ -86,9 +90,9 @@ local found = redis.call('HGETALL', KEYS[1])
 local reports = {}
 for i = 1, #found, 2 do
   local written, report = string.match(found[i + 1], '^(%d+) (.*)$')
-  if written and now - written <= tonumber(ARGV[3]) then
+  if written and math.abs(now - written) <= tonumber(ARGV[3]) then
     reports[#reports + 1] = found[i]
-    reports[#reports + 1] = string.format('%d', now - written)
+    reports[#reports + 1] = string.format('%d', math.max(0, now - written))
     reports[#reports + 1] = report
   else
     redis.call('HDEL', KEYS[1], found[i])

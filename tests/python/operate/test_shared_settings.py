@@ -254,6 +254,13 @@ def test_a_rollout_is_refused_while_a_live_replica_lacks_the_version(start):
     assert spikectl(replicas[:2], "rollout", "--policy=cartpole", "--version=4")[0] == 0
 
 
+def test_a_server_that_died_before_the_clock_of_redis_was_set_back(redis, start):
+    start("a")
+    later = int(redis.command("TIME")[0]) * 1000 + 3_600_000
+    assert redis.command(f"ZADD r {later} dead") == 1
+    until(lambda: b"dead" not in redis.command("ZRANGE r 0 -1"))
+
+
 def test_limits_are_divided(start, tmp_path):
     """Of a limit for a tenant, each of two replicas has half, so that the second decision waits twice as long."""
     tokens = tmp_path / "tokens.json"
