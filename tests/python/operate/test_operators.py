@@ -213,6 +213,55 @@ def test_tenants_and_roles(tmp_path):
         assert actions[:3] == ["TakeControl", "ResumeSessions", "HoldSessions"]
 
 
+def test_resume_ends_what_was_held_by_this_selection_alone(tmp_path):
+    tokens = tmp_path / "tokens.json"
+    tokens.write_text(json.dumps(TOKENS))
+    with running_server(flags=[f"--tokens={tokens}"]) as server, contextlib.ExitStack() as stack:
+
+        def operator(token):
+            client = stack.enter_context(spikeserve.Client(server.grpc, spikeserve.ClientOptions(token=token)))
+            return stack.enter_context(spikeserve.Operator(client, token))
+
+        def held():
+            return {hold.hold.id for hold in admin.ListHolds().holds}
+
+        admin = stack.enter_context(service_with(server, "machine", ADMIN))
+        machine, rival = operator("machine"), operator("rival-operator")
+        for name, selection in (
+            ("fleets", {"tenant": "fleet"}),
+            ("all", {"all_sessions": True}),
+            ("fleets-policy", {"tenant": "fleet", "policy": "cartpole"}),
+            ("policy", {"policy": "cartpole"}),
+        ):
+            machine.hold(**selection, hold_id=name, wait=0.0)
+        for nothing in ({}, {"hold_id": ""}, {"session_ids": []}):
+            with pytest.raises(ValueError, match="selection: expected a hold_id, a condition, or all_sessions"):
+                machine.resume(**nothing)
+        with pytest.raises(spikeserve.NotFoundError, match="received policy 'cartpole', version 1"):
+            machine.resume(policy="cartpole", version=1)
+        assert held() == {"fleets", "all", "fleets-policy", "policy"}
+        machine.resume(all_sessions=True)
+        machine.resume(policy="cartpole")
+        for again in ({"all_sessions": True}, {"policy": "cartpole"}):
+            with pytest.raises(spikeserve.NotFoundError, match="expected that of a hold, such as the one with tenant 'fleet', received"):
+                machine.resume(**again)
+        assert held() == {"fleets", "fleets-policy"}
+        machine.resume(tenant="fleet", policy="cartpole")
+
+        # An operator of one tenant sees what holds all sessions, and does not end it instead of its own.
+        for name, selection in (("all", {"all_sessions": True}), ("policy", {"policy": "cartpole"})):
+            machine.hold(**selection, hold_id=name, wait=0.0)
+            rival.hold(**selection, hold_id=f"rivals-{name}", wait=0.0)
+            rival.resume(**selection)
+        assert held() == {"fleets", "all", "policy"}
+        rival.hold(policy="cartpole", hold_id="rivals", wait=0.0)
+        other = operator("rival-operator")  # does not know the tenant of its token
+        with pytest.raises(spikeserve.NotFoundError, match="such as the one with tenant 'rival', received policy 'cartpole'"):
+            other.resume(policy="cartpole")
+        other.resume(policy="cartpole", tenant="rival")
+        assert held() == {"fleets", "all", "policy"}
+
+
 def test_one_operator_is_heard(server):
     with operating(server.grpc) as (client, ann), spikeserve.Operator(client, "bob") as bob:
         session = client.open_session("cartpole")

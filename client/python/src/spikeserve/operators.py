@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import grpc
+
 from spikeserve.admin import AdminClient
 from spikeserve.calls import Call
 from spikeserve.check import check
@@ -134,6 +136,7 @@ class Operator:
         self._admin = AdminClient(client.server, client.options, client.credentials)
         self._id = getpass.getuser() if operator_id is None else operator_id
         self._owner: dict[str, Replica] = {}  # of sessions, where they were last
+        self._tenant = ""  # that servers give to holds without one; "": none, or not known
 
     def __enter__(self) -> Self:
         return self
@@ -191,6 +194,8 @@ class Operator:
         if not held:
             raise next(error for _, error in answers)
         kept = all(answer.kept for answer in held)
+        if not tenant:
+            self._tenant = held[0].hold.selection.tenant
         ends = time.monotonic() + wait
         while True:
             verdict = self._verdict(hold_id, kept, stored=False)
@@ -217,21 +222,38 @@ class Operator:
         session_ids: Sequence[str] = (),
         all_sessions: bool = False,
     ) -> None:
-        """Ends a hold, by its id or by the selection that it was made with.
+        """Ends a hold by its id, or the holds that were made with exactly this selection.
 
-        NotFoundError if no server has such a hold.
+        Holds of an operator who sees one tenant are of that tenant: an `Operator` that has held
+        nothing itself needs `tenant` to end them by their selection. NotFoundError if no server has
+        such a hold that this operator may end.
         """
-        ids = {hold_id}
-        if not hold_id:
-            wanted = _selection(policy, version, tenant, label, session_ids, all_sessions)
-            lists = [answer for _, answer in self._everywhere("ListHolds")]
-            holds = [hold for answer in lists for hold in getattr(answer, "holds", ())]
-            ids = {hold.hold.id for hold in holds if _is_same(hold.selection, wanted)} or {""}
-        for one in ids:
-            answers = [answer for _, answer in self._everywhere("ResumeSessions", id=one)]
-            if all(isinstance(answer, SpikeserveError) for answer in answers):
-                # A server that was not reached may have the hold.
-                raise next((a for a in answers if not isinstance(a, NotFoundError)), answers[0])
+        if hold_id:
+            self._end(hold_id)
+            return
+        wanted = _selection(policy, version, tenant, label, session_ids, all_sessions)
+        expected = "a hold_id, a condition, or all_sessions for the hold of every session"
+        check(any(wanted.values()), "selection", expected, "none of them")
+        wanted["tenant"] = tenant or self._tenant
+        lists = [answer for _, answer in self._everywhere("ListHolds")]
+        holds = [hold for answer in lists for hold in getattr(answer, "holds", ())]
+        ended = False
+        for one in {hold.hold.id for hold in holds if _is_same(hold.selection, wanted)}:
+            try:
+                self._end(one)
+                ended = True
+            except NotFoundError:
+                pass  # another operator has ended it, or only one who sees all tenants may
+        if not ended:
+            failures = [answer for answer in lists if isinstance(answer, SpikeserveError)]
+            # A server that was not reached may have the hold.
+            raise failures[0] if failures else _no_such_hold(holds, wanted)
+
+    def _end(self, hold_id: str) -> None:
+        answers = [answer for _, answer in self._everywhere("ResumeSessions", id=hold_id)]
+        if all(isinstance(answer, SpikeserveError) for answer in answers):
+            # A server that was not reached may have the hold.
+            raise next((a for a in answers if not isinstance(a, NotFoundError)), answers[0])
 
     def _verdict(self, hold_id: str, kept: bool | None, stored: bool) -> HoldVerdict:
         newest: dict[tuple[str, str], tuple[int, HeldRobot]] = {}
@@ -328,10 +350,19 @@ def _selection(
 
 
 def _is_same(selection: Message, wanted: dict[str, Any]) -> bool:
-    return (
+    return bool(
         selection.policy == wanted["policy"]
         and selection.version == wanted["version"]
-        and wanted["tenant"] in ("", selection.tenant)
+        and selection.tenant == wanted["tenant"]
         and dict(selection.labels) == wanted["labels"]
         and list(selection.session_ids) == wanted["session_ids"]
     )
+
+
+def _no_such_hold(holds: Sequence[Message], wanted: dict[str, Any]) -> NotFoundError:
+    selections = [hold.selection for hold in holds if hold.selection.tenant]
+    near = [s.tenant for s in selections if _is_same(s, wanted | {"tenant": s.tenant})]
+    hint = f", such as the one with tenant {min(near)!r}" if near else ""
+    given = ", ".join(f"{name} {value!r}" for name, value in wanted.items() if value)
+    message = f"selection: expected that of a hold{hint}, received {given}"
+    return NotFoundError("ResumeSessions", grpc.StatusCode.NOT_FOUND, message)
