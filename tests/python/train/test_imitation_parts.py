@@ -337,14 +337,32 @@ def test_train_flags_that_a_later_stage_would_refuse_are_refused(flags, reason):
         ImitationOptions(train_flags=flags)
 
 
-def test_the_command_refuses_train_flags_before_it_records(tmp_path):
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("--train-flags=--arithmetic=integer", "train_flags: expected no --arithmetic"),
+        ("--train-flags=--slpoe=4", "train_flags: expected flags that `spiketrain train` takes, received --slpoe=4: "),
+        ("--train-flags=--slope=-1", "--slope: expected a number above 0, received -1"),
+        ("--mode=position", "mode: expected one of baseline, pos, route, full, dense, received 'position'"),
+        ("--hidden-size=50", "hidden_size: expected a multiple of heads = 4, received 50"),
+        ("--ticks=1000", "ticks: expected an integer from 1 to 256, received 1000"),
+        ("--silence=6:25,600:25", "silence: expected pairs HIDDEN:READOUT of percentages from 0 to 100, received 600:25"),
+        ("--silence=6:-1", "silence: expected pairs HIDDEN:READOUT of percentages from 0 to 100, received 6:-1"),
+    ],
+)
+def test_the_command_refuses_what_no_training_takes_before_it_records(tmp_path, flags, message):
     command = [sys.executable, "-m", "spikeserve", "imitate", "CartPole-v1", "--expert=home_made:balance"]
-    flags = [f"--out={tmp_path}/run", "--train-flags=--arithmetic=integer"]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    finished = run(*command, *flags, status=1, env=environment)
-    assert "train_flags: expected no --arithmetic" in finished.stderr
-    assert "received --arithmetic=integer" in finished.stderr
-    assert not (tmp_path / "run").exists()
+    finished = run(*command, f"--out={tmp_path}/run", flags, status=1, env=environment)
+    assert message in finished.stderr
+    assert not (tmp_path / "run").exists(), "corrected, the same command begins"
+
+
+def test_a_hidden_size_fits_the_heads_of_train_flags():
+    for flags in (("--heads=5",), ("--slope=4", "--heads", "5")):
+        assert ImitationOptions(hidden_size=50, train_flags=flags).hidden_size == 50
+        with pytest.raises(ValueError, match="hidden_size: expected a multiple of heads = 5, received 64"):
+            ImitationOptions(train_flags=flags)
 
 
 def test_wrappers_change_the_environment_and_its_name(tmp_path):

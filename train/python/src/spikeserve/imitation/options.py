@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
 from spikeserve.check import check
 from spikeserve.imitation.delays import Delays, parse_delay
+from spikeserve.model_config import ModelConfig
 
 # Environment seeds: those below are for data, those from the second on for the final figures.
 FIRST_SELECTION_SEED = 1_000_000
@@ -180,8 +182,24 @@ class ImitationOptions:
             "a number above 0",
             self.learning_rate,
         )
+        for rates in self.silence:
+            check(
+                len(rates) == 2 and all(0 <= rate <= 100 for rate in rates),
+                "silence",
+                "pairs HIDDEN:READOUT of percentages from 0 to 100",
+                ":".join(f"{rate:g}" for rate in rates),
+            )
         for flag in self.train_flags:
             _check_train_flag(flag)
+        self._check_shape()
+
+    def _check_shape(self) -> None:
+        """ValueError for a shape that no policy can have."""
+        names = ("mode", "hidden_size", "layers", "ticks", "context")
+        shape = {name: getattr(self, name) for name in names}
+        if heads := re.search(r"--heads[= ](\d+)", " ".join(self.train_flags)):
+            shape["heads"] = int(heads[1])
+        ModelConfig(**{name: value for name, value in shape.items() if value is not None})
 
 
 def _check_train_flag(flag: str) -> None:

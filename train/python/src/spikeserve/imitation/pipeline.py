@@ -78,6 +78,7 @@ def imitate(
     source = str(expert) if is_dataset(expert) else load_expert(expert)
     if isinstance(source, str):
         check_spaces(open_dataset(source), environment, source)
+    trainer.check_flags(options.train_flags)
     settings = {"environment": factory.name, "expert": _name_of(expert), **asdict(options)}
     journal = Journal(folder, settings, overwrite)
     return _Run(factory, source, options, trainer, journal).run()

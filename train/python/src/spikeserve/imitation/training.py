@@ -53,6 +53,19 @@ class Spiketrain:
     folder: pathlib.Path
     commands: list[str] = field(default_factory=list)
 
+    def check_flags(self, flags: Sequence[str]) -> None:
+        """ValueError if `spiketrain train` refuses flags, before it has data to train on."""
+        # It checks the number of episodes after the other values: a wrong one makes it end there.
+        finished = subprocess.run(
+            [self.program, "train", "--out=.", *flags, "--episodes=0"],
+            check=False,
+            capture_output=True,
+            text=True,
+        )
+        refusal = finished.stderr.strip()
+        expected = "flags that `spiketrain train` takes"
+        check("--episodes: " in refusal, "train_flags", expected, f"{shlex.join(flags)}: {refusal}")
+
     def train(self, training: Training, out: pathlib.Path) -> pathlib.Path:
         """Trains into the folder `out` and returns the policy. Continues an interrupted run."""
         flags = [
