@@ -19,10 +19,12 @@ from minari.data_collector.episode_buffer import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
 from spikeserve.flat_spaces import ActionMap, FlatEnvironment, ObservationMap
 from spikeserve.imitation.actors import Bursts, ExpertActor, RandomActor
+from spikeserve.imitation.baselines import return_warnings
 from spikeserve.imitation.datasets import read_dataset, write_dataset
 from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import play
 from spikeserve.imitation.experts import load_expert
+from spikeserve.imitation.figures import Figures
 from spikeserve.imitation.images import image_flags
 from spikeserve.imitation.options import ImitationOptions
 from spikeserve.imitation.pipeline import has_stalled
@@ -363,6 +365,18 @@ def test_a_hidden_size_fits_the_heads_of_train_flags():
         assert ImitationOptions(hidden_size=50, train_flags=flags).hidden_size == 50
         with pytest.raises(ValueError, match="hidden_size: expected a multiple of heads = 5, received 64"):
             ImitationOptions(train_flags=flags)
+
+
+def test_one_start_has_no_spread_that_could_make_a_difference_significant():
+    def figures(*returns):
+        return Figures(list(returns), decisions=1, spikes=0)
+
+    assert figures(1.0).falls_by(figures(3.0)) == (2.0, np.inf)
+    assert figures(1.0, 1.0).falls_by(figures(2.0, 4.0)) == (2.0, 1.0)
+    assert return_warnings(figures(1.0), {"a line": figures(9.0)}) == []
+    assert return_warnings(figures(1.0, 1.0), {"a line": figures(2.0, 4.0)}) == []
+    (warning,) = return_warnings(figures(1.0, 1.0), {"a line": figures(3.0, 4.0)})
+    assert warning == "a line returns more than the policy on the same 2 starts: by 2.5 ± 0.5"
 
 
 def test_wrappers_change_the_environment_and_its_name(tmp_path):

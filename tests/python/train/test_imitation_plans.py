@@ -7,6 +7,7 @@ import hidden_state
 import numpy as np
 import pytest
 from documentation import Shell, files_of
+from spikeserve.imitation import memory
 from spikeserve.imitation.actors import Bursts, ExpertActor, StudentActor
 from spikeserve.imitation.datasets import write_dataset
 from spikeserve.imitation.environments import EnvironmentFactory
@@ -88,6 +89,20 @@ def test_a_longer_lookback_lengthens_the_context(tmp_path):
     data = recorded(tmp_path, "CartPole-v1", push_left, 20)
     assert plan_training(options, *data).context == 8
     assert plan_training(dataclasses.replace(options, lookback=None, mirror=7), *data).context == 15
+
+
+def test_one_disturbed_episode_proves_nothing(tmp_path, monkeypatch):
+    """Though longer memories and the last action halve its error."""
+
+    def answer(episodes):
+        errors = {frames: (np.full(episodes, 1 / frames), np.full(episodes, 0.5 / frames)) for frames in (1, 2, 4)}
+        return lambda *_: memory.Answer(errors, disturbed=True)
+
+    data = recorded(tmp_path, "CartPole-v1", push_left, 2)
+    for episodes, context, noise in ((1, 2, 0.5), (2, 5, 0.0)):
+        monkeypatch.setattr(memory, "ask", answer(episodes))
+        plan = plan_training(OPTIONS, *data)
+        assert (plan.context, plan.action_noise) == (context, noise)
 
 
 def test_few_episodes_and_large_observations_are_not_asked(tmp_path):

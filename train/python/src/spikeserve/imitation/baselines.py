@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import math
 import pathlib
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,7 +16,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from spikeserve.imitation.episodes import Choice, Row
-from spikeserve.imitation.figures import Figures
+from spikeserve.imitation.figures import Figures, standard_error
 
 LARGEST_COMPARED = 128  # numbers of an observation; as in `spiketrain compare`
 
@@ -120,7 +119,7 @@ def return_warnings(policy: Figures, baselines: dict[str, Figures]) -> list[str]
     for name, figures in baselines.items():
         count = min(len(policy.returns), len(figures.returns))
         gains = np.array(figures.returns[:count]) - np.array(policy.returns[:count])
-        error = float(gains.std()) / math.sqrt(count)
+        error = standard_error(gains)
         if gains.mean() > 2 * error:
             lines.append(
                 f"{name} returns more than the policy on the same {count} starts: "

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spikeserve.engine import Engine
 from spikeserve.imitation.actors import DelayedStudentActor, RandomActor, StudentActor
@@ -14,6 +16,13 @@ from spikeserve.imitation.delays import AT_ONCE, Delays
 from spikeserve.imitation.environments import EnvironmentFactory
 from spikeserve.imitation.episodes import Actor, Episode, play
 from spikeserve.imitation.progress import progress_bar
+
+
+def standard_error(values: NDArray[np.float64]) -> float:
+    """Returns the standard error of the mean; infinite for fewer than two values."""
+    if len(values) < 2:
+        return math.inf
+    return float(values.std(ddof=1)) / math.sqrt(len(values))
 
 
 @dataclass(frozen=True)
@@ -63,7 +72,7 @@ class Figures:
     def falls_by(self, reference: Figures) -> tuple[float, float]:
         """Returns the mean fall from the reference on equal starts, and its standard error."""
         falls = np.array(reference.returns) - np.array(self.returns)
-        return float(falls.mean()), float(falls.std() / np.sqrt(len(falls)))
+        return float(falls.mean()), standard_error(falls)
 
     def to_json(self) -> dict[str, Any]:
         """Returns the fields and the means."""

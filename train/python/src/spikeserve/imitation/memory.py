@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from spikeserve.imitation.baselines import LARGEST_COMPARED
 from spikeserve.imitation.datasets import read_dataset
 from spikeserve.imitation.episodes import Episode, FlatAction
+from spikeserve.imitation.figures import standard_error
 from spikeserve.imitation.options import ImitationOptions
 
 _FRAMES = (1, 2, 4, 8, 16)
@@ -137,8 +138,8 @@ def ask(episodes: Sequence[Episode], space: spaces.Discrete | spaces.Box) -> Ans
 def _beats(challenger: Table, errors: Table, share: float) -> bool:
     """Returns whether errors of episodes fall to a share, by more than chance explains."""
     gains = errors - challenger
-    chance = gains.std() / np.sqrt(len(gains))
-    return bool(challenger.mean() < share * errors.mean() and gains.mean() > 2 * chance)
+    falls = challenger.mean() < share * errors.mean()
+    return bool(falls and gains.mean() > 2 * standard_error(gains))
 
 
 def _best(pair: tuple[Table, Table]) -> Table:
