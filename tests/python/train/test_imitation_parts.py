@@ -26,6 +26,7 @@ from spikeserve.imitation.episodes import play
 from spikeserve.imitation.experts import load_expert
 from spikeserve.imitation.figures import Figures
 from spikeserve.imitation.images import image_flags
+from spikeserve.imitation.insight import drift
 from spikeserve.imitation.options import ImitationOptions
 from spikeserve.imitation.pipeline import has_stalled
 from spikeserve.imitation.training import Spiketrain, Training
@@ -377,6 +378,23 @@ def test_one_start_has_no_spread_that_could_make_a_difference_significant():
     assert return_warnings(figures(1.0, 1.0), {"a line": figures(2.0, 4.0)}) == []
     (warning,) = return_warnings(figures(1.0, 1.0), {"a line": figures(3.0, 4.0)})
     assert warning == "a line returns more than the policy on the same 2 starts: by 2.5 ± 0.5"
+
+
+def test_the_drift_closes_its_environments():
+    opened = []
+
+    class Tracked(gymnasium.Wrapper):
+        def __init__(self, environment):
+            super().__init__(environment)
+            opened.append(self)
+
+        def close(self):
+            opened.remove(self)
+            super().close()
+
+    expert = load_expert(home_made.balance)
+    drift(EnvironmentFactory("CartPole-v1", [Tracked]), ExpertActor(expert), range(2))
+    assert opened == []
 
 
 def test_wrappers_change_the_environment_and_its_name(tmp_path):

@@ -88,7 +88,9 @@ def drift(
     `actor` plays the policy with the expert's labels. Errors that grow with the step come from
     states that the policy reaches and the data lack.
     """
-    space = factory.make().actions.space
+    environment = factory.make()
+    environment.close()
+    space = environment.actions.space
     episodes = list(play(factory.make, actor, iter(seeds), len(seeds)))
     errors = [_errors(space, episode) for episode in episodes]
     longest = max(map(len, errors))
