@@ -12,6 +12,7 @@ from redis_servers import WITHOUT_REDIS
 from security import TOKENS, fails_with, service_with, until
 from serving import DEPLOY, SHIPPED_POLICIES, run, running_server
 from spikeserve.conversion.recordings import read_file
+from spikeserve.reward_model import follow
 from stored_sessions import replicas_on, until_answered
 
 OBSERVATIONS = np.random.default_rng(5).uniform(-0.2, 0.2, (8, 4))
@@ -310,3 +311,25 @@ def test_a_reward_model_judges_what_was_recorded(tmp_path):
         until(lambda: len(list(folder.rglob("*.cbor"))) == 6)
         assert judge().count("return") == 5
         assert judge() == ""
+
+
+def test_a_verdict_that_is_refused_does_not_keep_the_others_waiting(tmp_path, capfd):
+    folder = tmp_path / "recordings"
+    lengths = []
+
+    def judge(episode):
+        lengths.append(episode.steps)
+        return {"rewards": [1.0] * (episode.steps - (episode.steps == 3))}  # one is wrong
+
+    with running_server(flags=[f"--record_dir={folder}"]) as server, spikeserve.Client(server.grpc) as client:
+        with client.open_session("cartpole", spikeserve.SessionOptions(record=True)) as session:
+            for steps in (3, 5):
+                for observation in OBSERVATIONS[:steps]:
+                    session.act(observation, 0.0)
+                session.end_episode(0.0, terminated=True)
+            until(lambda: len(list(folder.rglob("*.cbor"))) == 2)
+            seen = set()
+            judge_all = lambda: [amended.episode_return for _, amended in follow(folder, judge, client, "ada", seen)]
+            assert judge_all() == [5.0]
+            assert judge_all() == [] and lengths == [3, 5], "it is said once, and not asked again"
+            assert "rewards: expected 3 numbers, one a step, received 2" in capfd.readouterr().err

@@ -1,7 +1,8 @@
 """Judges the recorded episodes of a server: `python -m spikeserve reward_model`.
 
-    verdicts = follow(pathlib.Path("/tmp/recordings"), model, spikeserve.Client())
-    for path, amended in verdicts: ...
+    recordings, seen = pathlib.Path("/tmp/recordings"), set()
+    with spikeserve.Client() as client:
+        for path, amended in follow(recordings, model, client, "my model", seen): ...
 
 `model` is called with each Episode, and returns what Client.amend_episode takes: a dict such as
 {"rewards": [...]} or {"reward": 1.0, "success": True}, a number (the same as "reward"), or None.
@@ -14,11 +15,14 @@ import pathlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import grpc
+
 from spikeserve import (
     AmendedEpisode,
     Client,
     FailedPreconditionError,
     NotFoundError,
+    SpikeserveError,
 )
 from spikeserve.conversion.data import Episode
 from spikeserve.conversion.recordings import AMENDMENTS, files_of, read_file
@@ -26,14 +30,18 @@ from spikeserve.printing import say
 
 Model = Callable[[Episode], Any]
 
+# A wrong verdict, or another one than the episode has already: sent again, it is refused again.
+_FINAL = (grpc.StatusCode.INVALID_ARGUMENT, grpc.StatusCode.ALREADY_EXISTS)
+
 
 def follow(
     directory: pathlib.Path, model: Model, client: Client, name: str, seen: set[pathlib.Path]
 ) -> Iterator[tuple[pathlib.Path, AmendedEpisode]]:
     """Judges the episodes below `directory` that `name` has not judged, and yields the verdicts.
 
-    `seen` has those that need not be looked at again. An error of the server is raised; the next
-    call goes on with that episode, and sends the same verdict again.
+    `seen` has those that need not be looked at again. A verdict that the server refuses for good is
+    said on standard error. Another error is raised; the next call goes on with that episode, and
+    sends the same verdict again.
     """
     for path in files_of(directory):
         if path in seen:
@@ -54,12 +62,18 @@ def judge(path: pathlib.Path, model: Model, client: Client, name: str) -> Amende
         return None
     if not isinstance(verdict, dict):
         verdict = {"reward": float(verdict)}
+    refusal: SpikeserveError | None = None
     # The session may be closed, or its time may be over. Then the verdict is for the recording.
     for target in filter(None, (served.get("session"), path.parent.name)):
         try:
             return client.amend_episode(target, served["episode"], name, author=name, **verdict)
         except (NotFoundError, FailedPreconditionError) as error:
             refusal = error
+        except SpikeserveError as error:
+            if error.code not in _FINAL:
+                raise
+            refusal = error
+            break
     say(f"{path}: {refusal}", error=True)
     return None
 
