@@ -2,6 +2,7 @@
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
+#include <filesystem>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -60,6 +61,30 @@ absl::StatusOr<std::vector<uint64_t>> ParseSeeds(const TrainFlags& flags) {
     seeds.push_back(seed);
   }
   return seeds;
+}
+
+// Returns the flags of the training with one of the seeds.
+TrainFlags FlagsOf(const TrainFlags& flags, uint64_t seed) {
+  TrainFlags own = flags;
+  own.trainer.options.seed = seed;
+  own.gate.allow_loss = true;  // the best one is checked
+  own.out = absl::StrCat(flags.out, "/seed-", seed);
+  return own;
+}
+
+// Does what CheckOut() does for the directory of every seed, and for the policy in --out, which
+// --resume replaces only if one of these seeds has a checkpoint to continue from.
+absl::Status CheckOuts(const TrainFlags& flags, const std::vector<uint64_t>& seeds) {
+  bool continues = false;
+  for (const uint64_t seed : seeds) {
+    const TrainFlags own = FlagsOf(flags, seed);
+    RETURN_IF_ERROR(CheckOut(own));
+    continues |= flags.resume && std::filesystem::exists(own.out + "/checkpoint.pt");
+  }
+  if (continues) return absl::OkStatus();
+  TrainFlags whole = flags;
+  whole.resume = false;  // a checkpoint beside the policy is that of another run
+  return CheckOut(whole);
 }
 
 absl::Status CheckPlayable(const std::string& environment) {
@@ -121,13 +146,12 @@ absl::Status Finish(const TrainFlags& flags, std::vector<SeedRun> runs) {
 
 absl::Status TrainSeeds(const TrainFlags& flags, const std::string& command_line) {
   ASSIGN_OR_RETURN(const std::vector<uint64_t> seeds, ParseSeeds(flags));
+  // Before it records data or trains.
+  RETURN_IF_ERROR(CheckOuts(flags, seeds));
   std::optional<EpisodeSource> source;
   std::vector<SeedRun> runs;
   for (const uint64_t seed : seeds) {
-    TrainFlags own = flags;
-    own.trainer.options.seed = seed;
-    own.gate.allow_loss = true;  // the best one is checked
-    own.out = absl::StrCat(flags.out, "/seed-", seed);
+    const TrainFlags own = FlagsOf(flags, seed);
     // Without --data, every seed records its own.
     if (!source.has_value() || flags.data.empty()) {
       ASSIGN_OR_RETURN(EpisodeSource made, MakeSource(own));

@@ -75,8 +75,9 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
 // Trains with each of --seeds into --out/seed-N, one after the other, and prints the return of each
 // policy, their mean and their standard deviation. All policies play the same starts, from seed
 // 1,000,000 on, which no final evaluation uses. Copies the policy with the highest mean return to
-// --out/policy.safetensors. Returns INVALID_ARGUMENT if a seed is not a number or not unique, or if
-// spiketrain cannot play the environment.
+// --out/policy.safetensors. Returns INVALID_ARGUMENT if a seed is not a number or not unique, if
+// spiketrain cannot play the environment, or, before anything is recorded or trained, if CheckOut()
+// refuses --out or the directory of a seed.
 absl::Status TrainSeeds(const TrainFlags& flags, const std::string& command_line);
 
 }  // namespace spikeserve

@@ -149,6 +149,27 @@ awk "BEGIN { exit !($(return_of "$best") >= $(return_of "$other")) }" || fail "t
 grep -q "\"mean_return\": $(return_of 5 | sed -E 's/\.?0+$//')" seed5.json || fail "seed 5: $(cat seeds.txt seed5.json)"
 "$spiketrain" train --data=data.cbor --out=seeds "${tiny[@]}" --iterations=2 --seeds=4,5 --resume --json 2>/dev/null |
   grep -q "\"best_seed\": $best" || fail "--seeds with --resume"
+# Nothing is replaced unasked, and what is there is refused before anything is recorded or trained. --resume does not
+# replace the policy of another run either.
+mkdir second
+cp -r seeds/seed-5 second
+refuses "--out: expected another directory, --resume to continue the run, or --overwrite to replace it, received one with \
+second/seed-5/checkpoint.pt" train --out=second "${tiny[@]}" --iterations=2 --seeds=4,5
+[[ ! -e second/seed-4 ]] || fail "seed 4 was trained before seed 5 was refused"
+cp -r seed5 taken
+rm taken/checkpoint.pt
+for flag in --json --resume; do
+  refuses "--out: expected another directory, or --overwrite to replace it, received one with taken/policy.safetensors" \
+    train --data=data.cbor --out=taken "${tiny[@]}" --iterations=1 --seeds=4 "$flag"
+done
+cp seed5/checkpoint.pt taken
+refuses "--out: expected another directory, --resume to continue the run, or --overwrite to replace it, received one with \
+taken/checkpoint.pt" train --data=data.cbor --out=taken "${tiny[@]}" --iterations=1 --seeds=4 --resume
+refuses "--overwrite: expected no such flag beside --resume" \
+  train --data=data.cbor --out=taken "${tiny[@]}" --iterations=1 --seeds=4 --resume --overwrite
+[[ ! -e taken/seed-4 && $(sha taken/policy.safetensors) == $(sha seed5/policy.safetensors) ]] || fail "a refused --seeds"
+"$spiketrain" train --data=data.cbor --out=taken "${tiny[@]}" --iterations=1 --seeds=4 --overwrite >/dev/null 2>&1
+cmp taken/policy.safetensors taken/seed-4/policy.safetensors
 refuses '--seeds: expected different integers of at least 0, received 4' \
   train --data=data.cbor --out=x "${tiny[@]}" --seeds=4,4
 refuses '--seed: expected no such flag beside --seeds, received 3' train --data=data.cbor --out=x --seeds=4 --seed=3
