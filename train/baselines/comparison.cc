@@ -72,13 +72,6 @@ double PlayEpisode(const Baseline& baseline, Environment& environment, uint64_t 
   return episode_return;
 }
 
-// Returns the mean of `values`, and the standard error of the mean.
-std::pair<double, double> MeanAndError(const Eigen::ArrayXd& values) {
-  const auto count = static_cast<double>(values.size());
-  const double mean = values.mean();
-  return {mean, std::sqrt((values - mean).square().mean() / count)};
-}
-
 std::string ErrorKind(const BaselineComparison& comparison) {
   return comparison.is_discrete ? "share of other actions than in the data"
                                 : "mean squared difference of actions, mapped to [-1, 1]";
@@ -132,7 +125,7 @@ bool NeedsChanges(const ActionSpace& space, const StepTable& table) {
       return error;
     };
     const ImitationError one = error_of(1), two = error_of(2);
-    const ErrorDifference gain = Compare(one, two);
+    const MeanDifference gain = Compare(one, two);
     return gain.mean >= std::max(share * one.mean, least) && gain.is_significant();
   };
   const auto line = [&](const StepTable& half, const StepTable&, int frames) {
@@ -178,20 +171,18 @@ absl::Status PlayBaselines(absl::string_view environment, uint64_t first_seed,
 std::vector<std::string> Warnings(const BaselineComparison& comparison) {
   std::vector<std::string> warnings;
   for (const BaselineScore& score : comparison.baselines) {
-    const ErrorDifference error = Compare(comparison.policy, score.error);
+    const MeanDifference error = Compare(comparison.policy, score.error);
     if (error.is_significant()) {
       warnings.push_back(absl::StrFormat(
           "%s imitates better than the policy: error %.4f against %.4f (by %.4f ± %.4f)",
           score.baseline.Name(), score.error.mean, comparison.policy.mean, error.mean,
           error.standard_error));
     }
-    if (score.returns.empty()) continue;
-    const auto [gain, deviation] =
-        MeanAndError(AsVector(score.returns) - AsVector(comparison.policy_returns));
-    if (gain <= 2.0 * deviation) continue;
+    const MeanDifference gain = Compare(score.returns, comparison.policy_returns);
+    if (!gain.is_significant()) continue;
     warnings.push_back(absl::StrFormat("%s returns more than the policy: %.2f (by %.2f ± %.2f)",
-                                       score.baseline.Name(), AsVector(score.returns).mean(), gain,
-                                       deviation));
+                                       score.baseline.Name(), AsVector(score.returns).mean(),
+                                       gain.mean, gain.standard_error));
   }
   return warnings;
 }

@@ -68,7 +68,7 @@ absl::Status PlayBaselines(absl::string_view environment, uint64_t first_seed,
                            std::vector<double> policy_returns, BaselineComparison* comparison);
 
 // Returns one line for each baseline that is better than the policy by more than two standard
-// errors, in error or return, and says by how much.
+// errors, in error or return, and says by how much. One episode or start says nothing.
 std::vector<std::string> Warnings(const BaselineComparison& comparison);
 
 // A table for the terminal, followed by the warnings.

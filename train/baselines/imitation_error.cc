@@ -99,17 +99,18 @@ ImitationError ErrorOf(std::shared_ptr<const Policy> policy, const StepTable& ta
   return ErrorOf(space, outputs, table);
 }
 
-ErrorDifference Compare(const ImitationError& a, const ImitationError& b) {
-  // One of them may have no step with a weight.
-  if (a.episodes.empty() || a.episodes.size() != b.episodes.size()) {
-    return {0.0, std::numeric_limits<double>::infinity()};
-  }
-  const Eigen::ArrayXd differences = AsVector(a.episodes) - AsVector(b.episodes);
+MeanDifference Compare(const std::vector<double>& a, const std::vector<double>& b) {
+  if (a.empty() || a.size() != b.size()) return {0.0, std::numeric_limits<double>::infinity()};
+  const Eigen::ArrayXd differences = AsVector(a) - AsVector(b);
   const auto count = static_cast<double>(differences.size());
   const double mean = differences.mean();
   if (count < 2.0) return {mean, std::numeric_limits<double>::infinity()};
   const double variance = (differences - mean).square().sum() / (count - 1.0);
   return {mean, std::sqrt(variance / count)};
+}
+
+MeanDifference Compare(const ImitationError& a, const ImitationError& b) {
+  return Compare(a.episodes, b.episodes);  // one of them may have no step with a weight
 }
 
 }  // namespace spikeserve

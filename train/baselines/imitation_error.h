@@ -34,12 +34,15 @@ ImitationError ErrorOf(const ActionSpace& space, const RowMajorMatrix<float>& ou
 // returns-to-go, and computed by the engine of the server.
 ImitationError ErrorOf(std::shared_ptr<const Policy> policy, const StepTable& table);
 
-// A difference of two errors on the same episodes; 0 and infinity without any.
-struct ErrorDifference {
-  double mean = 0.0;            // over the episodes; positive: `b` is better
+// A mean difference of two models on the same episodes; 0 and infinity without any.
+struct MeanDifference {
+  double mean = 0.0;            // first minus second
   double standard_error = 0.0;  // infinite for a single episode
   bool is_significant() const { return mean > 2.0 * standard_error; }
 };
-ErrorDifference Compare(const ImitationError& a, const ImitationError& b);
+// Of values of each episode.
+MeanDifference Compare(const std::vector<double>& a, const std::vector<double>& b);
+// Of errors: positive if `b` is better.
+MeanDifference Compare(const ImitationError& a, const ImitationError& b);
 
 }  // namespace spikeserve

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "core/math/counter_random.h"
 #include "train/baselines/comparison.h"
@@ -135,7 +137,7 @@ TEST(ImitationErrorTest, MeansByElementAndEpisode) {
   // The best constant action is the second, which is wrong in the first step; the outputs are wrong
   // in the second.
   EXPECT_DOUBLE_EQ(wrong.explained, 0.0);
-  const ErrorDifference difference = Compare(error, wrong);
+  const MeanDifference difference = Compare(error, wrong);
   EXPECT_NEAR(difference.mean, (0.125 + 0.5 - 1.0 / 3.0) / 2.0, 1e-9);
   EXPECT_TRUE(difference.is_significant());
   EXPECT_FALSE(Compare(wrong, error).is_significant());
@@ -165,6 +167,21 @@ BaselineComparison Comparison(double policy, double baseline) {
   comparison.policy = Explaining(policy);
   comparison.baselines.emplace_back().error = Explaining(baseline);
   return comparison;
+}
+
+TEST(ComparisonTest, WarnsOfABaselineThatReturnsMoreOnSeveralStarts) {
+  BaselineComparison comparison = Comparison(0.9, 0.9);
+  const auto warnings = [&](std::vector<double> policy, std::vector<double> baseline) {
+    comparison.policy_returns = std::move(policy);
+    comparison.baselines[0].returns = std::move(baseline);
+    return Warnings(comparison);
+  };
+  EXPECT_THAT(warnings({}, {}), IsEmpty());
+  EXPECT_THAT(warnings({-119.33}, {-118.3}), IsEmpty());  // any two policies differ on one start
+  // The gains 1 and 3 have the standard error 1, with the divisor n - 1.
+  EXPECT_THAT(warnings({10, 20}, {11, 23}), IsEmpty());
+  EXPECT_THAT(warnings({10, 20, 30}, {12, 23, 34}),
+              ElementsAre("line on 1 frame returns more than the policy: 23.00 (by 3.00 ± 0.58)"));
 }
 
 PolicyVerdict JudgeShares(double policy, double baseline,
