@@ -174,7 +174,7 @@ std::string QuantizationRecord(const std::string& command_line,
   return record.dump();
 }
 
-// Judges by what was lost: a policy that was refused is not judged.
+// Judges by what was lost: a policy that was refused is not judged. One episode shows nothing.
 PolicyVerdict VerdictOf(const std::optional<RoundingLoss>& loss, double most) {
   PolicyVerdict verdict;
   if (!loss.has_value()) {
@@ -184,10 +184,14 @@ PolicyVerdict VerdictOf(const std::optional<RoundingLoss>& loss, double most) {
     verdict.advice.push_back("--data with recorded episodes, which measures the agreement");
     return verdict;
   }
-  const bool kept = !IsTooMuch(*loss, most);
-  verdict.grade = kept ? Grade::kGood : Grade::kBad;
   verdict.figures = {{"rounding_loss", ToJson(*loss)}};
   verdict.reason = ToText(*loss);
+  if (!loss->loss.is_bounded()) {
+    verdict.advice.push_back("more episodes, because chance may explain any loss in one");
+    return verdict;
+  }
+  const bool kept = !IsTooMuch(*loss, most);
+  verdict.grade = kept ? Grade::kGood : Grade::kBad;
   if (!kept) {
     verdict.advice.push_back("`spiketrain train --arithmetic=integer --init=POLICY`");
   }

@@ -1,6 +1,7 @@
 #include "train/evaluation/paired_evaluation.h"
 
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "absl/strings/str_format.h"
@@ -29,7 +30,8 @@ MeanInterval MeanWithInterval(const std::vector<double>& values) {
   const auto count = static_cast<double>(values.size());
   const double mean = AsVector(values).mean();
   const double squares = (AsVector(values).array() - mean).square().sum();
-  const double variance = count > 1.0 ? squares / (count - 1.0) : 0.0;
+  const double variance =
+      count > 1.0 ? squares / (count - 1.0) : std::numeric_limits<double>::infinity();
   const double margin = kDeviations * std::sqrt(variance / count);
   return {.mean = mean, .low = mean - margin, .high = mean + margin};
 }
@@ -63,10 +65,14 @@ std::string ToText(const PairedEvaluation& pair, absl::string_view first,
   const double after = pair.second.spikes_per_decision();
   std::string text = absl::StrFormat(
       "%s, %d episodes from seed %d\n"
-      "return %.2f %s, %.2f %s; difference %.3f (95%% interval %.3f to %.3f)\n",
+      "return %.2f %s, %.2f %s; difference %.3f (%s)\n",
       pair.first.environment, pair.first.options.episodes, pair.first.options.first_seed,
       pair.first.mean_return(), first, pair.second.mean_return(), second,
-      Rounded(difference.mean, 3), Rounded(difference.low, 3), Rounded(difference.high, 3));
+      Rounded(difference.mean, 3),
+      difference.is_bounded()
+          ? absl::StrFormat("95%% interval %.3f to %.3f", Rounded(difference.low, 3),
+                            Rounded(difference.high, 3))
+          : "one episode has no interval");
   if (before == 0.0) return text;  // a dense policy
   absl::StrAppendFormat(&text, "spikes per decision %.1f %s, %.1f %s (%+.2f%%)\n", before, first,
                         after, second, 100.0 * (after / before - 1.0));

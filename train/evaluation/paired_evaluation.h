@@ -1,6 +1,7 @@
 // Compares two policies on the same starts of their environment.
 #pragma once
 
+#include <cmath>
 #include <memory>
 #include <string>
 #include <vector>
@@ -22,15 +23,17 @@ struct PairedEvaluation {
   std::vector<double> differences() const;
 };
 
-// A mean with its 95% confidence interval, by the normal approximation.
+// A mean with its 95% confidence interval, by the normal approximation. The ends are infinite, in
+// JSON null, if there is only one value, which shows no spread.
 struct MeanInterval {
   double mean = 0.0;
   double low = 0.0;
   double high = 0.0;
+
+  bool is_bounded() const { return std::isfinite(high); }
 };
 
-// Returns the mean of `values` and its interval, whose ends are the mean if there is one value.
-// REQUIRES: at least one value.
+// Returns the mean of `values` and its interval. REQUIRES: at least one value.
 MeanInterval MeanWithInterval(const std::vector<double>& values);
 
 // Plays both policies as Evaluate does. Errors are those of Evaluate.

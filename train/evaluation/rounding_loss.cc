@@ -149,9 +149,12 @@ absl::Status CheckLoss(const RoundingLoss& loss, double largest, absl::string_vi
 
 std::string ToText(const RoundingLoss& loss) {
   return absl::StrFormat(
-      "the integers lost %.2f %% of the range of the %s (95 %%: %.2f to %.2f %%)",
-      Rounded(100.0 * loss.loss.mean, 2), loss.measure, Rounded(100.0 * loss.loss.low, 2),
-      Rounded(100.0 * loss.loss.high, 2));
+      "the integers lost %.2f %% of the range of the %s (%s)", Rounded(100.0 * loss.loss.mean, 2),
+      loss.measure,
+      loss.loss.is_bounded()
+          ? absl::StrFormat("95 %%: %.2f to %.2f %%", Rounded(100.0 * loss.loss.low, 2),
+                            Rounded(100.0 * loss.loss.high, 2))
+          : "one episode has no interval");
 }
 
 nlohmann::ordered_json ToJson(const RoundingLoss& loss) {

@@ -40,7 +40,8 @@ absl::StatusOr<RoundingLoss> ParseLostReturn(absl::string_view json);
 RoundingLoss LostAgreement(const Policy& parent, const Policy& rounded,
                            absl::Span<const Episode> episodes);
 
-// Returns whether the mean loss is larger than `largest`, and larger than chance explains at 95 %.
+// Returns whether the mean loss is larger than `largest`, and larger than chance explains at 95 %,
+// which may explain any loss in one episode.
 bool IsTooMuch(const RoundingLoss& loss, double largest);
 
 // Returns FAILED_PRECONDITION, with `advice`, if IsTooMuch().

@@ -228,6 +228,20 @@ refuses '--out: expected the file to write, received none' quantize --policy=who
 refuses '--policy: expected a policy file, received none' quantize --out=x
 refuses '--episodes: expected at least 1, received 0' quantize --policy=whole/policy.safetensors --out=x --episodes=0
 
+# One episode is no reason to refuse integers, and none to call them good.
+echo '{"before": [110], "after": [60], "random": [10]}' >once.json
+once=(quantize --policy=whole/policy.safetensors --out=once.safetensors --returns=once.json)
+"$spiketrain" "${once[@]}" >once.txt
+cat >once.expected <<'EOF'
+verdict: weak: the integers lost 50.00 % of the range of the return (one episode has no interval)
+try: more episodes, because chance may explain any loss in one
+EOF
+cmp once.txt once.expected
+refuses '--require: expected a verdict of good or better, received weak: the integers lost 50.00 % of the range of the return '\
+'(one episode has no interval)' "${once[@]}" --require=good
+"$spiketrain" eval --policy=whole/policy.safetensors --against=whole/policy.safetensors --episodes=1 >once.txt
+grep -q 'difference 0.000 (one episode has no interval)$' once.txt || fail "$(cat once.txt)"
+
 # Leaves hidden neurons out. The record names the calibration set.
 "$spiketrain" quantize --prune --policy=whole/policy.safetensors --data=data.cbor --out=new/3/policy.safetensors \
   --episodes=3 --allow_loss >/dev/null

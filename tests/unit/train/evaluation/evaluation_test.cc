@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <memory>
 #include <utility>
 #include <vector>
@@ -95,10 +96,13 @@ TEST(MeanWithIntervalTest, IsThatOfTheNormalApproximation) {
   EXPECT_NEAR(interval.high, 3.0 + 2.117003, 1e-5);
 }
 
-TEST(MeanWithIntervalTest, OneValueHasNoSpread) {
+TEST(MeanWithIntervalTest, OneValueHasNoInterval) {
   const MeanInterval interval = MeanWithInterval({-2.0});
-  EXPECT_EQ(interval.low, -2.0);
-  EXPECT_EQ(interval.high, -2.0);
+  EXPECT_EQ(interval.mean, -2.0);
+  EXPECT_EQ(interval.low, -HUGE_VAL);
+  EXPECT_EQ(interval.high, HUGE_VAL);
+  EXPECT_FALSE(interval.is_bounded());
+  EXPECT_TRUE(MeanWithInterval({-2.0, -2.0}).is_bounded());
 }
 
 TEST(EvaluatePairTest, APolicyDoesNotDifferFromItself) {
@@ -183,6 +187,17 @@ TEST(LostReturnTest, ASmallLossAndOneThatChanceExplainsAreAccepted) {
   const PairedEvaluation noise = Returning({500, 400, 500, 450}, {400, 500, 450, 420});
   EXPECT_GT(LostReturn(policy, noise)->loss.mean, 0.01);
   EXPECT_FALSE(IsTooMuch(*LostReturn(policy, noise), 0.01));
+}
+
+TEST(LostReturnTest, OneEpisodeShowsNoLoss) {
+  const PairedEvaluation one = Returning({500}, {170});
+  const auto loss = LostReturn(CartPolePolicy(1), one);
+  ASSERT_TRUE(loss.ok()) << loss.status();
+  EXPECT_FALSE(IsTooMuch(*loss, 0.01));
+  EXPECT_THAT(ToText(*loss), HasSubstr("of the range of the return (one episode has no interval)"));
+  EXPECT_THAT(ToText(one, "before", "after"),
+              HasSubstr("difference -330.000 (one episode has no interval)"));
+  EXPECT_EQ(ToJson(*loss)["share_95_percent"].dump(), "[null,null]");
 }
 
 TEST(LostReturnTest, APolicyThatIsNoBetterThanChanceHasNothingToLose) {
