@@ -48,8 +48,11 @@ absl::Status MakeDirectory(const std::string& path) {
       absl::StrCat("--out: cannot make the directory ", path, ": ", error.message()));
 }
 
+// The validation losses of a run, by iteration; none without validation data.
+using ValidationLosses = std::vector<std::pair<int, double>>;
+
 // Writes the losses of a run to OUT/learning_curve.csv. A run that continues keeps the rows up to
-// its checkpoint.
+// its checkpoint, and is judged by their validation losses, too.
 class LearningCurve {
  public:
   LearningCurve(const TrainFlags& flags, int iteration)
@@ -58,31 +61,37 @@ class LearningCurve {
     const absl::StatusOr<std::string> earlier = ReadFile(path_);
     if (!earlier.ok()) return;
     for (const absl::string_view row : absl::StrSplit(*earlier, '\n', absl::SkipEmpty())) {
+      const std::vector<absl::string_view> cells = absl::StrSplit(row, ',');
       int of_row = 0;
-      const std::pair<absl::string_view, absl::string_view> cells =
-          absl::StrSplit(row, absl::MaxSplits(',', 1));
-      if (!absl::SimpleAtoi(cells.first, &of_row) || of_row > iteration) continue;
+      double validation = 0.0;
+      if (cells.size() != 3 || !absl::SimpleAtoi(cells[0], &of_row) || of_row > iteration ||
+          !absl::SimpleAtod(cells[2], &validation)) {
+        continue;
+      }
       absl::StrAppend(&text_, row, "\n");
+      losses_.emplace_back(of_row, validation);
     }
   }
 
   absl::Status Add(int iteration, double loss, double validation) {
-    absl::StrAppendFormat(&text_, "%d,%.6g,%.6g\n", iteration, loss, validation);
+    losses_.emplace_back(iteration, validation);
+    // All digits, so that a run that continues is judged as one that was not interrupted.
+    absl::StrAppendFormat(&text_, "%d,%.6g,%.17g\n", iteration, loss, validation);
     return WriteFileAtomically(path_, {text_});
   }
+
+  const ValidationLosses& losses() const { return losses_; }
 
  private:
   static constexpr char kHeader[] = "iteration,loss,validation_loss\n";
   const std::string path_;
   std::string text_;
+  ValidationLosses losses_;
 };
 
 std::string ArithmeticFlag(const TrainFlags& flags) {
   return absl::StrCat("--arithmetic=", std::string(ToString(flags.trainer.options.arithmetic)));
 }
-
-// The validation losses of a run, by iteration; none without validation data.
-using ValidationLosses = std::vector<std::pair<int, double>>;
 
 // Trains to the end.
 absl::StatusOr<ValidationLosses> TrainToEnd(const TrainFlags& flags, const std::string& checkpoint,
@@ -91,7 +100,6 @@ absl::StatusOr<ValidationLosses> TrainToEnd(const TrainFlags& flags, const std::
   ProgressBar progress(flags.trainer.options.iterations, trainer->iteration());
   LearningCurve curve(flags, trainer->iteration());
   double shown_loss = -1.0;
-  ValidationLosses losses;
   while (!trainer->done()) {
     RETURN_IF_ERROR(trainer->ReadEpisodes());
     const absl::StatusOr<Trainer::StepReport> step = trainer->Step();
@@ -107,19 +115,20 @@ absl::StatusOr<ValidationLosses> TrainToEnd(const TrainFlags& flags, const std::
     }
     const bool last = trainer->done();
     if (trainer->has_validation() && (last || iteration % flags.validate_every == 0)) {
-      losses.emplace_back(iteration, trainer->ValidationLoss());
-      RETURN_IF_ERROR(curve.Add(iteration, shown_loss, losses.back().second));
+      RETURN_IF_ERROR(curve.Add(iteration, shown_loss, trainer->ValidationLoss()));
     }
     if (last || iteration % flags.checkpoint_every == 0) {
       RETURN_IF_ERROR(trainer->SaveCheckpoint(checkpoint));
     }
     const std::string held_out =
-        losses.empty() ? "" : absl::StrFormat(", validation %.4f", losses.back().second);
+        curve.losses().empty() ? ""
+                               : absl::StrFormat(", validation %.4f", curve.losses().back().second);
     progress.Update(iteration, absl::StrFormat("loss %.4f%s, excess rate %.4f", shown_loss,
                                                held_out, step->hinge));
   }
-  // A run that was resumed after its last iteration has not validated yet.
-  if (losses.empty() && trainer->has_validation()) {
+  ValidationLosses losses = curve.losses();
+  // A run that was resumed after its last iteration may lack the row.
+  if (trainer->has_validation() && (losses.empty() || losses.back().first < trainer->iteration())) {
     RETURN_IF_ERROR(trainer->ReadEpisodes());
     losses.emplace_back(trainer->iteration(), trainer->ValidationLoss());
   }

@@ -32,15 +32,17 @@ refuses '--wide_start_fraction: expected 0 for CartPole-v1, received 0.25' datas
 "$spiketrain" train --data=data.cbor,cartpole-mixed-v0 --out=both "${tiny[@]}" --iterations=2 --clip_steps=3 \
   >/dev/null 2>&1
 
-"$spiketrain" train --data=data.cbor --out=whole "${tiny[@]}" --iterations=6 --json 2>/dev/null > whole.json
+"$spiketrain" train --data=data.cbor --out=whole "${tiny[@]}" --iterations=6 --validate_every=1 --json 2>/dev/null > whole.json
 grep -q '"spikes_per_decision"' whole.json
 grep -q '"first_seed": 1000000' whole.json
+grep -q '"loss_fall"' whole.json
 
 # A run of which only the last checkpoint is left, as if interrupted before it wrote its policy, resumes to the same
-# policy.
+# policy and the same verdict, which needs the validations from before.
 cp -r whole resumed
 rm resumed/policy.safetensors
-"$spiketrain" train --data=data.cbor --out=resumed "${tiny[@]}" --iterations=6 --resume --json 2>/dev/null > resumed.json
+"$spiketrain" train --data=data.cbor --out=resumed "${tiny[@]}" --iterations=6 --validate_every=1 --resume --json 2>/dev/null \
+  > resumed.json
 cmp <(grep -v '"policy_file"' whole.json) <(grep -v '"policy_file"' resumed.json)
 
 # The record of a policy identifies the program and the files that it was made from.
