@@ -54,9 +54,11 @@ absl::Status CheckFlags(const QuantizeFlags& flags) {
   if (flags.out.empty()) {
     return InvalidArgument("--out", "the file to write", "none");
   }
-  const bool is_for_integer = flags.integer.mode.has_value() || !flags.data.empty() || flags.prune;
+  const bool is_for_integer = flags.integer.mode.has_value() || !flags.data.empty() ||
+                              flags.prune || !flags.returns.empty();
   if (is_for_integer && flags.to != Arithmetic::kInteger) {
-    return InvalidArgument("--mode, --data, --prune", "with --to=integer", "--to=float32");
+    return InvalidArgument("--mode, --data, --prune, --returns", "with --to=integer",
+                           "--to=float32");
   }
   RETURN_IF_ERROR(flags.gate.Validate());
   const absl::Status status = flags.options.Validate();
@@ -138,7 +140,7 @@ absl::StatusOr<std::optional<PairedEvaluation>> PlayBoth(const Policy& parent,
 }
 
 // Measures what rounding cost, by returns or, where nobody played, by the actions of the recorded
-// data.
+// data, unless any loss is allowed.
 absl::StatusOr<std::optional<RoundingLoss>> MeasureLoss(
     const Policy& parent, const Policy& integer, const QuantizeFlags& flags,
     const std::optional<PairedEvaluation>& pair) {
@@ -175,13 +177,17 @@ std::string QuantizationRecord(const std::string& command_line,
 }
 
 // Judges by what was lost: a policy that was refused is not judged. One episode shows nothing.
-PolicyVerdict VerdictOf(const std::optional<RoundingLoss>& loss, double most) {
+PolicyVerdict VerdictOf(const QuantizeFlags& flags, const std::optional<RoundingLoss>& loss) {
   PolicyVerdict verdict;
+  if (flags.to == Arithmetic::kFloat32) {
+    verdict.grade = Grade::kGood;
+    verdict.reason = "nothing was rounded";
+    return verdict;
+  }
   if (!loss.has_value()) {
     verdict.reason =
-        "what the integers lost was not measured, because the environment is not one "
-        "of spiketrain";
-    verdict.advice.push_back("--data with recorded episodes, which measures the agreement");
+        "what the integers lost was not measured, because --max_loss=1 allows any loss";
+    verdict.advice.push_back("a --max_loss below 1, which measures the agreement with --data");
     return verdict;
   }
   verdict.figures = {{"rounding_loss", ToJson(*loss)}};
@@ -190,7 +196,7 @@ PolicyVerdict VerdictOf(const std::optional<RoundingLoss>& loss, double most) {
     verdict.advice.push_back("more episodes, because chance may explain any loss in one");
     return verdict;
   }
-  const bool kept = !IsTooMuch(*loss, most);
+  const bool kept = !IsTooMuch(*loss, flags.gate.max_loss);
   verdict.grade = kept ? Grade::kGood : Grade::kBad;
   if (!kept) {
     verdict.advice.push_back("`spiketrain train --arithmetic=integer --init=POLICY`");
@@ -211,7 +217,7 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
   RETURN_IF_ERROR(MakeDirectoryOf(flags.out));
   integer.training = QuantizationRecord(command_line, sources, pair, loss, parent, integer.config);
   RETURN_IF_ERROR(WritePolicyFile(integer, flags.out));
-  const PolicyVerdict verdict = VerdictOf(loss, flags.gate.max_loss);
+  const PolicyVerdict verdict = VerdictOf(flags, loss);
   nlohmann::ordered_json json = pair.has_value() ? ToJson(*pair) : nlohmann::ordered_json::object();
   json["verdict"] = ToJson(verdict);
   const std::string text = pair.has_value() ? ToText(*pair, "before", "after") : "";

@@ -219,7 +219,8 @@ int8=$releases/0.1.0/policies/cartpole-frugal/2/policy.safetensors
 refuses "$int8: config.arithmetic: expected float32 or integer, received int8, which is no longer served: \`spiketrain quantize --policy=OLD \
 --out=NEW\` converts the file to integers, and with --to=float32 to float32" \
   eval --policy="$int8" --episodes=1
-"$spiketrain" quantize --policy="$int8" --out=float32/policy.safetensors --to=float32
+"$spiketrain" quantize --policy="$int8" --out=float32/policy.safetensors --to=float32 --require=good >float32.txt
+[[ $(cat float32.txt) == "verdict: good: nothing was rounded" ]] || fail "the verdict of float32: $(cat float32.txt)"
 says float32/policy.safetensors "\\\"parent_sha256\\\":\\\"$(sha "$int8")\\\""
 "$spiketrain" quantize --policy="$int8" --out=converted/policy.safetensors --episodes=5 --json >converted.json ||
   fail "the released policy in integers: $(cat converted.json)"
@@ -244,6 +245,16 @@ refuses '--require: expected a verdict of good or better, received weak: the int
 "$spiketrain" eval --policy=whole/policy.safetensors --against=whole/policy.safetensors --episodes=1 >once.txt
 grep -q 'difference 0.000 (one episode has no interval)$' once.txt || fail "$(cat once.txt)"
 
+# Integers of a foreign environment are judged by --data, unless nothing depends on it.
+foreign=(quantize --policy=other/policy.safetensors --data=other.cbor --out=foreign.safetensors --allow_loss)
+"$spiketrain" "${foreign[@]}" | grep -q '^verdict: .* of the range of the agreement (' || fail "the agreement"
+"$spiketrain" "${foreign[@]}" --max_loss=1 >foreign.txt
+cat >foreign.expected <<'EOF'
+verdict: weak: what the integers lost was not measured, because --max_loss=1 allows any loss
+try: a --max_loss below 1, which measures the agreement with --data
+EOF
+cmp foreign.txt foreign.expected
+
 # Leaves hidden neurons out. The record names the calibration set.
 "$spiketrain" quantize --prune --policy=whole/policy.safetensors --data=data.cbor --out=new/3/policy.safetensors \
   --episodes=3 --allow_loss >/dev/null
@@ -251,8 +262,10 @@ says new/3/policy.safetensors '\"arithmetic\":\"integer\"'
 says new/3/policy.safetensors '\"rounding_loss\":{\"measure\":\"return\",'
 refuses '--max_loss: expected 0 to 1, received 2' quantize --policy=whole/policy.safetensors --out=x --max_loss=2
 says new/3/policy.safetensors "\\\"data_sha256\\\":{\\\"data.cbor\\\":\\\"$(sha data.cbor)\\\"}"
-refuses '--mode, --data, --prune: expected with --to=integer, received --to=float32' \
-  quantize --to=float32 --policy=whole/policy.safetensors --out=x --prune
+for flag in --prune --returns=once.json; do
+  refuses '--mode, --data, --prune, --returns: expected with --to=integer, received --to=float32' \
+    quantize --to=float32 --policy=whole/policy.safetensors --out=x "$flag"
+done
 # A dense policy has no silent neurons.
 "$spiketrain" train --data=data.cbor --out=dense "${tiny[@]}" --mode=dense --iterations=1 >/dev/null 2>&1
 refuses 'dense/policy.safetensors: --prune: expected a mode with spikes, received dense' \
