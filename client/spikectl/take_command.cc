@@ -25,6 +25,7 @@ constexpr std::string_view kLower = "asjk";
 constexpr std::string_view kRaise = "dwli";
 constexpr float kStep = 0.1f;  // of an axis, as a share of its range
 constexpr char kEscape = '\x1b';
+constexpr char kEnd = '\x04';  // Ctrl-D
 
 struct TakeFlags {
   const ServerFlags* server = nullptr;
@@ -50,41 +51,58 @@ class Keys {
   Keys(const Keys&) = delete;
   Keys& operator=(const Keys&) = delete;
 
-  // Waits for a key. Returns 0 if none comes within `wait`, and kEscape at the end of the input.
+  // Waits for a key. Returns 0 if none comes within `wait`, kEnd at the end of the input, and
+  // kEscape for a key that sends several bytes, such as an arrow.
   static char Next(absl::Duration wait) {
-    pollfd input = {.fd = STDIN_FILENO, .events = POLLIN, .revents = 0};
-    if (poll(&input, 1, static_cast<int>(absl::ToInt64Milliseconds(wait))) <= 0) return 0;
-    char key = 0;
-    return read(STDIN_FILENO, &key, 1) == 1 ? key : kEscape;
+    const char key = NextByte(wait);
+    if (key == kEscape) SkipSequence();
+    return key;
   }
 
  private:
+  static char NextByte(absl::Duration wait) {
+    pollfd input = {.fd = STDIN_FILENO, .events = POLLIN, .revents = 0};
+    if (poll(&input, 1, static_cast<int>(absl::ToInt64Milliseconds(wait))) <= 0) return 0;
+    char byte = 0;
+    return read(STDIN_FILENO, &byte, 1) == 1 ? byte : kEnd;
+  }
+
+  // Reads what follows an escape at once: the key that was pressed with Alt, or `[` or `O`, then
+  // digits and other signs, and the byte from `@` to `~` that ends the sequence.
+  static void SkipSequence() {
+    constexpr absl::Duration kGap = absl::Milliseconds(25);  // between two bytes of a key, at most
+    char byte = kEscape;
+    while (byte == kEscape) byte = NextByte(kGap);
+    if (byte != '[' && byte != 'O') return;
+    do {
+      byte = NextByte(kGap);
+    } while (byte >= ' ' && byte < '@');
+  }
+
   termios before_ = {};
   bool is_terminal_ = false;
 };
 
-// Changes the action as `key` says. Returns whether the key has a meaning.
-bool Press(char key, const v1::ActionSpace& space, const v1::Action& neutral, v1::Action* action) {
+// Changes the action as `key` says, if it has a meaning.
+void Press(char key, const v1::ActionSpace& space, const v1::Action& neutral, v1::Action* action) {
   if (key == ' ') {
     *action = neutral;
-    return true;
+    return;
   }
   if (space.has_discrete()) {
     const int index = key - '0';
-    if (index < 0 || index > 9 || index >= space.discrete().n()) return false;
-    action->set_discrete(index);
-    return true;
+    if (index >= 0 && index <= 9 && index < space.discrete().n()) action->set_discrete(index);
+    return;
   }
   const size_t lower = kLower.find(key);
   const size_t axis = std::min(lower, kRaise.find(key));
-  if (axis >= static_cast<size_t>(space.box().low_size())) return false;  // also if it is npos
+  if (axis >= static_cast<size_t>(space.box().low_size())) return;  // also if it is npos
   const int i = static_cast<int>(axis);
   const float low = space.box().low(i);
   const float high = space.box().high(i);
   const float step = (lower == axis ? -kStep : kStep) * (high - low);
   float& value = (*action->mutable_continuous()->mutable_values())[i];
   value = std::clamp(value + step, low, high);
-  return true;
 }
 
 std::string ToText(const v1::Action& action) {
@@ -117,11 +135,10 @@ absl::Status Steer(const TakeFlags& flags, const v1::TakeControlResponse& taken,
   absl::Time pressed = absl::Now();
   while (absl::Now() - pressed < flags.attention) {
     const char key = Keys::Next(flags.lease / 4);
-    if (key == 'q' || key == kEscape) break;
+    if (key == 'q' || key == kEnd) break;
     if (key != 0) pressed = absl::Now();
-    if (key != 0 && !Press(key, taken.action_space(), taken.action(), request.mutable_action())) {
-      continue;
-    }
+    Press(key, taken.action_space(), taken.action(), request.mutable_action());
+    // A key without a meaning renews the lease, too: the operator is there.
     ASSIGN_OR_RETURN(const auto answer, servers.OfSession(&AdminStub::SteerSession, request));
     if (flags.server->json || key == 0) continue;
     std::cout << absl::StrFormat("step %d: %s; the policy agreed in %d of %d steps%s\n",

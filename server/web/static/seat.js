@@ -164,6 +164,7 @@ export class Seat {
   press(event) {
     const {key, target} = event;
     if (!this.lease || event.ctrlKey || event.altKey || event.metaKey || target.matches('input:not([type=range]), select')) return;
+    this.active = performance.now();  // also by a key without a meaning
     const axes = axesOf(this.space);
     const lower = LOWER.indexOf(key);
     const axis = Math.max(lower, RAISE.indexOf(key));

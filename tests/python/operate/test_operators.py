@@ -6,6 +6,7 @@ import os
 import pty
 import subprocess
 import threading
+import time
 
 import grpc
 import pytest
@@ -427,12 +428,36 @@ def test_the_commands(server):
 
             until(is_heard)
         assert {answer.source.operator_id for answer in answers} == {"ann"}
+
+        since = time.monotonic()
+
+        def has_lasted():
+            """Presses keys without a meaning, for longer than the lease."""
+            nonlocal step
+            os.write(here, b"x")
+            assert act(step).source.operator_id == "ann"
+            step += 1
+            return time.monotonic() - since > 1.5
+
+        until(has_lasted)
         os.write(here, b"q")
         assert "returned after" in taking.stdout.read()
         assert taking.wait() == 0
     os.close(here)
     os.close(there)
     assert not act(step).HasField("source")
+
+
+def test_keys_of_several_bytes_have_no_meaning(server):
+    """A sequence of an arrow, F9 or Alt with a key, and the digit in it. The end of the input returns the session."""
+    session = server.agent.OpenSession(policy="cartpole").session_id
+    server.agent.Act(session_id=session, observation=OBSERVATION)
+    keys = ("1", "\x1b[A", "\x1b[20~", "\x1b\x1b[20~", "\x1bOC", "\x1b0", "x", "\x1b")
+    _, *steered, returned = server.spikectl(
+        "take", f"--session={session}", "--operator=ann", input="".join(keys)
+    ).stdout.splitlines()
+    assert [": 1; the policy agreed" in line for line in steered] == [True] * len(keys)
+    assert returned.startswith("returned after ")
 
 
 def test_who_needs_help(server):

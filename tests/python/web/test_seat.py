@@ -7,6 +7,10 @@ from serving import series
 
 GAMEPAD = """window.pad = {index: 0, axes: [0, 0, 0, 0], buttons: Array.from({length: 16}, () => ({pressed: false}))};
 navigator.getGamepads = () => [window.pad, null];"""
+CLOCK = """const now = performance.now.bind(performance), send = window.fetch;
+window.later = 0, window.renewals = 0;
+performance.now = () => now() + later;
+window.fetch = (path, ...rest) => { if (`${path}`.includes('steer.json')) renewals += 1; return send(path, ...rest); };"""
 SEAT = "document.querySelector('#seat-state').textContent"
 AGREEMENT = "document.querySelector('#seat-agreement').textContent"
 BUTTON = "document.querySelector('#seat-button').textContent"
@@ -75,6 +79,22 @@ def test_an_operator_steers_with_keys_and_is_relieved(browser, server):
     robot.until_acts("")
     # Chromium reports the expected HTTP status 409 in its console.
     assert all("409" in entry["message"] for entry in browser.problems())
+
+
+def test_any_key_shows_that_the_operator_is_there(browser, server):
+    robot = Steered(browser, server, "cartpole", OBSERVATION)
+    browser.driver.execute_script(CLOCK)
+    robot.take("ann")
+    browser.wait_for(f"{SEAT} === 'ann, you have control.'", "control")
+    for seconds in (25, 50):
+        browser.driver.execute_script(f"later = {1000 * seconds}")
+        browser.press("x")  # has no meaning
+        browser.driver.execute_script("renewals = 0")
+        browser.wait_for("renewals > 1", "a lease that goes on")
+    browser.driver.execute_script("later = 100_000")
+    browser.wait_for(f"{SEAT} === 'You did nothing for 30 s, so the policy acts again.'", "the end of the lease")
+    robot.until_acts("")
+    assert browser.problems() == []
 
 
 def test_a_gamepad_steers_a_box_while_the_page_has_the_focus(browser, server):
