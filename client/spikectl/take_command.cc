@@ -25,7 +25,8 @@ constexpr std::string_view kLower = "asjk";
 constexpr std::string_view kRaise = "dwli";
 constexpr float kStep = 0.1f;  // of an axis, as a share of its range
 constexpr char kEscape = '\x1b';
-constexpr char kEnd = '\x04';  // Ctrl-D
+constexpr char kEnd = '\x04';        // Ctrl-D
+constexpr char kInterrupt = '\x03';  // Ctrl-C
 
 struct TakeFlags {
   const ServerFlags* server = nullptr;
@@ -42,7 +43,7 @@ class Keys {
   Keys() {
     if (tcgetattr(STDIN_FILENO, &before_) != 0) return;
     termios raw = before_;
-    raw.c_lflag &= ~static_cast<tcflag_t>(ICANON | ECHO);
+    raw.c_lflag &= ~static_cast<tcflag_t>(ICANON | ECHO | ISIG);  // Ctrl-C is a key
     is_terminal_ = tcsetattr(STDIN_FILENO, TCSANOW, &raw) == 0;
   }
   ~Keys() {
@@ -135,7 +136,7 @@ absl::Status Steer(const TakeFlags& flags, const v1::TakeControlResponse& taken,
   absl::Time pressed = absl::Now();
   while (absl::Now() - pressed < flags.attention) {
     const char key = Keys::Next(flags.lease / 4);
-    if (key == 'q' || key == kEnd) break;
+    if (key == 'q' || key == kEnd || key == kInterrupt) break;
     if (key != 0) pressed = absl::Now();
     Press(key, taken.action_space(), taken.action(), request.mutable_action());
     // A key without a meaning renews the lease, too: the operator is there.

@@ -440,7 +440,7 @@ def test_the_commands(server):
             return time.monotonic() - since > 1.5
 
         until(has_lasted)
-        os.write(here, b"q")
+        os.write(here, b"\x03")  # Ctrl-C
         assert "returned after" in taking.stdout.read()
         assert taking.wait() == 0
     os.close(here)
@@ -448,15 +448,16 @@ def test_the_commands(server):
     assert not act(step).HasField("source")
 
 
-def test_keys_of_several_bytes_have_no_meaning(server):
-    """A sequence of an arrow, F9 or Alt with a key, and the digit in it. The end of the input returns the session."""
+@pytest.mark.parametrize("last", ["\x1b", "q"])
+def test_keys_of_several_bytes_have_no_meaning(server, last):
+    """A sequence of an arrow, F9 or Alt with a key, and the digit in it. The end of the input returns the session, too."""
     session = server.agent.OpenSession(policy="cartpole").session_id
     server.agent.Act(session_id=session, observation=OBSERVATION)
-    keys = ("1", "\x1b[A", "\x1b[20~", "\x1b\x1b[20~", "\x1bOC", "\x1b0", "x", "\x1b")
+    keys = ("1", "\x1b[A", "\x1b[20~", "\x1b\x1b[20~", "\x1bOC", "\x1b0", "x")
     _, *steered, returned = server.spikectl(
-        "take", f"--session={session}", "--operator=ann", input="".join(keys)
+        "take", f"--session={session}", "--operator=ann", input="".join(keys) + last
     ).stdout.splitlines()
-    assert [": 1; the policy agreed" in line for line in steered] == [True] * len(keys)
+    assert [": 1; the policy agreed" in line for line in steered] == [True] * (len(keys) + (last != "q"))
     assert returned.startswith("returned after ")
 
 
