@@ -36,7 +36,7 @@
 
 namespace spikeserve {
 
-const char kLossAdvice[] = "train on with more --iterations and --resume";
+const char kLossAdvice[] = "train with more --iterations and --overwrite";
 
 namespace {
 
