@@ -2,6 +2,7 @@
 
 #include <sys/epoll.h>
 
+#include <algorithm>
 #include <array>
 #include <utility>
 
@@ -281,10 +282,10 @@ bool Connection::KeepAlive() {
   // Checks are counted and not the time, because a process that was stopped has not listened.
   ++silent_checks_;
   if (streams_.empty()) return true;
-  const auto checks = [](absl::Duration time) {
-    return static_cast<int>(absl::Ceil(time, kCheckInterval) / kCheckInterval);
+  const auto checks = [](absl::Duration time) {  // of a year, if that is infinite
+    return absl::Ceil(std::min(time, absl::Hours(24 * 365)), kCheckInterval) / kCheckInterval;
   };
-  const int allowed = checks(shared_->limits->keepalive_interval);
+  const int64_t allowed = checks(shared_->limits->keepalive_interval);
   if (silent_checks_ == allowed) {
     nghttp2_submit_ping(session_.get(), NGHTTP2_FLAG_NONE, nullptr);
     WantFlush();

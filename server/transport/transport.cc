@@ -104,6 +104,7 @@ bool Transport::RunOnAll(std::function<void(TransportLoop&)> work, absl::Duratio
 }
 
 void Transport::Drain() {
+  if (!running_) return;
   RunOnAll([](TransportLoop& loop) { loop.Drain(); }, absl::InfiniteDuration());
 }
 

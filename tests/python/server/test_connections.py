@@ -198,6 +198,15 @@ def test_a_silent_client_with_an_open_call_is_asked_for_a_sign_of_life(tokens):
             assert kinds.count(frames.PING) == 1
 
 
+def test_a_silent_client_may_stay_for_ever(tokens):
+    flags = [f"--tokens={tokens}", "--keepalive_interval=1s", "--keepalive_timeout=inf"]
+    with running_server(flags=flags) as addresses, open_stream(addresses.grpc) as silent:
+        kinds = (kind for kind, _, _ in read_frames(silent))
+        assert frames.PING in kinds
+        silent.sendall(frames.frame(frames.PING, bytes(8)))
+        assert frames.PING in kinds  # the answer
+
+
 def test_an_old_connection_is_asked_to_go(tokens):
     with (
         running_server(flags=[f"--tokens={tokens}", "--max_connection_age=1s"]) as addresses,
