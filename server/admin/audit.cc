@@ -47,13 +47,17 @@ ordered_json PolicyState(const PolicyCatalog& catalog, const std::string& name) 
 
 }  // namespace
 
-std::string Audit::StateOf(const google::protobuf::Message& request) const {
+std::string Audit::StateOf(const google::protobuf::Message& request,
+                           const std::string& tenant) const {
   const auto catalog = registry_->catalog();
   const std::string policy = PolicyOf(request);
   if (!policy.empty()) return PolicyState(*catalog, policy).dump();
   ordered_json state = {{"draining", store_->draining()}, {"policies", ordered_json::object()}};
   const auto holds = registry_->settings().holds().Get();
-  for (const SessionHold& hold : *holds) state["holds"].push_back(ordered_json(HoldJson(hold)));
+  for (const SessionHold& hold : *holds) {
+    if (hold.selection.tenant.value_or(tenant) != tenant) continue;
+    state["holds"].push_back(ordered_json(HoldJson(hold)));
+  }
   for (const auto& [name, served] : catalog->policies()) {
     state["policies"][name] = PolicyState(*catalog, name);
   }
@@ -75,7 +79,7 @@ absl::Status Audit::RunAndRecord(const Method& method, const CallContext& contex
   entry.is_operators = changes;
   size_t reserved = 0;
   if (changes) {
-    entry.before = StateOf(request);
+    entry.before = StateOf(request, entry.tenant);
     reserved = kNamesBytes + kEscaped * (entry.request.size() + 2 * entry.before.size());
     if (auto room = log_->Reserve(reserved); !room.ok()) {
       if (!allow_unrecorded_) return room;
@@ -83,7 +87,7 @@ absl::Status Audit::RunAndRecord(const Method& method, const CallContext& contex
     }
   }
   entry.outcome = change();
-  if (changes) entry.after = StateOf(request);
+  if (changes) entry.after = StateOf(request, entry.tenant);
   auto outcome = entry.outcome;
   const auto recorded = log_->Record(std::move(entry), reserved);
   if (outcome.ok() && !allow_unrecorded_) outcome = recorded;

@@ -39,8 +39,9 @@ class Audit {
 
  private:
   // Returns, as JSON, the state that `request` may change: of the policy that it names, or, if it
-  // names none, of all policies and of the server.
-  std::string StateOf(const google::protobuf::Message& request) const;
+  // names none, of all policies and of the server. Without holds of other tenants, because all who
+  // may see what `tenant` does read it.
+  std::string StateOf(const google::protobuf::Message& request, const std::string& tenant) const;
 
   AuditLog* const log_;
   const PolicyRegistry* const registry_;

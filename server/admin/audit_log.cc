@@ -250,8 +250,16 @@ absl::Status AuditLog::Reserve(size_t bytes) {
 }
 
 void AuditLog::Remember(AuditEntry entry) {
+  const auto size_of = [](const AuditEntry& kept) {
+    return kept.request.size() + kept.before.size() + kept.after.size();
+  };
+  remembered_bytes_ += size_of(entry);
   entries_.push_back(std::move(entry));
-  if (entries_.size() > kRemembered) entries_.pop_front();
+  while (entries_.size() > kRemembered ||
+         (remembered_bytes_ > kRememberedBytes && entries_.size() > 1)) {
+    remembered_bytes_ -= size_of(entries_.front());
+    entries_.pop_front();
+  }
 }
 
 absl::Status AuditLog::Record(AuditEntry entry, size_t reserved) {

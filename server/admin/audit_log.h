@@ -56,7 +56,8 @@ struct AuditEntry {
 
 class AuditLog {
  public:
-  static constexpr size_t kRemembered = 1000;  // entries
+  static constexpr size_t kRemembered = 1000;           // entries
+  static constexpr size_t kRememberedBytes = 32 << 20;  // of their requests and states
 
   // Reads the last entries of the file at `path`, which is created if it does not exist; lines that
   // are no entries are skipped. If `path` is empty, entries go to the log and to memory alone.
@@ -93,6 +94,7 @@ class AuditLog {
   mutable absl::Mutex mutex_;
   size_t reserved_ ABSL_GUARDED_BY(mutex_) = 0;             // bytes
   std::deque<AuditEntry> entries_ ABSL_GUARDED_BY(mutex_);  // the latest last
+  size_t remembered_bytes_ ABSL_GUARDED_BY(mutex_) = 0;
 };
 
 }  // namespace spikeserve

@@ -5,6 +5,7 @@
 #include "absl/algorithm/container.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/json_object.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "server/policies/rollout.h"
 
@@ -13,6 +14,7 @@ namespace {
 
 constexpr size_t kMostLabels = 16;
 constexpr size_t kMostSessions = 1000;
+constexpr size_t kMostSelectionBytes = 64 << 10;
 
 }  // namespace
 
@@ -40,6 +42,13 @@ absl::Status SessionSelection::Validate() const {
   }
   if (session_ids.size() > kMostSessions) {
     return refuse("session_ids", absl::StrCat("at most ", kMostSessions), session_ids.size());
+  }
+  size_t bytes = policy.size();
+  for (const auto& [key, value] : labels) bytes += key.size() + value.size();
+  for (const std::string& id : session_ids) bytes += id.size();
+  if (bytes > kMostSelectionBytes) {
+    return InvalidArgument("selection", absl::StrCat("at most ", kMostSelectionBytes, " bytes"),
+                           bytes);
   }
   return absl::OkStatus();
 }

@@ -205,6 +205,11 @@ def test_tenants_and_roles(tmp_path):
         assert [hold.hold.id for hold in admin("viewer").ListHolds().holds] == []
         admin("machine").HoldSessions(id="fleets", selection={"tenant": "fleet"})
         assert answer(1).hold.id == "fleets"
+        assert code_of(rival.ResumeSessions, id="rivals") == grpc.StatusCode.OK
+        [resumed, *_] = rival.ListHistory().entries
+        assert "rivals" in resumed.before and "fleets" not in resumed.before + resumed.after
+        with fails_with(grpc.StatusCode.INVALID_ARGUMENT, "selection: expected at most 65536 bytes, received 100000"):
+            rival.HoldSessions(selection={"session_ids": ["x" * 100] * 1000})
         [held] = admin("viewer").ListHolds(page_size=10).sessions
         assert (held.session_id, held.hold_id) == (session, "fleets")
         admin("operator").ResumeSessions(id="fleets")
