@@ -34,9 +34,7 @@ absl::StatusOr<std::optional<Settings>> OperatorSettings::Follow(
   Settings before = settings_;
   revision_ = document.revision;
   Replace(*std::move(settings));
-  if (auto status = SaveFile(settings_); !status.ok()) {
-    LogError("shared settings not saved", {{"error", status.message()}});
-  }
+  SaveCopy(settings_);
   return before;
 }
 
@@ -55,11 +53,17 @@ absl::StatusOr<SharedSettings::Document> OperatorSettings::WriteFirst() {
 }
 
 absl::Status OperatorSettings::Save(const Settings& settings) {
-  if (is_shared() && has_joined()) {
-    RETURN_IF_ERROR(shared_->Write({.revision = revision_ + 1, .json = ToJson(settings)}));
-    ++revision_;
+  if (!is_shared() || !has_joined()) return SaveFile(settings);
+  RETURN_IF_ERROR(shared_->Write({.revision = revision_ + 1, .json = ToJson(settings)}));
+  ++revision_;
+  SaveCopy(settings);
+  return absl::OkStatus();
+}
+
+void OperatorSettings::SaveCopy(const Settings& settings) const {
+  if (auto status = SaveFile(settings); !status.ok()) {
+    LogError("shared settings not saved", {{"error", status.message()}});
   }
-  return SaveFile(settings);
 }
 
 absl::Status OperatorSettings::SaveFile(const Settings& settings) const {
@@ -117,9 +121,7 @@ absl::Status OperatorSettings::KeepDefaults(const PolicyCatalog& catalog) {
     }
   }
   if (settings.policies == settings_.policies) return absl::OkStatus();
-  auto status = Save(settings);
-  if (!absl::IsAborted(status)) Replace(std::move(settings));
-  return status;
+  return Commit(std::move(settings));
 }
 
 }  // namespace spikeserve

@@ -67,8 +67,8 @@ class OperatorSettings {
   absl::StatusOr<std::optional<Settings>> Follow(absl::FunctionRef<absl::Status()> before_first)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
 
-  // Writes the settings to the shared ones and to their file, if there are any. Returns ABORTED if
-  // another server has changed them since they were read.
+  // Writes the settings to the shared ones, of which the file is a copy, or otherwise to the file.
+  // Returns ABORTED if another server has changed them since they were read.
   absl::Status Save(const Settings& settings) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
   void Replace(Settings settings) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
   // As Save(), and as Replace() if that succeeds.
@@ -86,6 +86,8 @@ class OperatorSettings {
 
  private:
   absl::Status SaveFile(const Settings& settings) const;
+  // Writes the file of settings that are shared. Without it they are in force all the same.
+  void SaveCopy(const Settings& settings) const;
   // Writes the first shared settings, those of this server.
   absl::StatusOr<SharedSettings::Document> WriteFirst() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
 

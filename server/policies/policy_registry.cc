@@ -53,10 +53,18 @@ absl::Status PolicyRegistry::Follow() {
 
 absl::Status PolicyRegistry::Refresh(const Span* call) {
   // A store that is new, or has lost the settings, has lost the files that belong to them.
-  ASSIGN_OR_RETURN(const auto before, settings_.Follow([&] {
+  ASSIGN_OR_RETURN(auto before, settings_.Follow([&] {
     settings_.mutex.AssertHeld();
     return shared_.PutAll(settings_.get());
   }));
+  if (former_.has_value()) before = former_;
+  // A file may be in the store by now, or have room here.
+  const auto is_fetched = [&] {
+    settings_.mutex.AssertHeld();
+    return !missing_.empty() &&
+           shared_.Fetch(settings_.get(), settings_.get(), *catalog()) != missing_;
+  };
+  if (!before.has_value() && is_fetched()) before = settings_.get();
   if (before.has_value()) RETURN_IF_ERROR(Enact(*before, call));
   settings_.SetJoined();
   return absl::OkStatus();
@@ -64,7 +72,14 @@ absl::Status PolicyRegistry::Refresh(const Span* call) {
 
 absl::Status PolicyRegistry::Enact(const Settings& before, const Span* call) {
   PolicyCatalog catalog = *this->catalog();
-  shared_.Fetch(before, settings_.get(), catalog);
+  former_ = before;
+  auto missing = shared_.Fetch(before, settings_.get(), catalog);
+  for (const std::string& line : missing) {
+    if (!absl::c_linear_search(missing_, line)) {
+      LogError("promoted version not taken over; tries again", {{"error", line}});
+    }
+  }
+  missing_ = std::move(missing);
   RETURN_IF_ERROR(loader_.Update(settings_.get(), call, &catalog).status());
   auto waiting = settings_.ApplyTo(&catalog);
   for (const std::string& line : waiting) {
@@ -75,6 +90,7 @@ absl::Status PolicyRegistry::Enact(const Settings& before, const Span* call) {
   waiting_ = std::move(waiting);
   loader_.SwitchLearning(settings_.get());
   Publish(std::move(catalog));
+  former_ = std::nullopt;
   return absl::OkStatus();
 }
 
@@ -94,7 +110,10 @@ absl::StatusOr<ReloadReport> PolicyRegistry::ReloadOnce(const Span* call) {
   ASSIGN_OR_RETURN(auto report, loader_.Update(settings_.get(), call, &catalog));
   report.waiting = settings_.ApplyTo(&catalog);
   auto kept = settings_.KeepDefaults(catalog);
-  if (absl::IsAborted(kept)) return kept;
+  if (absl::IsAborted(kept)) {
+    for (const PolicyVersion& version : report.loaded) loader_.Forget(version);
+    return kept;
+  }
   if (!kept.ok()) report.refused.push_back(kept);
   if (!report.loaded.empty() || !report.unloaded.empty()) Publish(std::move(catalog));
   return report;
@@ -130,11 +149,17 @@ absl::StatusOr<std::shared_ptr<const ServedPolicy>> PolicyRegistry::LoadOnce(
     changed = true;
   }
   ASSIGN_OR_RETURN(auto served, loader_.Load(version, settings_.get(), call));
-  if (changed) RETURN_IF_ERROR(settings_.Commit(std::move(settings)));
+  auto status = changed ? settings_.Commit(std::move(settings)) : absl::OkStatus();
   PolicyCatalog catalog = *this->catalog();
   catalog.policies()[version.policy].versions[version.version] = served;
-  settings_.ApplyTo(&catalog);
-  RETURN_IF_ERROR(settings_.KeepDefaults(catalog));
+  if (status.ok()) {
+    settings_.ApplyTo(&catalog);
+    status = settings_.KeepDefaults(catalog);
+  }
+  if (!status.ok()) {
+    loader_.Forget(version);  // it is not served, and the next reload finds it
+    return status;
+  }
   Publish(std::move(catalog));
   return served;
 }

@@ -9,6 +9,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -153,8 +154,12 @@ class PolicyRegistry {
   OperatorSettings settings_;  // its mutex is taken before mutex_
   const SharedVersions shared_;
   VersionLoader loader_ ABSL_GUARDED_BY(settings_.mutex);
-  // The settings that waited for their version when they were last logged.
+  // The settings that waited for their version, and the shared files that could not be fetched,
+  // when they were last logged.
   std::vector<std::string> waiting_ ABSL_GUARDED_BY(settings_.mutex);
+  std::vector<std::string> missing_ ABSL_GUARDED_BY(settings_.mutex);
+  // The settings that were in force before those that Enact() has not put into force yet.
+  std::optional<Settings> former_ ABSL_GUARDED_BY(settings_.mutex);
 
   mutable absl::Mutex mutex_;  // held only to copy or swap the pointer
   std::shared_ptr<const PolicyCatalog> catalog_ ABSL_GUARDED_BY(mutex_) =

@@ -10,7 +10,6 @@
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/digest/sha256.h"
-#include "server/base/log.h"
 
 namespace spikeserve {
 namespace {
@@ -74,20 +73,20 @@ void SharedVersions::Remove(const PolicyVersion& version, const std::string& sha
   shared_->RemoveFile(SignaturePath(sha256)).IgnoreError();
 }
 
-void SharedVersions::Fetch(const Settings& before, const Settings& settings,
-                           const PolicyCatalog& catalog) const {
+std::vector<std::string> SharedVersions::Fetch(const Settings& before, const Settings& settings,
+                                               const PolicyCatalog& catalog) const {
+  std::vector<std::string> missing;
   for (const auto& [version, sha256] : settings.promoted) {
     const auto served = catalog.Find(version.policy, version.version);
     if (served.ok() && (*served)->sha256 == sha256) continue;
-    if (auto status = FetchOne(version, sha256); !status.ok()) {
-      LogError("promoted version not taken over",
-               {{"policy", version.policy}, {"error", status.message()}});
-    }
+    const auto status = FetchOne(version, sha256);
+    if (!status.ok()) missing.emplace_back(status.message());
   }
   for (const auto& [version, ignored] : before.promoted) {
     if (settings.promoted.contains(version) || !settings.unloaded.contains(version)) continue;
     folder_.Remove(version).status().IgnoreError();  // it is not served
   }
+  return missing;
 }
 
 absl::Status SharedVersions::FetchOne(const PolicyVersion& version,

@@ -7,6 +7,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -34,8 +35,9 @@ class SharedVersions {
 
   // Writes to the folder the files of the versions of the settings that it does not have, and
   // removes those of versions that another server has removed since the settings were `before`.
-  // Logs what fails.
-  void Fetch(const Settings& before, const Settings& settings, const PolicyCatalog& catalog) const;
+  // Returns an error for each version that it could not get.
+  std::vector<std::string> Fetch(const Settings& before, const Settings& settings,
+                                 const PolicyCatalog& catalog) const;
 
  private:
   // Returns INVALID_ARGUMENT if the files are not what they should be.

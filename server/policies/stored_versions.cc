@@ -94,6 +94,7 @@ absl::Status PolicyRegistry::ShareOnce(const NewVersion& added, const PolicyVers
   }
   RETURN_IF_ERROR(shared_.Put(version, added.files, sha256));
   auto status = settings_.Save(settings);
+  bool is_undone = absl::IsAborted(status);  // after another error the store may have the settings
   if (status.ok()) {
     status = folder_.Write(version, added.files);
     if (status.ok()) {
@@ -104,15 +105,15 @@ absl::Status PolicyRegistry::ShareOnce(const NewVersion& added, const PolicyVers
     if (status.ok()) return status;
     Settings undone = before;
     RememberRemoval(folder_, version, &undone.unloaded);
-    if (auto saved = settings_.Save(undone); !saved.ok()) {
-      LogError("a version that failed is not removed", {{"error", saved.message()}});
-    }
+    const auto saved = settings_.Save(undone);
+    is_undone = saved.ok();
+    if (!is_undone) LogError("a version that failed is not removed", {{"error", saved.message()}});
     const Settings failed = settings_.get();
     settings_.Replace(std::move(undone));
     Enact(failed, /*call=*/nullptr).IgnoreError();
   }
   // Another server that stores the same file of this number at this time finds it in the settings.
-  if (added.files.pushed) shared_.Remove(version, sha256, /*is_used=*/true);
+  if (added.files.pushed && is_undone) shared_.Remove(version, sha256, /*is_used=*/true);
   return status;
 }
 

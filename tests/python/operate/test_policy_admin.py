@@ -386,6 +386,15 @@ def test_what_cannot_be_written_down_is_not_set(policies, settings):
         assert versions(server) == [1, 2]
         assert opened(server) == 2
 
+        add_version(policies, "robot", 3)
+        assert code_of(server.admin.LoadPolicy, policy="robot", version=3, make_default=True) != grpc.StatusCode.OK
+        add_version(policies, "other", 1)
+        assert str(settings) in str(server.admin.ReloadPolicies().refused)
+        settings.parent.mkdir()
+        server.admin.ReloadPolicies()
+        assert (versions(server), opened(server)) == ([1, 2, 3], 2)
+        assert json.loads(settings.read_text())["policies"]["other"]["default_version"] == 1
+
 
 def test_a_setting_waits_for_a_version_that_is_not_there(policies, settings, tmp_path):
     add_version(policies, "robot", 3)

@@ -161,6 +161,42 @@ def test_a_promoted_version_travels(start):
     assert opened_version(start("c")) == 3
 
 
+def test_a_replica_that_cannot_write_what_was_promoted_tries_again(start):
+    first, second = start("a"), start("b")
+    in_its_place = second.policies / "cartpole" / "3"
+    in_its_place.write_text("no folder")
+    learn(first)
+    assert first.admin.PromoteHead(policy="cartpole").version == 3
+    first.admin.SetLabel(policy="cartpole", version=1, label="later")
+    until(lambda: code_of(second.OpenSession, policy="cartpole", version_label="later") == grpc.StatusCode.OK)
+    in_its_place.unlink()
+    until(lambda: code_of(second.OpenSession, policy="cartpole", version=3) == grpc.StatusCode.OK)
+
+
+def test_a_replica_that_cannot_read_its_folder_tries_again(start, tmp_path):
+    first, second = start("a"), start("b")
+    away = second.policies.rename(tmp_path / "away")
+    assert opened_version(second) == 2
+    first.admin.SetDefaultVersion(policy="cartpole", version=1)
+    with pytest.raises(grpc.RpcError):  # asks the store for settings, and takes those over
+        second.admin.SetLabel(policy="cartpole", version=1, label="never")
+    away.rename(second.policies)
+    until(lambda: opened_version(second) == 1)
+
+
+def test_a_shared_setting_is_in_force_without_its_copy(start, tmp_path):
+    copies = tmp_path / "settings"
+    copies.mkdir()
+    first, second = start("a", f"--policy_settings={copies}/a.json"), start("b")
+    shutil.rmtree(copies)
+    for version, label in ((1, "x"), (2, "y")):
+        first.admin.SetLabel(policy="cartpole", version=version, label=label)
+    for replica in (first, second):
+        named = {"policy": "cartpole", "version_label": "y"}
+        until(lambda each=replica: code_of(each.OpenSession, **named) == grpc.StatusCode.OK)
+        assert opened_version(replica, version_label="x") == 1
+
+
 def test_two_replicas_promote_at_the_same_time(start):
     replicas = [start("a"), start("b")]
     for replica in replicas:
