@@ -29,6 +29,8 @@ struct spikeserve_robot {
 namespace {
 
 constexpr size_t kMostSummaries = 4096;
+// The clock counts nanoseconds, so that a later time would overflow it.
+constexpr absl::Duration kLongestWait = absl::Hours(24 * 365);
 constexpr size_t kFirstOptions = sizeof(spikeserve_robot_options_t);  // of the first release
 
 int Report(const absl::Status& status, spikeserve_robot_error_t* error) {
@@ -247,8 +249,8 @@ int spikeserve_robot_wait_summary(spikeserve_robot_t* robot, uint64_t episode, d
       return absl::NotFoundError(
           absl::StrCat("episode: expected one whose summary waits, received ", episode));
     }
-    const auto limit = absl::ToChronoNanoseconds(absl::Seconds(timeout));
-    if (found->second.wait_for(limit) != std::future_status::ready) {
+    const absl::Duration limit = std::min(absl::Seconds(timeout), kLongestWait);
+    if (found->second.wait_for(absl::ToChronoNanoseconds(limit)) != std::future_status::ready) {
       return absl::DeadlineExceededError("the server does not have the episode yet");
     }
     const Pilot::Summary ended = found->second.get();

@@ -12,6 +12,7 @@
 #include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <chrono>
 #include <optional>
 #include <string>
@@ -275,8 +276,9 @@ void BindEvents(nb::module_& module) {
                               .expected_decision = decision,
                               .expected_episode = episode};
             if (!retry_after.has_value()) return;
-            error->retry_after =
-                std::chrono::duration_cast<Time>(std::chrono::duration<double>(*retry_after));
+            const std::chrono::duration<double> longest = kNever / 2;  // a sum would overflow
+            error->retry_after = std::chrono::duration_cast<Time>(
+                std::min(longest, std::chrono::duration<double>(*retry_after)));
           },
           "kind"_a, "message"_a, "text"_a, "expected_decision"_a = nb::none(),
           "expected_episode"_a = nb::none(), "retry_after"_a = nb::none());

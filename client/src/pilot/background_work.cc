@@ -119,7 +119,7 @@ void Pilot::Controller::Fill(const robot::Request& request, v1::ActRequest* mess
   piloting::ToProto(session_.step_log(), request, message);
   message->set_session_id(session_id_);
   if (message->has_observed_at()) {
-    message->set_valid_until(message->observed_at() + absl::ToInt64Nanoseconds(options_.oldest()));
+    message->set_valid_until(message->observed_at() + piloting::ToRobot(options_.oldest()).count());
   }
 }
 

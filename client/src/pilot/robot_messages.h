@@ -3,6 +3,7 @@
 // Free functions, safe to call from many threads.
 #pragma once
 
+#include <algorithm>
 #include <optional>
 #include <span>
 
@@ -17,8 +18,9 @@
 
 namespace spikeserve::piloting {
 
+// Returns `time`, at most 50 years: with an infinite one, sums with a clock would overflow.
 inline robot::Time ToRobot(absl::Duration time) {
-  return robot::Time(absl::ToInt64Nanoseconds(time));
+  return std::min(robot::Time(absl::ToInt64Nanoseconds(time)), robot::kNever / 2);
 }
 inline absl::Duration FromRobot(robot::Time time) { return absl::Nanoseconds(time.count()); }
 inline std::span<const float> ToRobot(absl::Span<const float> values) {

@@ -1,5 +1,6 @@
 """A robot in C keeps the promises of the other pilots, with the shared library of its package."""
 
+import math
 import re
 
 import pytest
@@ -72,6 +73,14 @@ def test_steps_go_as_datagrams(fly):
                 flight.until("fresh")
                 flight.until_datagrams(transport != STREAM)
                 assert (flight.pilot.stats().datagram_answers > 0) == (transport != STREAM)
+
+
+def test_times_without_an_end_have_none(client, link, fly):
+    with fly(client, local=False, max_age=math.inf) as flight:
+        flight.until("fresh")
+        link.delay = 0.1
+        flight.end()
+        assert flight.summaries[0].result(math.inf).steps == len(flight.actions)
 
 
 def test_errors_name_the_field_and_have_a_code(address, program):

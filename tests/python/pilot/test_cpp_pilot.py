@@ -21,6 +21,7 @@ from test_pilot import (  # noqa: F401
     test_five_seconds_without_a_cable_cost_no_action,
     test_nothing_that_a_robot_passes_makes_a_beat_fail,
     test_the_next_episode_does_not_wait_for_the_answer_to_the_end,
+    test_times_without_an_end_have_none,
     test_what_a_safety_layer_executes_is_what_the_server_remembers,
 )
 from test_pilot_engine import (  # noqa: F401

@@ -459,6 +459,15 @@ def test_a_pilot_that_closes_fails_what_the_server_does_not_have(client, link, f
         flight.summaries[0].result(WAIT)
 
 
+def test_times_without_an_end_have_none(client, link, fly):
+    forever = 1e300  # seconds: JSON, for the pilot in C++, has no infinity
+    with fly(client, local=False, max_age=forever, close_timeout=forever) as flight:
+        flight.until("fresh")
+        link.delay = 0.1
+        flight.end()
+    flight.check_summaries()
+
+
 def test_rungs_are_logged_once(client, link, caplog):
     with caplog.at_level(logging.INFO, "spikeserve.pilot"), Flight(client, local=False) as flight:
         flight.until("fresh")
@@ -498,3 +507,7 @@ def test_a_neutral_action_belongs_to_the_action_space(client, neutral):
 def test_the_options_are_checked(options, message):
     with pytest.raises(ValueError, match=message):
         spikeserve.PilotOptions(**{"period": PERIOD} | options)
+
+
+def test_an_infinite_age_allows_the_most_requests():
+    assert spikeserve.PilotOptions(period=PERIOD, max_age=math.inf).most_in_flight == 64

@@ -14,6 +14,7 @@ from test_c_robot import (  # noqa: F401
     test_errors_name_the_field_and_have_a_code,
     test_steps_go_as_datagrams,
     test_the_engine_on_the_robot_and_the_robots_own_function,
+    test_times_without_an_end_have_none,
     test_what_a_safety_layer_executes_is_what_the_server_remembers,
 )
 

@@ -101,7 +101,8 @@ class PilotOptions:
         """Returns the most requests without an answer: later answers would be stale."""
         if self.in_flight is not None:
             return self.in_flight
-        return min(max(4, math.ceil(self.oldest / self.period) + 1), MOST_IN_FLIGHT)
+        beats = min(self.oldest / self.period, MOST_IN_FLIGHT)  # finite, so that it can be rounded
+        return min(max(4, math.ceil(beats) + 1), MOST_IN_FLIGHT)
 
 
 @dataclass(frozen=True)

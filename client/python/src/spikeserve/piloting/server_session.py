@@ -20,6 +20,7 @@ from spikeserve.values import Opening
 from spikeserve.wire import METHODS, Message
 
 LOGGER = logging.getLogger("spikeserve.pilot")
+_LONGEST_SECONDS = 50 * 365 * 86400.0
 
 
 class ServerSession:
@@ -163,5 +164,5 @@ def check_release(response: Message) -> None:
 
 
 def nanoseconds(seconds: float) -> int:
-    """Returns seconds as the machine takes them."""
-    return round(seconds * 1e9)
+    """Returns seconds as the machine takes them: at most 50 years, because more overflows."""
+    return round(min(seconds, _LONGEST_SECONDS) * 1e9)
