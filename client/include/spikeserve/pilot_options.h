@@ -36,7 +36,7 @@ enum class PilotTransport {
 //   safe   | the way to the neutral action, then that action    | neutral, ramp_beats
 //   safe   | after it, what the robot's own function returns    | fallback
 struct PilotOptions {
-  absl::Duration period;  // between two beats, 0.1 ms to an hour
+  absl::Duration period;  // between two beats, 1 ms to an hour
   // How long a beat may wait for an answer, at most `period`. Absent: half a period. With 0, a beat
   // waits neither for the server nor for the engine on the robot.
   std::optional<absl::Duration> budget = std::nullopt;
