@@ -287,7 +287,8 @@ void spikeserve_robot_stats(const spikeserve_robot_t* robot, spikeserve_robot_st
                                      .age_p999 = absl::ToDoubleSeconds(counted.age_p999),
                                      .has_local = counted.has_local,
                                      .local_head_is_copy = counted.local_head_is_copy,
-                                     .sends_datagrams = counted.sends_datagrams};
+                                     .sends_datagrams = counted.sends_datagrams,
+                                     .stays_safe = counted.stays_safe};
   static_assert(spikeserve::kActionSources == 4);
   std::copy(counted.by_source.begin(), counted.by_source.end(), filled.by_source);
   std::copy(counted.entries.begin(), counted.entries.end(), filled.entries);

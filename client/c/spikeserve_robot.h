@@ -168,6 +168,7 @@ typedef struct {
   int32_t has_local;
   int32_t local_head_is_copy;
   int32_t sends_datagrams;
+  int32_t stays_safe;  // 1: the server keeps the robot at its safe action
 } spikeserve_robot_stats_t;
 
 // Returns the version of the library: "0.2.0".

@@ -118,6 +118,7 @@ type Stats struct {
 	Invalid, InvalidObservations, Failures              uint64
 	LongestGap, AgeP50, AgeP99, AgeP999                 float64
 	HasLocal, LocalHeadIsCopy, SendsDatagrams           bool
+	StaysSafe                                           bool // the server keeps the robot at its safe action
 }
 
 // Options are the settings of a robot, in seconds. Nil: the default.
@@ -244,7 +245,7 @@ func (r *Robot) Stats() Stats {
 		Dropped: uint64(s.dropped), LostEpisodes: uint64(s.lost_episodes), UnequalReturns: uint64(s.unequal_returns),
 		Invalid: uint64(s.invalid), InvalidObservations: uint64(s.invalid_observations), Failures: uint64(s.failures),
 		LongestGap: float64(s.longest_gap), AgeP50: float64(s.age_p50), AgeP99: float64(s.age_p99),
-		AgeP999: float64(s.age_p999), HasLocal: s.has_local != 0, LocalHeadIsCopy: s.local_head_is_copy != 0}
+		AgeP999: float64(s.age_p999), HasLocal: s.has_local != 0, LocalHeadIsCopy: s.local_head_is_copy != 0, StaysSafe: s.stays_safe != 0}
 	for i := range stats.BySource {
 		stats.BySource[i], stats.Entries[i] = uint64(s.by_source[i]), uint64(s.entries[i])
 	}

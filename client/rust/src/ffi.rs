@@ -47,6 +47,7 @@ pub struct Stats {
     pub invalid: u64, pub invalid_observations: u64, pub failures: u64,
     pub longest_gap: f64, pub age_p50: f64, pub age_p99: f64, pub age_p999: f64,
     pub has_local: i32, pub local_head_is_copy: i32, pub sends_datagrams: i32,
+    pub stays_safe: i32, // 1: the server keeps the robot at its safe action
 }
 
 pub enum Robot {}

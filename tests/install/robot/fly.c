@@ -137,6 +137,7 @@ static void stats(void) {
   count("invalid", s.invalid);
   count("failures", s.failures);
   count("has_local", (uint64_t)s.has_local);
+  count("stays_safe", (uint64_t)s.stays_safe);
   printf("\"age_p50\": %g, \"age_p99\": %g, \"age_p999\": %g}\n", s.age_p50, s.age_p99, s.age_p999);
 }
 

@@ -75,7 +75,8 @@ func stats(flown *robot.Robot) any {
 		"local": s.BySource[robot.Local], "safe": s.BySource[robot.Safe],
 		"datagram_answers": s.DatagramAnswers, "sends_datagrams": s.SendsDatagrams, "reconnects": s.Reconnects, "reopened": s.Reopened,
 		"dropped": s.Dropped, "lost_episodes": s.LostEpisodes, "unequal_returns": s.UnequalReturns, "invalid": s.Invalid,
-		"failures": s.Failures, "has_local": s.HasLocal, "age_p50": s.AgeP50, "age_p99": s.AgeP99, "age_p999": s.AgeP999}
+		"failures": s.Failures, "has_local": s.HasLocal, "stays_safe": s.StaysSafe,
+		"age_p50": s.AgeP50, "age_p99": s.AgeP99, "age_p999": s.AgeP999}
 }
 
 func main() {

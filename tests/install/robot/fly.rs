@@ -63,7 +63,7 @@ fn stats(robot: &Robot) -> String {
         ("datagram_answers", s.datagram_answers), ("sends_datagrams", s.sends_datagrams as u64),
         ("reconnects", s.reconnects), ("reopened", s.reopened), ("dropped", s.dropped), ("lost_episodes", s.lost_episodes),
         ("unequal_returns", s.unequal_returns), ("invalid", s.invalid), ("failures", s.failures),
-        ("has_local", s.has_local as u64),
+        ("has_local", s.has_local as u64), ("stays_safe", s.stays_safe as u64),
     ];
     let counts: String = counts.iter().map(|(name, count)| format!("{name:?}: {count}, ")).collect();
     format!(r#"{{{counts}"age_p50": {:?}, "age_p99": {:?}, "age_p999": {:?}}}"#, s.age_p50, s.age_p99, s.age_p999)

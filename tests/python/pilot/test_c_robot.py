@@ -6,6 +6,7 @@ import re
 import pytest
 import spikeserve
 from robot_programs import ROOT, OtherPilot, build_c, installed
+from security import until
 from serving import run, running_server
 from test_datagrams import DatagramFlight
 from test_pilot import (  # noqa: F401
@@ -73,6 +74,19 @@ def test_steps_go_as_datagrams(fly):
                 flight.until("fresh")
                 flight.until_datagrams(transport != STREAM)
                 assert (flight.pilot.stats().datagram_answers > 0) == (transport != STREAM)
+
+
+def test_a_robot_that_is_held_can_say_so(fly):
+    with (
+        running_server() as server,
+        spikeserve.Client(server.grpc) as client,
+        spikeserve.Operator(client, "ann") as operator,
+        fly(client, local=False) as flight,
+    ):
+        flight.until("fresh")
+        assert not flight.pilot.stats().stays_safe
+        operator.hold(policy="pendulum", reason="smoke", wait=0.0)
+        until(lambda: flight.beat() and flight.pilot.stats().stays_safe)
 
 
 def test_times_without_an_end_have_none(client, link, fly):

@@ -10,6 +10,7 @@ from test_c_robot import (  # noqa: F401
     client,
     fly,
     test_a_cable_that_is_pulled_costs_nothing,
+    test_a_robot_that_is_held_can_say_so,
     test_each_beat_says_who_chose_its_action,
     test_errors_name_the_field_and_have_a_code,
     test_steps_go_as_datagrams,
