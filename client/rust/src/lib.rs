@@ -132,7 +132,8 @@ unsafe extern "C" fn fallback(context: *mut c_void, observation: *const f32, siz
         _ => return 1,
     }
     *action = to_c(Some(Action::Box(chosen).into()));
-    (*action).discrete = chosen.first().map_or(-1, |index| *index as i64);
+    // `as` would make an index of NaN and of fractions; -1 belongs to no space.
+    (*action).discrete = chosen.first().filter(|index| index.fract() == 0.0).map_or(-1, |index| *index as i64);
     0
 }
 

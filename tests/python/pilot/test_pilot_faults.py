@@ -196,6 +196,16 @@ def test_the_fall_back_hears_of_a_robot_that_is_blind(client):
         assert len(seen) == 3 and np.isnan(seen).all()
 
 
+@pytest.mark.parametrize("action", [math.nan, -0.7, 0.5])
+def test_a_number_that_is_no_index_is_no_action(client, action):
+    options = {"hold_beats": 0, "ramp_beats": 0, "fallback": lambda _: action}
+    with Flight(client, "cartpole", local=False, **options) as flight:
+        flight.until("fresh")
+        flight.blind(3)
+        stats = flight.pilot.stats()
+        assert stats.failures == stats.safe >= 3
+
+
 def test_a_robot_may_wait_until_an_answer_is_there(client, link, fly):
     with fly(client, local=False) as flight:
         link.delay = 0.1

@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 from robot_programs import ROOT, SOURCES, installed
+from security import until
 from serving import run
 from test_c_robot import (  # noqa: F401
     client,
@@ -59,3 +60,12 @@ def program(request, tmp_path_factory):
         assert not os.environ.get("CI"), f"{compiler}: expected what `deploy/setup.sh` installs, found none"
         pytest.skip(f"{compiler} is not installed")
     return build(with_sources(tmp_path_factory.mktemp("program")))
+
+
+@pytest.mark.parametrize("program", [("cargo", build_rust)], indirect=True, ids=["rust"], scope="module")
+@pytest.mark.parametrize("action", ["nan", "-0.7"])
+def test_a_number_that_is_no_index_is_no_action(client, link, fly, action):
+    with fly(client, "cartpole", local=False, action=action) as flight:
+        flight.until("fresh")
+        link.cut()
+        until(lambda: flight.beat() and flight.pilot.stats().failures > 0)

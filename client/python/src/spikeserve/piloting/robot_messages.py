@@ -65,8 +65,9 @@ def to_robot(
         if isinstance(space, Box):
             array = np.asarray(action, np.float32, order="C")
             return array if array.ndim == 1 else np.empty(0, np.float32)
-        index = int(np.asarray(action))
-        return index if 0 <= index < space.n else -1
+        given = np.asarray(action)
+        index = int(given)
+        return index if index == given and 0 <= index < space.n else -1
     except Exception:  # of an array of the caller
         return np.empty(0, np.float32) if isinstance(space, Box) else -1
 
