@@ -393,6 +393,21 @@ absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string&
   return TrainedPolicy{.policy = std::move(policy), .summary = std::move(summary)};
 }
 
+// Returns the words that identify, in the checkpoints of a run, what it starts from. `sources` is
+// the result of IdentifySources().
+std::string SourceWords(const TrainFlags& flags, const nlohmann::ordered_json& sources) {
+  std::string words;
+  if (flags.lookback.has_value()) absl::StrAppend(&words, " --lookback=", *flags.lookback);
+  if (flags.mirror.has_value()) absl::StrAppend(&words, " --mirror=", *flags.mirror);
+  if (sources.contains("parent_sha256")) {
+    absl::StrAppend(&words, " parent_sha256=", sources["parent_sha256"].get<std::string>());
+  }
+  if (!sources.contains("data_sha256")) return words;  // recorded anew, which the recipe identifies
+  std::vector<std::string> data;  // without the paths: a file that was moved is the same
+  for (const auto& sha256 : sources["data_sha256"]) data.push_back(sha256.get<std::string>());
+  return absl::StrCat(words, " data_sha256=", absl::StrJoin(data, ","));
+}
+
 // Returns INVALID_ARGUMENT if no decision of the episodes for training has a weight in the loss.
 absl::Status CheckWeights(const TrainOptions& options, const EpisodeSource& source) {
   const Split split = SplitEpisodes(source.entries(), options.validation);
@@ -495,7 +510,7 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
   ASSIGN_OR_RETURN(const nlohmann::ordered_json sources, IdentifySources(flags.init, flags.data));
 
   AdviseOnKernels();
-  Trainer trainer(initial, source, options);
+  Trainer trainer(initial, source, options, SourceWords(flags, sources));
   const std::string checkpoint = absl::StrCat(flags.out, "/checkpoint.pt");
   if (flags.resume && std::filesystem::exists(checkpoint)) {
     RETURN_IF_ERROR(trainer.LoadCheckpoint(checkpoint));

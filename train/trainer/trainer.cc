@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
+#include <iterator>
 #include <numbers>
 #include <numeric>
 #include <utility>
@@ -16,10 +17,12 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_replace.h"
+#include "absl/strings/str_split.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
 #include "core/math/counter_random.h"
+#include "core/model/policy_metadata.h"
 #include "train/trainer/device.h"
 #include "train/trainer/initial_policy.h"
 
@@ -66,12 +69,41 @@ ClipShape ShapeOfClips(const TrainOptions& options, const ModelConfig& config) {
           .delay = options.delay};
 }
 
-// Returns the text that identifies a run in its checkpoints.
+// Returns the text that identifies the options and the data of a run in its checkpoints.
 std::string RunText(const TrainOptions& options, const EpisodeSource& source) {
   const std::string text =
       absl::StrCat(options.ToFlags(), " data=", source.dataset().recipe.dump());
   // The chunks of other runs hold other episodes.
   return source.resident() ? text : absl::StrCat(text, " data_memory=", source.memory());
+}
+
+// Returns the text that identifies the initial policy, of which the tensors do not show all, and
+// the files that the run reads.
+std::string OriginText(const Policy& initial, const std::string& sources) {
+  std::map<std::string, std::string> metadata = FormatPolicyMetadata(initial);
+  const std::string config = absl::StrReplaceAll(
+      metadata["config"], {{"{", ""}, {"}", ""}, {"\"", ""}, {":", "="}, {",", " "}});
+  return absl::StrCat("environment=", initial.environment, " ", config,
+                      " return_offset=", metadata["return_offset"],
+                      " return_scale=", metadata["return_scale"], sources);
+}
+
+// Returns FAILED_PRECONDITION with the words that differ, unless both texts are equal.
+absl::Status CheckSame(const std::string& path, const std::string& expected,
+                       const std::string& received) {
+  if (expected == received) return absl::OkStatus();
+  const auto only = [](const std::string& text, const std::string& other) {
+    const std::vector<std::string> words = absl::StrSplit(text, ' ');
+    const std::vector<std::string> others = absl::StrSplit(other, ' ');
+    std::vector<std::string> found;
+    std::copy_if(words.begin(), words.end(), std::back_inserter(found), [&](const auto& word) {
+      return std::find(others.begin(), others.end(), word) == others.end();
+    });
+    return found.empty() ? "none" : absl::StrJoin(found, " ");
+  };
+  return absl::FailedPreconditionError(absl::StrCat(path, ": to continue its run, expected ",
+                                                    only(expected, received), ", received ",
+                                                    only(received, expected)));
 }
 
 }  // namespace
@@ -198,10 +230,12 @@ struct Trainer::Optimizer {
   std::vector<torch::Tensor> parameters;
 };
 
-Trainer::Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options)
+Trainer::Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options,
+                 const std::string& sources)
     : source_(source),
       options_(options),
       run_(RunText(options, source)),
+      origin_(OriginText(initial, sources)),
       config_(initial.config),
       action_space_(source.dataset().action_space),
       observation_size_(source.dataset().observation_size),
@@ -374,6 +408,7 @@ absl::Status Trainer::SaveCheckpoint(const std::string& path) const {
   try {
     torch::serialize::OutputArchive archive, optimizer;
     archive.write("run", c10::IValue(run_));
+    archive.write("origin", c10::IValue(origin_));
     archive.write("iteration", c10::IValue(static_cast<int64_t>(iteration_)));
     for (const auto& [name, tensor] : State()) {
       archive.write(ArchiveName(name), tensor);
@@ -395,12 +430,14 @@ absl::Status Trainer::LoadCheckpoint(const std::string& path) {
   try {
     torch::serialize::InputArchive archive, optimizer;
     archive.load_from(path);
-    c10::IValue run, iteration;
+    c10::IValue run, origin, iteration;
     archive.read("run", run);
-    if (run.toStringRef() != run_) {
-      return absl::FailedPreconditionError(
-          absl::StrCat(path, ": made with ", run.toStringRef(), ", not ", run_));
-    }
+    // Checkpoints of earlier programs lack the origin.
+    const bool has_origin = archive.try_read("origin", origin);
+    RETURN_IF_ERROR(
+        has_origin ? CheckSame(path, absl::StrCat(run.toStringRef(), " ", origin.toStringRef()),
+                               absl::StrCat(run_, " ", origin_))
+                   : CheckSame(path, run.toStringRef(), run_));
     std::map<std::string, torch::Tensor> state = State();
     std::map<std::string, torch::Tensor> loaded;
     for (const auto& [name, tensor] : state) {

@@ -94,8 +94,11 @@ class Trainer {
   // Keeps a reference to `source`. REQUIRES: valid options, whose frozen tensors the policy has,
   // and a valid policy in float32 for the source's environment that CheckDevice() accepts; with
   // Arithmetic::kInteger one that QuantizeToInteger() accepts, with NormTraining::kFade one with
-  // norms and spikes. Sets the number of threads of libtorch in this process.
-  Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options);
+  // norms and spikes. `sources` are words that identify the files that the run reads, each after a
+  // space; checkpoints of other words are refused. Sets the number of threads of libtorch in this
+  // process.
+  Trainer(Policy initial, const EpisodeSource& source, const TrainOptions& options,
+          const std::string& sources = "");
   ~Trainer();
 
   struct StepReport {
@@ -130,7 +133,7 @@ class Trainer {
   absl::Status SaveCheckpoint(const std::string& path) const;
   // Restores a checkpoint. Returns NOT_FOUND if the file does not exist, and FAILED_PRECONDITION,
   // without changing the weights or the iteration, if it belongs to a run with other options, data
-  // or model.
+  // or model; the message names what differs.
   absl::Status LoadCheckpoint(const std::string& path);
 
  private:
@@ -158,7 +161,9 @@ class Trainer {
 
   const EpisodeSource& source_;
   const TrainOptions options_;
-  const std::string run_;  // options and data; identifies the run in its checkpoints
+  // Identify the run in its checkpoints.
+  const std::string run_;     // options and recipe of the data
+  const std::string origin_;  // initial policy and files
   const ModelConfig config_;
   const ActionSpace action_space_;
   const int observation_size_;

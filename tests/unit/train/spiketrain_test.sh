@@ -38,12 +38,35 @@ grep -q '"first_seed": 1000000' whole.json
 grep -q '"loss_fall"' whole.json
 
 # A run of which only the last checkpoint is left, as if interrupted before it wrote its policy, resumes to the same
-# policy and the same verdict, which needs the validations from before.
+# policy and the same verdict, which needs the validations from before. The data may have moved.
 cp -r whole resumed
 rm resumed/policy.safetensors
-"$spiketrain" train --data=data.cbor --out=resumed "${tiny[@]}" --iterations=6 --validate_every=1 --resume --json 2>/dev/null \
-  > resumed.json
+"$spiketrain" train --data="$dir/data.cbor" --out=resumed "${tiny[@]}" --iterations=6 --validate_every=1 --resume --json \
+  2>/dev/null >resumed.json
 cmp <(grep -v '"policy_file"' whole.json) <(grep -v '"policy_file"' resumed.json)
+
+# A checkpoint of another model, another start or other data is refused, also where all tensors have the same shapes.
+resume_of() { "$spiketrain" train --resume --data=data.cbor --out="$1" "${tiny[@]}" --iterations=6 "${@:2}"; }
+refuses_to_continue() {
+  local out=$1 expected=$2
+  if resume_of "$out" "${@:3}" >/dev/null 2>message; then fail "accepted: a checkpoint of another run than ${*:3}"; fi
+  grep -qE "^spiketrain: $out/checkpoint.pt: to continue its run, expected $expected\$" message || fail "$(cat message)"
+}
+LC_ALL=C sed 's/\xfa\x3f\x80/\xfa\x3f\xc0/g' data.cbor >earning.cbor  # rewards of 1.5 in the place of 1
+refuses_to_continue resumed 'ticks=4, received ticks=5' --ticks=5
+refuses_to_continue resumed 'phase_clock=timestep, received phase_clock=window' --phase_clock=window
+refuses_to_continue resumed 'return_scale=250, received return_scale=100' --return_scale=100
+refuses_to_continue resumed 'none, received --lookback=2' --lookback=2
+refuses_to_continue resumed 'data_sha256=[0-9a-f]{64}, received data_sha256=[0-9a-f]{64}' --data=earning.cbor
+refuses_to_continue resumed 'none, received parent_sha256=[0-9a-f]{64}' --init=whole/policy.safetensors
+resume_of resumed >/dev/null 2>&1 || fail "the same run"
+# Data that are recorded anew are the same if their recipe is.
+anew() {
+  "$spiketrain" train --resume --out=anew "${tiny[@]}" --iterations=1 --expert_fraction=0.2 "$@" >/dev/null 2>message
+}
+for _ in 1 2; do anew --steps=200 || fail "the same recipe: $(cat message)"; done
+if anew --steps=400; then fail "accepted: a checkpoint of another recipe"; fi
+grep -q 'anew/checkpoint.pt: to continue its run, expected data=' message || fail "$(cat message)"
 
 # The record of a policy identifies the program and the files that it was made from.
 sha() { sha256sum "$1" | cut -d' ' -f1; }
@@ -284,10 +307,7 @@ cp -r integers integers2
 rm integers2/policy.safetensors
 integers --out=integers2 "${tiny[@]}" --iterations=4 --resume 2>/dev/null >integers2.txt
 cmp <(grep -v '^policy:' integers.txt) <(grep -v '^policy:' integers2.txt)
-if "$spiketrain" train --data=data.cbor --out=integers "${tiny[@]}" --iterations=4 --resume 2>message; then
-  fail "accepted: a checkpoint of another arithmetic"
-fi
-grep -q 'made with .* --arithmetic=integer .*, not ' message || fail "the arithmetic of a checkpoint: $(cat message)"
+refuses_to_continue integers '--arithmetic=integer, received none' --iterations=4
 integers --out=tuned-integers --init=whole/policy.safetensors --iterations=2 --json 2>/dev/null |
   grep -q '"int_45nm"' || fail "the energy of an integer policy"
 "$spiketrain" account --policy=tuned-integers/policy.safetensors --episodes=1 | grep -q '^int_sram_45nm ' ||

@@ -10,6 +10,7 @@
 #include <utility>
 #include <variant>
 
+#include "absl/strings/str_cat.h"
 #include "tests/support/small_policy.h"
 #include "train/data/minari_writer.h"
 #include "train/recording/record.h"
@@ -141,7 +142,16 @@ TEST_F(TrainerTest, CheckpointsOfAnotherRunAreRefused) {
   ModelConfig wide = SmallConfig();
   wide.ffn_size = 40;
   EXPECT_THAT(std::string(Trainer(Initial(wide), source_, options_).LoadCheckpoint(path).message()),
-              HasSubstr("has another shape"));
+              testing::AllOf(HasSubstr("ffn_size=32"), HasSubstr("ffn_size=40")));
+  ModelConfig fewer = SmallConfig();  // no tensor has another shape
+  --fewer.ticks;
+  EXPECT_THAT(
+      std::string(Trainer(Initial(fewer), source_, options_).LoadCheckpoint(path).message()),
+      HasSubstr(absl::StrCat("received ticks=", fewer.ticks)));
+  Trainer sourced(Initial(), source_, options_, " data_sha256=abc");
+  EXPECT_EQ(sourced.LoadCheckpoint(path).message(),
+            path + ": to continue its run, expected none, received data_sha256=abc");
+  EXPECT_EQ(sourced.iteration(), 0);
   std::ofstream(path) << "not a checkpoint";
   EXPECT_EQ(Trainer(Initial(), source_, options_).LoadCheckpoint(path).code(),
             absl::StatusCode::kFailedPrecondition);
