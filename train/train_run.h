@@ -68,7 +68,7 @@ struct TrainedPolicy {
 // Trains a policy on `source`, evaluates it, and writes policy.safetensors and checkpoint.pt to
 // --out, a directory that it makes. `command_line` becomes a part of the policy's record. A policy
 // in integers that lost too much of what the float32 one of --init returns is not written: the
-// checkpoint is, so that --resume continues.
+// checkpoint is, from which --resume --allow_loss writes it.
 absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const EpisodeSource& source,
                                           const std::string& command_line);
 

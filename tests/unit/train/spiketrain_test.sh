@@ -315,7 +315,7 @@ integers --out=tuned-integers --init=whole/policy.safetensors --iterations=2 --j
 refuses '--policy: arithmetic: expected integer, received float32' account --policy=whole/policy.safetensors --episodes=1
 says tuned-integers/policy.safetensors "\\\"parent_sha256\\\":\\\"$(sha whole/policy.safetensors)\\\""
 grep -aq 'lineage.*--out=whole' tuned-integers/policy.safetensors || fail "lineage of integers"
-# Integers that lost what --init returns are not written. The checkpoint is, so that they can be accepted without training again.
+# Integers that lost what --init returns are not written. The checkpoint is, so that the loss may be accepted.
 lost() { integers --out=lost --init=float32/policy.safetensors --iterations=6 --warmup=1 --learning_rate=0.5 "$@"; }
 if lost >/dev/null 2>message; then fail "accepted: integers that lost the return"; fi
 grep -q '^spiketrain: --max_loss: expected a loss of at most 0.01 of the range of the return, received .* --overwrite, or accept' \
