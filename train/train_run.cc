@@ -96,10 +96,8 @@ std::string ArithmeticFlag(const TrainFlags& flags) {
 // Trains to the end.
 absl::StatusOr<ValidationLosses> TrainToEnd(const TrainFlags& flags, const std::string& checkpoint,
                                             Trainer* trainer) {
-  constexpr double kForget = 0.05;  // weight of the newest loss in the running mean that is shown
   ProgressBar progress(flags.trainer.options.iterations, trainer->iteration());
   LearningCurve curve(flags, trainer->iteration());
-  double shown_loss = -1.0;
   while (!trainer->done()) {
     RETURN_IF_ERROR(trainer->ReadEpisodes());
     const absl::StatusOr<Trainer::StepReport> step = trainer->Step();
@@ -108,14 +106,13 @@ absl::StatusOr<ValidationLosses> TrainToEnd(const TrainFlags& flags, const std::
       return Annotate(step.status(),
                       absl::StrCat(ArithmeticFlag(flags), ": iteration ", iteration));
     }
-    shown_loss = shown_loss < 0.0 ? step->loss : shown_loss + kForget * (step->loss - shown_loss);
     if (!std::isfinite(step->loss)) {
       return absl::InternalError(absl::StrCat("the loss is not finite at iteration ", iteration,
                                               "; try a lower --learning_rate"));
     }
     const bool last = trainer->done();
     if (trainer->has_validation() && (last || iteration % flags.validate_every == 0)) {
-      RETURN_IF_ERROR(curve.Add(iteration, shown_loss, trainer->ValidationLoss()));
+      RETURN_IF_ERROR(curve.Add(iteration, step->mean_loss, trainer->ValidationLoss()));
     }
     if (last || iteration % flags.checkpoint_every == 0) {
       RETURN_IF_ERROR(trainer->SaveCheckpoint(checkpoint));
@@ -123,7 +120,7 @@ absl::StatusOr<ValidationLosses> TrainToEnd(const TrainFlags& flags, const std::
     const std::string held_out =
         curve.losses().empty() ? ""
                                : absl::StrFormat(", validation %.4f", curve.losses().back().second);
-    progress.Update(iteration, absl::StrFormat("loss %.4f%s, excess rate %.4f", shown_loss,
+    progress.Update(iteration, absl::StrFormat("loss %.4f%s, excess rate %.4f", step->mean_loss,
                                                held_out, step->hinge));
   }
   ValidationLosses losses = curve.losses();

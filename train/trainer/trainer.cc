@@ -37,6 +37,7 @@ constexpr double kFinalRateFactor = 0.02;  // final learning rate, relative to t
 constexpr double kHingeRamp = 1.0 / 3.0;   // share of the iterations in which the penalty grows
 constexpr double kFade = 0.7;              // share of the iterations in which norms fade
 constexpr int kValidationBatches = 4;
+constexpr double kForget = 0.05;  // weight of the newest loss in the running mean
 
 absl::Status Require(bool holds, absl::string_view option, absl::string_view expected,
                      double received) {
@@ -357,7 +358,9 @@ absl::StatusOr<Trainer::StepReport> Trainer::Step() {
   const Batch batch = MakeBatch(clips_->Sample(key, options_.batch, options_.action_noise));
   const ModelOutput output = model_.ForwardInTraining(batch.clips, batch.mask);
   torch::Tensor loss = Loss(batch, output);
-  StepReport report = {.loss = loss.item<double>(), .hinge = 0.0};
+  StepReport report = {.loss = loss.item<double>()};
+  mean_loss_ = mean_loss_ < 0.0 ? report.loss : mean_loss_ + kForget * (report.loss - mean_loss_);
+  report.mean_loss = mean_loss_;
   const double ramp = std::min(1.0, iteration_ / (kHingeRamp * options_.iterations));
   const torch::Tensor hinge = RateHinge(output.populations, options_.rate_targets, batch.mask);
   if (hinge.defined()) {
@@ -410,6 +413,7 @@ absl::Status Trainer::SaveCheckpoint(const std::string& path) const {
     archive.write("run", c10::IValue(run_));
     archive.write("origin", c10::IValue(origin_));
     archive.write("iteration", c10::IValue(static_cast<int64_t>(iteration_)));
+    archive.write("mean_loss", c10::IValue(mean_loss_));
     for (const auto& [name, tensor] : State()) {
       archive.write(ArchiveName(name), tensor);
     }
@@ -430,9 +434,9 @@ absl::Status Trainer::LoadCheckpoint(const std::string& path) {
   try {
     torch::serialize::InputArchive archive, optimizer;
     archive.load_from(path);
-    c10::IValue run, origin, iteration;
+    c10::IValue run, origin, iteration, mean_loss;
     archive.read("run", run);
-    // Checkpoints of earlier programs lack the origin.
+    // Checkpoints of earlier programs lack the origin and the mean loss.
     const bool has_origin = archive.try_read("origin", origin);
     RETURN_IF_ERROR(
         has_origin ? CheckSame(path, absl::StrCat(run.toStringRef(), " ", origin.toStringRef()),
@@ -452,6 +456,7 @@ absl::Status Trainer::LoadCheckpoint(const std::string& path) {
     const torch::NoGradGuard no_gradient;
     for (const auto& [name, tensor] : loaded) state[name].copy_(tensor);
     iteration_ = static_cast<int>(iteration.toInt());
+    mean_loss_ = archive.try_read("mean_loss", mean_loss) ? mean_loss.toDouble() : -1.0;
     SetNormShare();
     return model_.Round();
   } catch (const c10::Error&) {

@@ -102,8 +102,9 @@ class Trainer {
   ~Trainer();
 
   struct StepReport {
-    double loss = 0.0;   // imitation loss
-    double hinge = 0.0;  // sum of the excess of firing rates over their targets
+    double loss = 0.0;       // imitation loss
+    double mean_loss = 0.0;  // its running mean
+    double hinge = 0.0;      // sum of the excess of firing rates over their targets
   };
   // Reads the episodes that the next Step() and ValidationLoss() need, if the source is not
   // resident. Fails if a file can no longer be read. Needs to be called before each of them only if
@@ -127,9 +128,9 @@ class Trainer {
   // done(), with NormTraining::kFade.
   Policy CurrentPolicy() const { return model_.CurrentPolicy(); }
 
-  // Writes weights, moments of norms that fade, optimiser state and iteration; there is no other
-  // state, because random draws depend only on seed and iteration. Replaces the file at `path`
-  // atomically. Returns INTERNAL if it cannot be written.
+  // Writes weights, moments of norms that fade, optimiser state, iteration and mean loss; there is
+  // no other state, because random draws depend only on seed and iteration. Replaces the file at
+  // `path` atomically. Returns INTERNAL if it cannot be written.
   absl::Status SaveCheckpoint(const std::string& path) const;
   // Restores a checkpoint. Returns NOT_FOUND if the file does not exist, and FAILED_PRECONDITION,
   // without changing the weights or the iteration, if it belongs to a run with other options, data
@@ -178,6 +179,7 @@ class Trainer {
   std::unique_ptr<ClipSampler> clips_;  // draws from the episodes in memory
   std::unique_ptr<Optimizer> optimizer_;
   int iteration_ = 0;
+  double mean_loss_ = -1.0;  // -1: no iteration yet
 };
 
 }  // namespace spikeserve
