@@ -7,6 +7,10 @@
 #include "absl/status/status.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
+#include "core/base/json.h"
+#include "core/base/printable.h"
+#include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/digest/sha256.h"
 #include "core/emit/fixed_sources.h"
@@ -17,9 +21,10 @@
 namespace spikeserve {
 namespace {
 
-constexpr int kTextBytes = 320;
-constexpr int kEndBytes = 160;   // without the numbers of an observation and an action
-constexpr int kNumberBytes = 5;  // in CBOR
+constexpr int kTextBytes = 320;       // at most 117 of a session that opens, and its policy's name
+constexpr size_t kLongestName = 128;  // as that of a server
+constexpr int kEndBytes = 160;        // without the numbers of an observation and an action
+constexpr int kNumberBytes = 5;       // in CBOR
 constexpr int kCostsBytes = 23 * 4;
 
 int64_t RoundUp(int64_t value, int64_t unit) { return (value + unit - 1) / unit * unit; }
@@ -79,6 +84,11 @@ int64_t LargestOfAttention(const Policy& policy) {
 }
 
 absl::Status Check(const Policy& policy, const EmitOptions& options, int64_t state_bytes) {
+  if (options.name.size() > kLongestName || !IsPrintable(options.name)) {
+    return InvalidArgument(
+        "name", absl::StrCat("at most ", kLongestName, " bytes of printable characters"),
+        absl::StrCat(Quoted(options.name), " of ", options.name.size(), " bytes"));
+  }
   if (policy.config.arithmetic != Arithmetic::kInteger) {
     return absl::FailedPreconditionError(absl::StrCat(
         "policy: expected the arithmetic integer, received ", ToString(policy.config.arithmetic),
@@ -101,9 +111,13 @@ absl::Status Check(const Policy& policy, const EmitOptions& options, int64_t sta
 }
 
 std::string Banner(const Policy& policy, const EmitOptions& options) {
+  // A text of others must not end the comment.
+  const auto in_comment = [](const std::string& text) {
+    return absl::StrReplaceAll(text, {{"*", "_"}});
+  };
   return absl::StrCat(
-      "/* The policy ", options.name, ", version ", options.version, ", for ",
-      policy.environment.empty() ? "an environment without a name" : policy.environment,
+      "/* The policy ", in_comment(options.name), ", version ", options.version, ", for ",
+      policy.environment.empty() ? "an environment without a name" : in_comment(policy.environment),
       ".\n   Made by `spikectl emit-c`; do not edit. It decides as spikeserve does, bit for bit.\n"
       "   SPDX-License-Identifier: Apache-2.0 */\n");
 }

@@ -27,9 +27,10 @@ struct EmittedC {
   int64_t state_bytes = 0;  // of spike_state, for the RAM
 };
 
-// Writes the policy of a file. INVALID_ARGUMENT if the file is no policy. FAILED_PRECONDITION,
-// which says what to do, if the policy is dense, is not in integer arithmetic, has sums of
-// attention of more than 31 bits, or needs more than `most_state`.
+// Writes the policy of a file. INVALID_ARGUMENT if the file is no policy, or the name has more than
+// 128 bytes or characters that are not printable. FAILED_PRECONDITION, which says what to do, if
+// the policy is dense, is not in integer arithmetic, has sums of attention of more than 31 bits, or
+// needs more than `most_state`.
 absl::StatusOr<EmittedC> EmitC(absl::string_view policy_file, const EmitOptions& options);
 
 }  // namespace spikeserve

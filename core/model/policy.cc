@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/json.h"
+#include "core/base/printable.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/contract/dcheck.h"
@@ -84,6 +85,10 @@ absl::Status CheckScalars(const Policy& policy) {
   status.Update(CheckFinite("modulator_mean", policy.modulator_mean));
   status.Update(CheckPositive("modulator_std", policy.modulator_std));
   status.Update(ParseJsonObject("training", policy.training).status());
+  if (!IsPrintable(policy.environment)) {  // terminals and sources of C show it
+    status.Update(
+        InvalidArgument("environment", "printable characters", Quoted(policy.environment)));
+  }
   return status;
 }
 

@@ -40,8 +40,8 @@ struct Policy {
 
   // Returns INVALID_ARGUMENT unless the config and the action space are valid, every tensor has the
   // shape that they require, every number is finite and in its range (see integer_weights.h for
-  // integers), the scales and deviations are positive, `training` is a JSON object,
-  // and the features and the wiring model fit the sizes.
+  // integers), the scales and deviations are positive, the environment is printable, `training` is
+  // a JSON object, and the features and the wiring model fit the sizes.
   absl::Status Validate() const;
 };
 

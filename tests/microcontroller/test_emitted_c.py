@@ -1,5 +1,6 @@
 """The C of every shipped policy, and of random ones, decides on this machine as the server does, bit for bit."""
 
+import json
 import re
 import subprocess
 
@@ -97,11 +98,36 @@ def refusal(*flags):
     return done.stderr
 
 
+def with_environment(file, environment):
+    """Returns the bytes of a policy file with another environment."""
+    content = file.read_bytes()
+    size = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + size])
+    header["__metadata__"]["environment"] = environment
+    header = json.dumps(header).encode()
+    header += b" " * (-len(header) % 8)
+    return len(header).to_bytes(8, "little") + header + content[8 + size :]
+
+
+def test_texts_of_others(tmp_path):
+    """The longest name fits the value of a session, and no environment becomes code."""
+    file = tmp_path / ("n" * 128 + ".safetensors")
+    file.write_bytes(with_environment(shipped()[0], "x */ int y; #error /* /*/"))
+    emitted = emit(file, tmp_path, decisions=150)
+    assert play(emitted, emitted.compile(["gcc"], *SANITIZED)) == emitted.hash
+
+
 def test_refusals(tmp_path):
     float32 = ROOT / "tests/releases/0.1.0/policies/cartpole-sparse/1/policy.safetensors"
     small = shipped()[0]
     assert "spiketrain quantize --policy=FILE --to=integer" in refusal(f"--policy={float32}", f"--out={tmp_path}/c")
     assert "--ram: expected at least 3944 bytes" in refusal(f"--policy={small}", f"--out={tmp_path}/c", "--ram=3000")
+    long = tmp_path / ("n" * 129 + ".safetensors")
+    long.write_bytes(small.read_bytes())
+    assert re.search(
+        r": name: expected at most 128 bytes of printable characters, received \"n+\.\.\.\" of 129 bytes",
+        refusal(f"--policy={long}", f"--out={tmp_path}/c"),
+    )
     assert "--policy: expected a policy file" in refusal(f"--out={tmp_path}/c")
     assert "--kind: expected plain, arduino or zephyr" in refusal(
         f"--policy={small}", f"--out={tmp_path}/c", "--kind=x"

@@ -257,6 +257,8 @@ TEST_F(PolicyFileRefusalTest, Metadata) {
         "return_offset: expected a finite number that fits float32, received \"" +
             std::string(text) + "\"");
   }
+  set("environment", "x\x1b]52",
+      "environment: expected printable characters, received \"x\\x1b]52\"");
   set("return_scale", "0", "return_scale: expected a positive finite number, received 0");
   set("return_scale", "-250", "return_scale: expected a positive finite number, received -250");
   set("target_return", "nan",

@@ -117,7 +117,7 @@ TEST_F(PolicyFileTest, EveryFieldRoundTripsBitForBit) {
   policy.target_return = -std::numeric_limits<float>::max();
   policy.modulator_mean = std::nextafter(0.1f, 1.0f);
   policy.modulator_std = 1.0e-10f;
-  policy.environment = "Größe \"1\"\n";
+  policy.environment = "Größe \"1\"";
   policy.training = R"({"command": "a \"b\"", "evaluation": {"mean_return": 500.0}})";
   policy.weights.head.bias.values = {-0.0f, std::numeric_limits<float>::denorm_min()};
   ExpectRoundTrip(policy, Path());
