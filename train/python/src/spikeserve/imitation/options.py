@@ -47,6 +47,26 @@ def _setting(default: Any, text: str) -> Any:
     return field(default=default, metadata={"help": text})
 
 
+_AT_LEAST_ONE = (
+    "environments",
+    "steps",
+    "longest_burst",
+    "hidden_size",
+    "layers",
+    "ticks",
+    "context",
+    "batch",
+    "iterations",
+    "seeds",
+    "threads",
+    "round_steps",
+    "round_iterations",
+    "silence_iterations",
+    "selection_episodes",
+    "episodes",
+)
+
+
 @dataclass(frozen=True)
 class ImitationOptions:
     """How `imitate` records, trains and evaluates.
@@ -133,25 +153,7 @@ class ImitationOptions:
 
     def __post_init__(self) -> None:
         parse_delay(self.delay)
-        at_least_one = (
-            "environments",
-            "steps",
-            "longest_burst",
-            "hidden_size",
-            "layers",
-            "ticks",
-            "context",
-            "batch",
-            "iterations",
-            "seeds",
-            "threads",
-            "round_steps",
-            "round_iterations",
-            "silence_iterations",
-            "selection_episodes",
-            "episodes",
-        )
-        for name in at_least_one:
+        for name in _AT_LEAST_ONE:
             value = getattr(self, name)
             check(value is None or value >= 1, name, "at least 1", value)
         for name in ("seed", "clip_steps", "rounds", "patience", "tolerance"):
