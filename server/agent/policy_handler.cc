@@ -159,7 +159,7 @@ int PolicyHandler::ActBatchGroup(CallContext& context, const v1::ActBatchRequest
                                  StepOutcome* progress, StepBudget* budget) const {
   SPIKESERVE_DCHECK(CheckBatch(request).ok());
   SPIKESERVE_DCHECK(first >= 0 && first <= request.requests_size());
-  SPIKESERVE_DCHECK(response->results_size() == request.requests_size());
+  while (response->results_size() < request.requests_size()) response->add_results();
   const int limit =
       std::min(request.requests_size(), first + static_cast<int>(kMaxSessionsPerGroup));
   int end = std::min(first + 1, limit);

@@ -49,7 +49,6 @@ void ActBatchCall::Handle() {
   // Counted before the first decision: a batch that was decided must be answered.
   if (status.ok()) status = HoldMessages(request().requests_size() * kAnswerBytes);
   if (!status.ok()) return End(status);
-  while (response()->results_size() < request().requests_size()) response()->add_results();
   decided_ = 0;
   received_at_ = context().clock->Now();
   progress_ = {};
