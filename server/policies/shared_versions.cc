@@ -92,13 +92,15 @@ std::vector<std::string> SharedVersions::Fetch(const Settings& before, const Set
 absl::Status SharedVersions::FetchOne(const PolicyVersion& version,
                                       const std::string& sha256) const {
   const std::string path = folder_.PathOf(version);
-  if (folder_.Has(version)) {
-    const auto found = ReadFile(path);
-    return found.ok() ? Annotate(CheckSha256(*found, sha256), path) : absl::OkStatus();
+  if (!folder_.Has(version)) {
+    const auto files = Get(version, sha256);
+    if (!files.ok()) return Annotate(files.status(), path);
+    const auto written = folder_.Write(version, *files);
+    // A server with the same folder may have been faster.
+    if (written.ok() || !folder_.Has(version)) return written;
   }
-  const auto files = Get(version, sha256);
-  if (!files.ok()) return Annotate(files.status(), path);
-  return folder_.Write(version, *files);
+  const auto found = ReadFile(path);
+  return found.ok() ? Annotate(CheckSha256(*found, sha256), path) : absl::OkStatus();
 }
 
 absl::StatusOr<VersionFiles> SharedVersions::Get(const PolicyVersion& version,
