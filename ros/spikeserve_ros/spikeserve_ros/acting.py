@@ -43,6 +43,7 @@ class Task:
     actions: int | None  # the number of discrete actions; None: an action is a vector
     action_size: int  # of such a vector
     names: tuple[str, ...] = ()  # of the elements of an observation; (): the policy has none
+    target_return: float | None = None  # of the policy file; None: the session aims at it unless told otherwise
 
     def mapped(self, mapping: RobotMapping, settings: Settings) -> RobotMapping:
         """Returns the mapping, with the elements that the policy's names mean if it has none and the input is joints.
@@ -90,7 +91,7 @@ class Acting:
         self._observed_at = 0.0
         self._joints = Joints()
         self._reward = 0.0
-        self.target_return = settings.target_return  # of the next episode
+        self.target_return = settings.target_return  # of the next episode; None: that of the policy file
         self.beats = dict.fromkeys(SOURCES, 0)
         self.refusal = ""  # why the last message was refused; the node clears it
 
@@ -163,9 +164,8 @@ class Acting:
         """Ends the episode, by the task or by an operator. Rewards and observations of it do not count for the next one."""
         if self._pilot is not None:
             reward = self._reward
-            self._pilot.end_episode(
-                reward, terminated=terminated, truncated=not terminated, target_return=self.target_return
-            )
+            target = self._task.target_return if self.target_return is None else self.target_return
+            self._pilot.end_episode(reward, terminated=terminated, truncated=not terminated, target_return=target)
         self._observation = None
         self._joints = Joints()
         self._reward = 0.0

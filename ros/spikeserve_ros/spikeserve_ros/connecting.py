@@ -1,5 +1,6 @@
 """Opens the pilot in the background, so that the node publishes safe actions until the server answers."""
 
+import dataclasses
 import logging
 import threading
 from collections.abc import Callable
@@ -16,7 +17,7 @@ RETRY_SECONDS = 1.0
 
 
 def task_of(client: spikeserve.Client, settings: Settings) -> Task:
-    """Returns the sizes of the policy. Raises ValueRefusedError if the server does not serve it."""
+    """Returns the sizes and the target return of the policy. Raises ValueRefusedError if the server does not serve it."""
     served = client.list_policies()
     for policy in served:
         wanted = policy.is_default if settings.version == 0 else policy.version == settings.version
@@ -24,8 +25,8 @@ def task_of(client: spikeserve.Client, settings: Settings) -> Task:
             space = policy.action_space
             names = tuple(feature.name for feature in policy.observation_features)
             if isinstance(space, spikeserve.Discrete):
-                return Task(policy.observation_size, int(space.n), 1, names)
-            return Task(policy.observation_size, None, len(space.low), names)
+                return Task(policy.observation_size, int(space.n), 1, names, policy.target_return)
+            return Task(policy.observation_size, None, len(space.low), names, policy.target_return)
     names = sorted({f"{policy.name}/{policy.version}" for policy in served})
     raise ValueRefusedError(
         "policy", "one of " + ", ".join(names), f"{settings.policy}/{settings.version or 'default'}"
@@ -33,11 +34,17 @@ def task_of(client: spikeserve.Client, settings: Settings) -> Task:
 
 
 class Connecting:
-    """Tries to open a pilot until it succeeds. `take` and `error` may be called from any thread."""
+    """Tries to open a pilot until it succeeds. `take` and `error` may be called from any thread.
 
-    def __init__(self, settings: Settings, mapping: RobotMapping) -> None:
+    `target_return` returns that of the first episode, None: that of the policy file. A thread of this class calls it.
+    """
+
+    def __init__(
+        self, settings: Settings, mapping: RobotMapping, target_return: Callable[[], float | None]
+    ) -> None:
         self._settings = settings
         self._mapping = mapping
+        self._target_return = target_return
         self._lock = threading.Lock()
         self._opened: tuple[spikeserve.Pilot, Task] | None = None
         self._error = "the server has not answered yet"
@@ -84,8 +91,11 @@ class Connecting:
             task = task_of(client, settings)
             mapping = task.mapped(self._mapping, settings)
             task.check(mapping, settings)
+            target = self._target_return()
+            if target is None:  # traffic shares may choose another version, whose own target the session then has
+                task = dataclasses.replace(task, target_return=None)
             session = spikeserve.SessionOptions(
-                version=settings.version, target_return=settings.target_return, observation=mapping.names
+                version=settings.version, target_return=target, observation=mapping.names
             )
             neutral = list(settings.safe_action) if task.actions is None else None
             way = {"transport": settings.transport, "redundancy": settings.redundancy}

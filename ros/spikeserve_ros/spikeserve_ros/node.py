@@ -60,7 +60,7 @@ class ActingNode(Node):
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_timer(settings.period, self._beat)
         self.create_timer(DIAGNOSTICS_SECONDS, self._diagnose)
-        self._connecting = Connecting(settings, mapping)
+        self._connecting = Connecting(settings, mapping, lambda: self._acting.target_return)
 
     def _declare(self, parameter: Parameter) -> object:
         default = rclpy.Parameter.Type.DOUBLE_ARRAY if isinstance(parameter.default, list) else parameter.default

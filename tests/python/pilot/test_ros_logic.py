@@ -8,15 +8,18 @@ import math
 import pathlib
 import runpy
 import sys
+import threading
 import types
 
 import pytest
+import spikeserve
 import yaml
 
 PACKAGE = pathlib.Path(__file__).parents[3] / "ros/spikeserve_ros"
 sys.path.insert(0, str(PACKAGE))
 
 from spikeserve_ros.acting import Acting, Task  # noqa: E402
+from spikeserve_ros.connecting import Connecting  # noqa: E402
 from spikeserve_ros.errors import ValueRefusedError  # noqa: E402
 from spikeserve_ros.health import ERROR, OK, STALE, WARN, health  # noqa: E402
 from spikeserve_ros.mapping import Joints, RobotMapping  # noqa: E402
@@ -330,6 +333,39 @@ def test_the_end_of_an_episode_takes_its_reward_and_the_target_along(clock, pilo
     acting.observe_vector([0.0, 0.0])
     acting.beat()
     assert pilot.beats[-1] == ([0.0, 0.0], 0.0)
+
+
+def first_session(monkeypatch, target):
+    """Returns the target of the session that Connecting opens, and the task, for a policy that aims at 500."""
+    space = spikeserve.Discrete(2)
+    policy = {"name": "cartpole", "version": 1, "is_default": True, "observation_size": 2, "action_space": space}
+    served = types.SimpleNamespace(**policy, observation_features=(), target_return=500.0)
+    client = types.SimpleNamespace(list_policies=lambda: [served], close=lambda: None)
+    sessions, is_open = [], threading.Event()
+
+    def open_pilot(*_, session, **__):
+        sessions.append(session)
+        is_open.set()
+        return types.SimpleNamespace(close=lambda: None)
+
+    monkeypatch.setattr(spikeserve, "Client", lambda _: client)
+    monkeypatch.setattr(spikeserve, "Pilot", open_pilot)
+    connecting = Connecting(Settings.of(SAFE | {"target_return": 100.0}), RobotMapping(), lambda: target)
+    assert is_open.wait(30), connecting.error
+    connecting.close()
+    return sessions[0].target_return, connecting.take()[1]
+
+
+def test_the_target_goes_back_to_that_of_the_policy_file(clock, pilot, monkeypatch):
+    target, task = first_session(monkeypatch, 200.0)
+    assert target == 200.0  # that of now, not that of the start
+    acting = acting_of(clock, pilot, task=task, target_return=100.0)
+    acting.target_return = target_return(-1e9)
+    acting.end_episode(terminated=True)
+    assert first_session(monkeypatch, None)[0] is None
+    acting = acting_of(clock, pilot, task=first_session(monkeypatch, None)[1])
+    acting.end_episode(terminated=True)  # of whatever version the server has chosen
+    assert [options["target_return"] for _, options in pilot.endings] == [500.0, None]
 
 
 def counts(**some):
