@@ -280,6 +280,7 @@ void PrintJson(const AdaptationOptions& options, const Adaptation& result) {
 absl::Status RunAdaptation(const AdaptFlags& flags, const ServerFlags& server) {
   ASSIGN_OR_RETURN(auto options, MakeOptions(flags));
   const auto environment = MakeTask(options);
+  if (absl::IsNotFound(environment.status())) return Annotate(environment.status(), "--env");
   if (!environment.ok()) {
     return absl::Status(environment.status().code(),
                         absl::StrCat("--", environment.status().message()));

@@ -2,13 +2,16 @@
 
 #include <cmath>
 #include <functional>
+#include <utility>
 #include <vector>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/status.h"
+#include "core/base/status_macros.h"
 #include "core/environment/classic_tasks.h"
+#include "core/environment/position_only.h"
 
 namespace spikeserve {
 namespace {
@@ -100,7 +103,14 @@ absl::StatusOr<std::unique_ptr<Environment>> MakePerturbedEnvironment(
                                   {"force", [](P& p, double factor) { p.force *= factor; }},
                                   {"gravity", [](P& p, double factor) { p.gravity *= factor; }}});
   }
-  return MakeEnvironment(id).status();  // NOT_FOUND, with the known ids
+  const absl::string_view inside_id = PositionOnly::InsideId(id);
+  if (inside_id != id) {
+    ASSIGN_OR_RETURN(auto inside, MakePerturbedEnvironment(inside_id, perturbation));
+    return PositionOnly::Wrap(id, std::move(inside));
+  }
+  RETURN_IF_ERROR(MakeEnvironment(id).status());  // NOT_FOUND, with the known ids
+  return InvalidArgument("perturb", absl::StrCat("no perturbation of ", std::string(id)),
+                         absl::StrCat("\"", perturbation.name, "\""));
 }
 
 }  // namespace spikeserve

@@ -13,13 +13,18 @@ absl::string_view PositionOnly::InsideId(absl::string_view id) {
 }
 
 std::unique_ptr<Environment> PositionOnly::MakeCartPole() {
-  return std::make_unique<PositionOnly>(kCartPoleId, spikeserve::MakeCartPole(),
-                                        std::vector<int>{0, 2});
+  return Wrap(kCartPoleId, spikeserve::MakeCartPole());
 }
 
 std::unique_ptr<Environment> PositionOnly::MakePendulum() {
-  return std::make_unique<PositionOnly>(kPendulumId, spikeserve::MakePendulum(),
-                                        std::vector<int>{0, 1});
+  return Wrap(kPendulumId, spikeserve::MakePendulum());
+}
+
+std::unique_ptr<Environment> PositionOnly::Wrap(absl::string_view id,
+                                                std::unique_ptr<Environment> inside) {
+  const bool is_cart = id == kCartPoleId;
+  return std::make_unique<PositionOnly>(is_cart ? kCartPoleId : kPendulumId, std::move(inside),
+                                        is_cart ? std::vector<int>{0, 2} : std::vector<int>{0, 1});
 }
 
 PositionOnly::PositionOnly(absl::string_view id, std::unique_ptr<Environment> inside,

@@ -27,6 +27,9 @@ class PositionOnly final : public Environment {
   static std::unique_ptr<Environment> MakeCartPole();
   // Makes Pendulum-v1 with the observation [2]: cosine and sine of the angle.
   static std::unique_ptr<Environment> MakePendulum();
+  // Wraps `inside`, a CartPole-v1 or Pendulum-v1, as these do. REQUIRES: `id` is one of the above.
+  static std::unique_ptr<Environment> Wrap(absl::string_view id,
+                                           std::unique_ptr<Environment> inside);
 
   // Wraps `inside`. `kept` lists the indices of the visible entries of its observation, in the
   // order of the new observation.

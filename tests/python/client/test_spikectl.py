@@ -267,6 +267,8 @@ MISTAKES = [
     ([*ADAPT, "--scope=fleet", "--fleet=0"], "--fleet: expected 1 to 1000, received 0"),
     ([*ADAPT, "--rule=habit"], '--rule: expected policy_gradient, hebbian, hebbian_action or corrections, received "habit"'),
     ([*ADAPT, "--learning_rate=-1"], "--learning_rate: expected"),
+    (["adapt", "--env=Pong-v0"], "--env: environment: expected one of CartPole-v1"),
+    (["adapt", "--env=PositionOnlyCartPole-v1", "--perturb=glue=1"], "--perturb: expected one of wind, length"),
     (["adapt", "--env=CartPole-v1", "--episodes=0"], "--episodes: expected at least 1, received 0"),
     (["admin", "fly"], "expected one of load, unload"),
     (["admin", "reload", "--policy=x"], "--policy: expected a flag of spikectl admin reload"),

@@ -126,7 +126,8 @@ TEST(ParsePerturbationTest, TakesANameAndAFiniteNumber) {
 }
 
 TEST(PerturbationTest, AFactorOfOneChangesNothing) {
-  for (const std::string id : {"CartPole-v1", "MountainCar-v0", "Acrobot-v1", "Pendulum-v1"}) {
+  for (const std::string id : {"CartPole-v1", "MountainCar-v0", "Acrobot-v1", "Pendulum-v1",
+                               "PositionOnlyCartPole-v1", "PositionOnlyPendulum-v1"}) {
     for (const std::string name : {"length", "mass", "force", "gravity"}) {
       if (id == "MountainCar-v0" && (name == "length" || name == "mass")) continue;
       const auto plain = MakeEnvironment(id);
@@ -156,6 +157,8 @@ TEST(PerturbationTest, AReversedActuatorMirrorsThePush) {
   const auto torque = [](float value) { return Action{.discrete = 0, .continuous = {value}}; };
   EXPECT_EQ(Next("Pendulum-v1", "force=-1", {0, 0}, torque(1.5f), 1),
             Next("Pendulum-v1", "", {0, 0}, torque(-1.5f), 1));
+  EXPECT_EQ(Next("PositionOnlyCartPole-v1", "force=-1", {0, 0, 0, 0}, Push(0), 1),
+            Next("CartPole-v1", "", {0, 0, 0, 0}, Push(1), 1));
 }
 
 TEST(PerturbationTest, WindPushesTheCartToTheRight) {
@@ -193,6 +196,10 @@ TEST(PerturbationTest, SaysWhatATaskHas) {
               HasSubstr("expected one of force, gravity for MountainCar-v0, received \"wind\""));
   EXPECT_THAT(message("Pendulum-v1", {.name = "mass", .value = 0}),
               HasSubstr("expected a mass above 0, received 0"));
+  EXPECT_THAT(message("PositionOnlyCartPole-v1", {.name = "heat", .value = 1}),
+              HasSubstr("expected one of wind, length, mass, force, gravity for CartPole-v1"));
+  EXPECT_THAT(message("PositionOnlyPendulum-v1", {.name = "wind", .value = 1}),
+              HasSubstr("expected one of length, mass, force, gravity for Pendulum-v1"));
   EXPECT_THAT(message("Pong-v0", {.name = "mass", .value = 1}), HasSubstr("Pong-v0"));
 }
 
