@@ -293,6 +293,12 @@ def test_nothing_is_open_as_printed(case):
     assert rules and all(rule["from"] for rule in rules)
 
 
+def test_the_test_runs_where_the_server_does():
+    pod, test = workload(rendered("memory"))["spec"]["template"]["spec"], find(rendered("memory"), "Pod")["spec"]
+    for field in ("nodeSelector", "tolerations"):
+        assert test[field] == pod[field]
+
+
 def test_the_platform_may_choose_the_user():
     def users(case):
         contexts = [

@@ -26,6 +26,7 @@ from tests.kubernetes.chart import (  # noqa: E402
     is_kept,
     render,
     rendered,
+    workload,
 )
 from tests.kubernetes.cluster import running_cluster  # noqa: E402
 
@@ -85,6 +86,17 @@ def test_helm_refuses_a_range_that_is_empty():
     )
     assert finished.returncode != 0
     assert "autoscaling.minReplicas: expected at most autoscaling.maxReplicas, 12, received 13" in finished.stderr
+
+
+def test_the_test_is_pulled_and_placed_as_the_server():
+    settings = "image.pullSecrets={registry},pod.priorityClassName=robots,pod.nodeSelector.arm=left,pod.tolerations[0].key=arm"
+    finished = helm("template", "spikeserve", CHART, "--kube-version", "1.34.0", "--set", settings)
+    assert finished.returncode == 0, finished.stderr
+    documents = list(filter(None, yaml.safe_load_all(finished.stdout)))
+    pod, test = workload(documents)["spec"]["template"]["spec"], find(documents, "Pod")["spec"]
+    for field in ("imagePullSecrets", "priorityClassName", "nodeSelector", "tolerations"):
+        assert pod[field]
+        assert test[field] == pod[field]
 
 
 def test_a_package_of_the_chart_makes_the_same_objects(tmp_path):

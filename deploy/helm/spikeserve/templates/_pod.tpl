@@ -17,26 +17,12 @@ spec:
   terminationGracePeriodSeconds: {{ include "spikeserve.graceSeconds" . }}
   securityContext:
     {{- include "spikeserve.podSecurityContext" . | nindent 4 }}
-  {{- with .Values.image.pullSecrets }}
-  imagePullSecrets:
-    {{- range . }}
-    - {name: {{ . }}}
-    {{- end }}
+  {{- with include "spikeserve.placement" . | trim }}
+  {{- . | nindent 2 }}
   {{- end }}
   {{- if and .Values.tls.secret (ne .Values.tls.probeName "localhost") }}
   hostAliases:  # the probe reaches this pod by a name of its certificate
     - {ip: 127.0.0.1, hostnames: [{{ .Values.tls.probeName | quote }}]}
-  {{- end }}
-  {{- with .Values.pod.priorityClassName }}
-  priorityClassName: {{ . }}
-  {{- end }}
-  {{- with .Values.pod.nodeSelector }}
-  nodeSelector:
-    {{- toYaml . | nindent 4 }}
-  {{- end }}
-  {{- with .Values.pod.tolerations }}
-  tolerations:
-    {{- toYaml . | nindent 4 }}
   {{- end }}
   {{- with .Values.pod.affinity }}
   affinity:
@@ -91,6 +77,27 @@ spec:
   volumes:
     {{- . | nindent 4 }}
   {{- end }}
+{{- end -}}
+
+{{/* Where a pod may run and who may pull its image. Without affinity, which may keep pods away from those of the server. */}}
+{{- define "spikeserve.placement" -}}
+{{- with .Values.image.pullSecrets }}
+imagePullSecrets:
+  {{- range . }}
+  - {name: {{ . }}}
+  {{- end }}
+{{- end }}
+{{- with .Values.pod.priorityClassName }}
+priorityClassName: {{ . }}
+{{- end }}
+{{- with .Values.pod.nodeSelector }}
+nodeSelector:
+  {{- toYaml . | nindent 2 }}
+{{- end }}
+{{- with .Values.pod.tolerations }}
+tolerations:
+  {{- toYaml . | nindent 2 }}
+{{- end }}
 {{- end -}}
 
 {{/* The kubelet's gRPC probe knows no TLS. */}}
