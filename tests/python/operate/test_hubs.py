@@ -56,7 +56,7 @@ class HuggingFace(http.server.BaseHTTPRequestHandler):
     def do_GET(self):  # noqa: N802
         if self.path.startswith("/api/"):
             return self.answer({"id": "fleet/robots", "sha": REVISION})
-        path = self.path.partition(f"/resolve/{REVISION}/")[2]
+        path = re.sub(rf".*/resolve/({REVISION}|main)/", "", self.path)
         if path not in self.files:
             return self.answer(b"", 404, X_Error_Code="EntryNotFound")
         content = self.files[path]
@@ -72,6 +72,8 @@ class HuggingFace(http.server.BaseHTTPRequestHandler):
         for line in map(json.loads, body.splitlines()):
             if line["key"] == "file":
                 self.files[line["value"]["path"]] = base64.b64decode(line["value"]["content"])
+            elif line["key"] == "deletedFile":
+                del self.files[line["value"]["path"]]
         commit = f"http://{self.headers['Host']}/fleet/robots/commit/{REVISION}"
         return self.answer({"commitUrl": commit, "commitOid": REVISION})
 
@@ -131,6 +133,11 @@ def test_a_hub_gives_back_what_it_got(hub, tmp_path):
         hubs(environment, "push", pushed, place)
         hubs(environment, "pull", place, pulled)
         assert (pulled.read_bytes(), signature.read_bytes()) == (b"new", b"of the new one")
+        pushed.write_bytes(b"unsigned")
+        pushed.with_name("pushed.safetensors.sig").unlink()
+        hubs(environment, "push", pushed, place)
+        hubs(environment, "pull", place, pulled)
+        assert (pulled.read_bytes(), signature.exists()) == (b"unsigned", False)
 
 
 def test_wrong_places_are_refused():

@@ -72,8 +72,12 @@ class HuggingFace:
             )
             for name, file in files.items()
         ]
-        options = {"commit_message": f"Add {self._path}", "revision": self._revision}
-        self._library.HfApi().create_commit(self._repo, operations, **options)
+        api, signature = self._library.HfApi(), f"{self._path}.sig"
+        where = {"revision": self._revision}
+        # That of the policy before, which the hub must not show beside this one.
+        if SIGNATURE not in files and api.file_exists(self._repo, signature, **where):
+            operations.append(self._library.CommitOperationDelete(path_in_repo=signature))
+        api.create_commit(self._repo, operations, commit_message=f"Add {self._path}", **where)
 
 
 class S3:
@@ -98,6 +102,8 @@ class S3:
         for name, file in reversed(files.items()):
             key = self._key + name.removeprefix(POLICY)
             self._client.upload_file(str(file), self._bucket, key)
+        if SIGNATURE not in files:  # that of the policy before, if there is one
+            self._client.delete_object(Bucket=self._bucket, Key=f"{self._key}.sig")
 
 
 class Registry:
