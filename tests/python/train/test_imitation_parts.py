@@ -1,5 +1,6 @@
 """The parts of `spikeserve.imitate`: spaces, experts, recordings, and a run that is interrupted and continued."""
 
+import functools
 import hashlib
 import json
 import os
@@ -18,6 +19,7 @@ from gymnasium import spaces
 from minari.data_collector.episode_buffer import EpisodeBuffer
 from minari.dataset.minari_storage import MinariStorage
 from spikeserve.flat_spaces import ActionMap, FlatEnvironment, ObservationMap
+from spikeserve.imitation import pipeline
 from spikeserve.imitation.actors import Bursts, ExpertActor, RandomActor
 from spikeserve.imitation.baselines import return_warnings
 from spikeserve.imitation.datasets import read_dataset, write_dataset
@@ -227,6 +229,38 @@ def test_a_run_continues_and_one_seed_gives_one_policy(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="out: expected the settings of .* received other seed"):
         other = ImitationOptions(**(vars(SMALLEST) | {"seed": 1}))
         spikeserve.imitate(*arguments, tmp_path / "a", options=other, spiketrain=SPIKETRAIN)
+
+
+class RecordEpisodeStatistics(gymnasium.wrappers.RecordEpisodeStatistics):
+    """Another one of the same short name."""
+
+
+def test_a_run_continues_with_what_it_began_with_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(pipeline, "_Run", lambda *_: types.SimpleNamespace(run=lambda: None))
+    monkeypatch.setattr(pipeline.Spiketrain, "check_flags", lambda *_: None)
+    wrapped = gymnasium.wrappers.RecordEpisodeStatistics
+    shorter = functools.partial(wrapped, buffer_length=1)
+
+    def imitate(env_id="home_made:HomeMade-v0", expert=home_made.go_to_corner, wrapper=wrapped, **others):
+        spikeserve.imitate(env_id, expert, tmp_path, wrappers=[wrapper], spiketrain=SPIKETRAIN, **others)
+
+    imitate()
+    imitate()
+    with pytest.raises(ValueError, match="out: expected the settings of .* received other env_id"):
+        imitate("json:HomeMade-v0")
+    with pytest.raises(ValueError, match="out: expected the settings of .* received other wrappers"):
+        imitate(wrapper=RecordEpisodeStatistics)
+    for unclear, name in (({"expert": lambda observation: 0}, "<lambda>"), ({"wrapper": shorter}, "functools.partial")):
+        with pytest.raises(ValueError, match=f"out: expected another folder, or --overwrite, because no name says .*{name}"):
+            imitate(**unclear)
+        imitate(**unclear, overwrite=True)
+    imitate(overwrite=True)
+    settings = json.loads((tmp_path / "settings.json").read_text())
+    for added in ("env_id", "wrappers"):  # which earlier releases did not write down
+        del settings[added]
+    (tmp_path / "settings.json").write_text(json.dumps(settings))
+    imitate()
+    assert json.loads((tmp_path / "settings.json").read_text())["env_id"] == "home_made:HomeMade-v0"
 
 
 def read_weights(path):

@@ -28,7 +28,8 @@ def imitate(
     or a folder), which cannot label the policy's own states. Everything is written below `out`:
     data, stages, policies for `spikeserve --policies`, report.md and metadata.json. A call with
     equal arguments continues an interrupted run, and equal arguments give an equal policy. A run
-    with other arguments in the same folder is refused; `overwrite` deletes it and begins anew.
+    with other arguments in the same folder is refused; `overwrite` deletes it and begins anew. A
+    run whose expert or wrapper has no name of its own, such as a lambda, cannot be continued.
 
     Needs the extra `spikeserve-train[imitation]` and the program `spiketrain`: the argument,
     $SPIKETRAIN, or on PATH. ValueError for an environment or expert that cannot be used, before

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -29,6 +30,20 @@ def load_object(path: str, field: str) -> Any:
         raise ValueError(
             f"{field}: expected an importable module:name, received {path}: {error}"
         ) from error
+
+
+def name_of(value: Callable[..., Any]) -> str:
+    """Returns module:name of a callable; of an instance, its type."""
+    return f"{getattr(value, '__module__', '')}:{getattr(value, '__qualname__', repr(type(value)))}"
+
+
+def is_found_by_name(value: Callable[..., Any]) -> bool:
+    """Returns whether `name_of` leads to `value`: not for a lambda, closure or instance."""
+    module, _, name = name_of(value).partition(":")
+    found: Any = sys.modules.get(module)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    return found is value
 
 
 class EnvironmentFactory:

@@ -12,6 +12,9 @@ from typing import Any
 from spikeserve.check import check
 from spikeserve.imitation.figures import Figures
 
+# What runs of earlier releases did not write down; they continue without it.
+_ADDED = ("env_id", "wrappers")
+
 
 class Journal:
     """Keeps results below a folder, so that an interrupted run continues where it was.
@@ -35,12 +38,14 @@ class Journal:
             f"{foreign} without {path.name}",
         )
         folder.mkdir(parents=True, exist_ok=True)
-        stored = json.loads(path.read_text()) if path.is_file() else settings
         # Through JSON, because JSON turns tuples into lists.
         given = json.loads(json.dumps(settings))
-        differing = (
-            [name for name in given if stored.get(name) != given[name]] if path.is_file() else []
-        )
+        stored = json.loads(path.read_text()) if path.is_file() else given
+        differing = [
+            name
+            for name, value in given.items()
+            if stored.get(name, value if name in _ADDED else None) != value
+        ]
         check(
             not differing,
             "out",

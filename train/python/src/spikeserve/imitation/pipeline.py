@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from spikeserve.check import check
 from spikeserve.engine import Engine
 from spikeserve.imitation.actors import Bursts, DelayedStudentActor, ExpertActor, StudentActor
 from spikeserve.imitation.baselines import (
@@ -25,7 +26,7 @@ from spikeserve.imitation.datasets import (
     write_dataset,
 )
 from spikeserve.imitation.delays import label_all_after
-from spikeserve.imitation.environments import EnvironmentFactory
+from spikeserve.imitation.environments import EnvironmentFactory, is_found_by_name, name_of
 from spikeserve.imitation.episodes import Actor, Budget, Episode, play
 from spikeserve.imitation.experts import Expert, is_dataset, load_expert
 from spikeserve.imitation.figures import Evaluator, Figures
@@ -79,17 +80,23 @@ def imitate(
     if isinstance(source, str):
         check_spaces(open_dataset(source), environment, source)
     trainer.check_flags(options.train_flags)
-    settings = {"environment": factory.name, "expert": _name_of(expert), **asdict(options)}
+    given: list[Any] = [*wrappers, expert]
+    unclear = [name_of(each) for each in given if callable(each) and not is_found_by_name(each)]
+    check(
+        overwrite or not unclear or not (folder / "settings.json").is_file(),
+        "out",
+        f"another folder, or --overwrite, because no name says which {', '.join(unclear)} it was",
+        f"{folder} with a run",
+    )
+    settings = {
+        "environment": factory.name,
+        "expert": name_of(expert) if callable(expert) else str(expert),
+        "env_id": env_id,
+        "wrappers": [name_of(wrapper) for wrapper in wrappers],
+        **asdict(options),
+    }
     journal = Journal(folder, settings, overwrite)
     return _Run(factory, source, options, trainer, journal).run()
-
-
-def _name_of(expert: str | Callable[..., Any]) -> str:
-    if not callable(expert):
-        return str(expert)
-    return (
-        f"{getattr(expert, '__module__', '')}:{getattr(expert, '__qualname__', repr(type(expert)))}"
-    )
 
 
 class _Run:
