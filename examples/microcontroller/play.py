@@ -28,6 +28,17 @@ def open_port(name):
 def main():
     environment, episodes = gymnasium.make(sys.argv[1]), int(sys.argv[2])
     source, sink, emulator = open_port(sys.argv[3])
+    try:
+        print(f"mean return {np.mean(play(environment, episodes, source, sink)):.1f}")
+    except (BrokenPipeError, EOFError):  # QEMU has ended
+        sys.exit(f"play.py: expected an action, received the end of {sys.argv[3]}")
+    finally:
+        if emulator:
+            emulator.kill()
+
+
+def play(environment, episodes, source, sink):
+    """Returns the returns of the episodes."""
     is_discrete = hasattr(environment.action_space, "n")
     size = 4 if is_discrete else 4 * environment.action_space.shape[0]
     event, reward, returns = b"s", 0.0, []
@@ -38,16 +49,17 @@ def main():
             sink.write(event + struct.pack("<d", reward) + observation.astype("<f4").tobytes())
             answer = b""
             while len(answer) < size:
-                answer += source.read(size - len(answer))
+                read = source.read(size - len(answer))
+                if not read:
+                    raise EOFError
+                answer += read
             action = struct.unpack("<i", answer)[0] if is_discrete else np.frombuffer(answer, "<f4")
             observation, reward, terminated, truncated, _ = environment.step(action)
             reward, event = float(reward), b"s"
             total += reward
         event = b"t" if terminated else b"e"
         returns.append(total)
-    print(f"mean return {np.mean(returns):.1f}")
-    if emulator:
-        emulator.kill()
+    return returns
 
 
 if __name__ == "__main__":

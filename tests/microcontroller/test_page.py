@@ -69,3 +69,14 @@ def test_a_policy_of_ones_own(tmp_path):
     file = tmp_path / "own/policies/cartpole/2/policy.safetensors"
     printed = follow(tmp_path, [("deploy/policies/cartpole-small/1/policy.safetensors", file)])
     assert printed.endswith(on_the_engine(file, "CartPole-v1"))
+
+
+def test_an_emulator_that_ends_is_no_endless_wait(tmp_path):
+    qemu = tmp_path / "qemu-system-arm"
+    for ending in ("exit 1", "head -c 1"):  # before and after the observation
+        qemu.write_text(f"#!/bin/sh\n{ending}\n")
+        qemu.chmod(0o755)
+        command = [sys.executable, ROOT / "examples/microcontroller/play.py", "CartPole-v1", "1", "policy.elf"]
+        path = {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+        done = subprocess.run(command, env=os.environ | path, capture_output=True, text=True, timeout=120)
+        assert (done.returncode, done.stderr) == (1, "play.py: expected an action, received the end of policy.elf\n")
