@@ -10,7 +10,7 @@ if [[ -z ${MEASURE_INSIDE:-} ]]; then  # mounts of its own: nothing stays mounte
   MEASURE_INSIDE=1 exec unshare --mount --pid --fork --kill-child "$0" "$target"
 fi
 root=$(mktemp -d "${TMPDIR:-/tmp}/measure-setup.XXXXXX")
-trap 'umount --lazy "$root/proc" "$root/dev" 2>/dev/null; rm -rf --one-file-system "$root"' EXIT
+trap 'umount --lazy "$root/proc" "$root/dev" 2>/dev/null || true; rm -rf --one-file-system "$root"' EXIT
 
 echo "measure-setup: making a root of Debian 12 with git and make"
 debootstrap --variant=minbase --include=git,make bookworm "$root" >/dev/null
