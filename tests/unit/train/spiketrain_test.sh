@@ -46,7 +46,7 @@ rm resumed/policy.safetensors
 cmp <(grep -v '"policy_file"' whole.json) <(grep -v '"policy_file"' resumed.json)
 
 # A checkpoint of another model, another start or other data is refused, also where all tensors have the same shapes.
-resume_of() { "$spiketrain" train --resume --data=data.cbor --out="$1" "${tiny[@]}" --iterations=6 "${@:2}"; }
+resume_of() { "$spiketrain" train --resume --data="${data:-data.cbor}" --out="$1" "${tiny[@]}" --iterations=6 "${@:2}"; }
 refuses_to_continue() {
   local out=$1 expected=$2
   if resume_of "$out" "${@:3}" >/dev/null 2>message; then fail "accepted: a checkpoint of another run than ${*:3}"; fi
@@ -57,7 +57,7 @@ refuses_to_continue resumed 'ticks=4, received ticks=5' --ticks=5
 refuses_to_continue resumed 'phase_clock=timestep, received phase_clock=window' --phase_clock=window
 refuses_to_continue resumed 'return_scale=250, received return_scale=100' --return_scale=100
 refuses_to_continue resumed 'none, received --lookback=2' --lookback=2
-refuses_to_continue resumed 'data_sha256=[0-9a-f]{64}, received data_sha256=[0-9a-f]{64}' --data=earning.cbor
+data=earning.cbor refuses_to_continue resumed 'data_sha256=[0-9a-f]{64}, received data_sha256=[0-9a-f]{64}'
 refuses_to_continue resumed 'none, received parent_sha256=[0-9a-f]{64}' --init=whole/policy.safetensors
 resume_of resumed >/dev/null 2>&1 || fail "the same run"
 # Data that are recorded anew are the same if their recipe is.
