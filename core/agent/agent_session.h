@@ -116,6 +116,7 @@ class AgentSession {
 
   // Returns the contribution whose outcome the last returned summary may lack; null: it lacks none.
   const std::shared_ptr<FleetContribution>& contribution() const { return head_.contribution(); }
+  // Returns how many episodes have contributed to the head of a fleet in this process.
   int64_t contributions() const { return head_.contributions(); }
   // Calls `listener` for the decisions and episodes after this call.
   void AddListener(std::shared_ptr<SessionListener> listener);

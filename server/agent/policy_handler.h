@@ -90,10 +90,10 @@ class PolicyHandler {
   // Returns INVALID_ARGUMENT if a batch has more than kMaxBatch requests.
   static absl::Status CheckBatch(const v1::ActBatchRequest& request);
   // Answers at most kMaxSessionsPerGroup items of a batch, from `first` on, and returns the index
-  // after the last one. `response` has a result for each; what is answered there stays. An item
-  // that fails has its own code. An item with past beats is a group of its own. If it has not
-  // finished, returns `first`, and the next call goes on with it, by `progress`. REQUIRES:
-  // CheckBatch returned OK.
+  // after the last one. `response` gets a result for each item of the batch; one that is answered
+  // there already stays. An item that fails has its own code. An item with past beats is a group of
+  // its own. If it has not finished, returns `first`, and the next call goes on with it, by
+  // `progress`. REQUIRES: CheckBatch returned OK.
   int ActBatchGroup(CallContext& context, const v1::ActBatchRequest& request, int first,
                     v1::ActBatchResponse* response, absl::Duration received, StepOutcome* progress,
                     StepBudget* budget = nullptr) const;
