@@ -216,9 +216,8 @@ void RolloutManager::TickOne(const std::string& policy, const CatalogPolicy& cat
   Progress progress = ProgressOf(policy, *catalog_policy.settings.rollout);
   Running& running = running_[policy];
   const absl::Duration now = clock_->Now();
-  const double passed = absl::ToDoubleSeconds(now - std::exchange(running.ticked, now));
-  running.held_seconds += passed;
-  const std::string worse = FindAbort(policy, catalog_policy, progress, passed);
+  running.held_seconds += absl::ToDoubleSeconds(now - std::exchange(running.ticked, now));
+  const std::string worse = FindAbort(policy, catalog_policy, progress);
   if (!worse.empty()) {
     SaveAndReport("AbortRollout", policy, worse, [&] {
       mutex_.AssertHeld();
@@ -244,7 +243,7 @@ bool RolloutManager::MayAdvance(const std::string& policy, const Progress& progr
 }
 
 std::string RolloutManager::FindAbort(const std::string& policy, const CatalogPolicy& served,
-                                      const Progress& progress, double passed_seconds) {
+                                      const Progress& progress) {
   const Rollout& rollout = progress.rollout;
   for (const int64_t version : {rollout.version, rollout.stable_version}) {
     if (!served.versions.contains(version)) {
@@ -257,10 +256,13 @@ std::string RolloutManager::FindAbort(const std::string& policy, const CatalogPo
       JudgeRollout(rollout.abort_if, progress.new_version, progress.stable_version,
                    PlausibleReturns::Of(stable).TrainedRange());
   const bool is_disputed = verdict.kind == RolloutVerdict::Kind::kDisputed;
-  running.disputed_seconds =
-      is_disputed && !verdict.contradicted ? running.disputed_seconds + passed_seconds : 0.0;
   if (verdict.kind == RolloutVerdict::Kind::kWorse) return verdict.reason;
-  if (running.disputed_seconds >= rollout.hold_seconds) {
+  const absl::Duration now = clock_->Now();
+  if (!is_disputed || verdict.contradicted) {
+    running.uncontradicted_since.reset();
+  } else if (!running.uncontradicted_since.has_value()) {
+    running.uncontradicted_since = now;
+  } else if (now - *running.uncontradicted_since >= absl::Seconds(rollout.hold_seconds)) {
     return absl::StrCat(verdict.reason, "; no others have enough sessions to contradict it");
   }
   const bool has_changed = is_disputed == running.disputed.empty();

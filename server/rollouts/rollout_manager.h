@@ -12,6 +12,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "absl/base/thread_annotations.h"
@@ -77,8 +78,9 @@ class RolloutManager {
     absl::Duration ticked;  // time of the clock
     absl::Duration saved;
     double held_seconds = 0.0;
-    std::string disputed = "";      // as Rollout::disputed
-    double disputed_seconds = 0.0;  // without an interruption, and without a contradiction
+    std::string disputed = "";  // as Rollout::disputed
+    // When it was disputed without a contradiction; time of the clock.
+    std::optional<absl::Duration> uncontradicted_since = std::nullopt;
   };
 
   // `served` has both versions of the roll-out that are served.
@@ -94,8 +96,7 @@ class RolloutManager {
   // Returns why a running roll-out has to be aborted, or an empty string. Updates what its Running
   // says of a dispute.
   std::string FindAbort(const std::string& policy, const CatalogPolicy& served,
-                        const Progress& progress, double passed_seconds)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+                        const Progress& progress) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Returns whether the step was held long enough, with enough evidence to leave it.
   bool MayAdvance(const std::string& policy, const Progress& progress) const
       ABSL_SHARED_LOCKS_REQUIRED(mutex_);

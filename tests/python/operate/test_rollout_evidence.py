@@ -207,13 +207,14 @@ def test_one_tenant_does_not_hide_that_a_version_is_worse(served):
     assert "without the sessions of one tenant, return is worse" in state.reason
 
 
-def test_who_is_alone_for_long_decides(served):
+def test_who_is_alone_for_long_decides(served, tmp_path):
     """Another tenant's single session neither contradicts nor blocks the others for ever."""
     rollout, fleet, rival = served
-    rollout.start(steps=[50], hold_seconds=1.0, min_episodes=1000)
+    rollout.start(steps=[50], hold_seconds=0.05, min_episodes=1000)  # less than between two verdicts
     play(rival, 1, alike)
     play(fleet, 80, worse)
     until(lambda: rollout.name() == "aborted")
+    assert "roll-out disputed" in (tmp_path / "log").read_text()  # before it, so that others could contradict
     assert rollout.state().reason.endswith("no others have enough sessions to contradict it")
 
 
@@ -243,7 +244,8 @@ def test_a_rollout_begins_with_a_part(served):
 def test_while_it_is_disputed_the_stable_version_serves(served, tmp_path, is_written_at_once):
     """A version serves all sessions when one tenant's are found to be worse."""
     rollout, fleet, rival = served
-    rollout.start(steps=[50, 100], hold_seconds=0.05, min_episodes=600)
+    # So many episodes that each tenant has 20 sessions of either version, and contradicts the other, before all get it.
+    rollout.start(steps=[50, 100], hold_seconds=0.05, min_episodes=1000)
 
     def served_by_all():
         for service in (fleet, rival):
