@@ -21,10 +21,8 @@ import time
 ROOT = pathlib.Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "python")]
 
-import grpc  # noqa: E402
 import spikeserve  # noqa: E402
 from replicated import observation, options_of, policy_of, running_fleet  # noqa: E402
-from serving import ADMIN, Service  # noqa: E402
 
 from tests.chaos.faults import Chaos  # noqa: E402
 from tests.chaos.stores import Store  # noqa: E402
@@ -89,9 +87,7 @@ def sums_of(decisions):
 
 def booked(replica):
     """Returns the usage of this month, of all sessions, as sums_of()."""
-    with grpc.insecure_channel(replica.address) as channel:
-        rows = Service(channel, ADMIN).GetUsage().rows
-    usage = rows[0].usage
+    usage = replica.server.admin.GetUsage().rows[0].usage
     return usage.decisions, usage.spikes, usage.joules["horowitz_45nm"]
 
 

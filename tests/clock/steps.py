@@ -18,8 +18,8 @@ ROOT = pathlib.Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "tests" / "python")]
 
 import grpc  # noqa: E402
-from security import POLICY, Bearer, code_of, entry, http_body, until  # noqa: E402
-from serving import SHIPPED_POLICIES, Service, message_class, running_server  # noqa: E402
+from security import POLICY, Bearer, code_of, entry, until  # noqa: E402
+from serving import SHIPPED_POLICIES, Service, message_class, page_of, running_server, status_of  # noqa: E402
 
 DAY = 86400.0
 STEPS = [3 * DAY, -6 * DAY, 3 * DAY, -0.4 * DAY, -400 * DAY, 400.4 * DAY]
@@ -147,15 +147,15 @@ class SteppedServer:
         shutil.copytree(self.policies / "cartpole/1", self.policies / f"cartpole/{self._versions}")
         versions = range(1, self._versions + 1)
         until(lambda: [policy.version for policy in service("agent").ListPolicies().policies] == [*versions])
-        assert http_body(addresses.http, "/healthz", "") == b"SERVING\n"
-        assert json.loads(http_body(addresses.http, "/status.json", "Bearer viewer"))["serving"]
+        assert page_of(addresses, "/healthz") == "SERVING\n"
+        assert status_of(addresses, token="viewer")["serving"]
 
 
 @contextlib.contextmanager
 def reaping_server():
     """Starts a server whose sessions do not live long, and yields a check that one of them is reaped."""
-    with running_server(flags=["--session_ttl=200ms"]) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, POLICY)
+    with running_server(flags=["--session_ttl=200ms"]) as server:
+        service = server.agent
 
         def check():
             session = service.OpenSession(policy="cartpole").session_id

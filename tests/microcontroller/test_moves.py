@@ -8,14 +8,12 @@ import os
 import struct
 import subprocess
 
-import grpc
 import gymnasium
 import pytest
 from emitted import FORMAT, emit, shipped
 from emulated import CHIPS
 from policy_file import copy_without_wiring
-from security import POLICY
-from serving import Service, running_server
+from serving import running_server
 
 MOVES = 1000
 
@@ -106,7 +104,7 @@ def test_a_thousand_moves(tmp_path, name, kind):
     [source] = [file.parent for file in shipped() if file.parent.parent.name == opening["policy"]]
     file = tmp_path / "policies" / opening["policy"] / source.name / "policy.safetensors"
     copy_without_wiring(source, file.parent)  # whose test is part of the server's value, and not of the chip's
-    with running_server(tmp_path / "policies") as server, grpc.insecure_channel(server.grpc) as channel:
+    with running_server(tmp_path / "policies") as server:
         chip = Chip(emit(file, tmp_path, decisions=1), name)
-        assert play(Service(channel, POLICY), chip, gymnasium.make(environment), opening) >= MOVES
+        assert play(server.agent, chip, gymnasium.make(environment), opening) >= MOVES
         chip.close()

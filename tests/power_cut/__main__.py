@@ -25,8 +25,7 @@ import threading
 ROOT = pathlib.Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "python")]
 
-import grpc
-from serving import Service, running_server
+from serving import running_server
 from stored_sessions import opening
 
 from tests.power_cut.agents import SESSIONS, digest, end_episode_after, request
@@ -164,16 +163,12 @@ def main():
         print("power: expected the programs linux.uml and mkfs.ext4, received", linux, mkfs)
         return SKIPPED
     chooses = random.Random(arguments.seed)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        running_server() as addresses,
-        grpc.insecure_channel(addresses.grpc) as channel,
-    ):
+    with tempfile.TemporaryDirectory() as folder, running_server() as server:
         disk = pathlib.Path(folder) / "disk"
         with disk.open("wb") as file:
             file.truncate(DISK_BYTES)
         subprocess.run([mkfs, "-q", disk], check=True)
-        referee = Referee(Undisturbed(Service(channel, "spikeserve.v1.PolicyService")))
+        referee = Referee(Undisturbed(server.agent))
         for cut in range(arguments.cuts + 1):  # the last machine shows what the last cut has left
             machine = Machine(linux, disk, folder)
             try:

@@ -15,7 +15,7 @@ ROOT = pathlib.Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "tests" / "python")]
 
 import grpc
-from serving import Service, running_server
+from serving import running_server
 from stored_sessions import acting, comparable, opening
 
 SESSIONS = 16
@@ -89,12 +89,8 @@ def play(service, decisions):
 
 def main():
     check_store()
-    with (
-        running_server(flags=[f"--session_store=file:{STORE}"]) as addresses,
-        grpc.insecure_channel(addresses.grpc) as channel,
-    ):
-        service = Service(channel, "spikeserve.v1.PolicyService")
-        play(service, [resume(service, i) for i in range(SESSIONS)])
+    with running_server(flags=[f"--session_store=file:{STORE}"]) as server:
+        play(server.agent, [resume(server.agent, i) for i in range(SESSIONS)])
 
 
 if __name__ == "__main__":

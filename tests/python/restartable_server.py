@@ -19,7 +19,7 @@ class RestartableServer:
             self._flags += ["--datagram_listen=127.0.0.1:0", f"--datagram_advertise={relay.address}"]
         self._prefix = prefix
         self._running = contextlib.ExitStack()
-        self._server = None
+        self.server = None  # the Server, while it runs
         self.address = f"{host}:0"
         self.http_address = f"{host}:0" if http else ""
 
@@ -27,29 +27,29 @@ class RestartableServer:
         """Starts the server and waits until it listens."""
         flags = [f"--listen={self.address}", f"--http_listen={self.http_address}", *self._flags]
         started = running_server(flags=flags, log=subprocess.DEVNULL, prefix=self._prefix)
-        self._server = self._running.enter_context(started)
-        self.address, self.http_address = self._server.grpc, self._server.http
+        self.server = self._running.enter_context(started)
+        self.address, self.http_address = self.server.grpc, self.server.http
         if self._relay is not None:
-            self._relay.target = self._server.datagrams
+            self._relay.target = self.server.datagrams
 
     @property
     def pid(self):
-        return self._server.process.pid
+        return self.server.process.pid
 
     def kill(self):
         """Kills the server without a chance to say goodbye. Its sessions are lost."""
-        if self._server is not None:
-            self._server.kill()
-            self._server = None
+        if self.server is not None:
+            self.server.kill()
+            self.server = None
             self._running.close()
 
     def stop(self):
         """Keeps the server from running until `resume`. Returns when all of its threads have stopped."""
-        self._server.stop()
+        self.server.stop()
 
     def resume(self):
         """Lets a stopped server run again."""
-        self._server.resume()
+        self.server.resume()
 
     def restart(self):
         """Ends the server in order, by SIGTERM, and starts it again."""

@@ -3,12 +3,8 @@
 import threading
 import time
 
-import grpc
 import gymnasium
 import numpy as np
-
-from security import POLICY
-from serving import Service
 
 EPISODE_STEPS = 200
 EPISODES_OF_A_SESSION = 3
@@ -71,9 +67,8 @@ class Robot:
 class Fleet:
     """Robots of several tasks that act in turn, on a thread of their own."""
 
-    def __init__(self, address):
-        self._channel = grpc.insecure_channel(address)
-        self._service = Service(self._channel, POLICY)
+    def __init__(self, service):
+        self._service = service
         self._robots = {}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._play)
@@ -95,7 +90,6 @@ class Fleet:
     def __exit__(self, *_):
         self._stop.set()
         self._thread.join()
-        self._channel.close()
 
     def _play(self):
         while not self._stop.is_set():

@@ -83,32 +83,13 @@ def fails_with(code, part="", whole=None):
     assert whole in (None, error.value.details())
 
 
-def http_get(address, path, header=None):
-    request = urllib.request.Request(f"http://{address}{path}")
-    if header is not None:
-        request.add_header("Authorization", header)
-    return urllib.request.urlopen(request, timeout=DEADLINE_SECONDS)
-
-
-def http_body(address, path, header):
-    with http_get(address, path, header) as page:
-        return page.read()
-
-
-def http_code(address, path, header=None):
-    try:
-        with http_get(address, path, header) as page:
-            return page.status
-    except urllib.error.HTTPError as error:
-        return error.code
-
-
 def until(condition, seconds=120):
-    """Waits until `condition()` is true. Fails after `seconds`, which are many, because machines are busy at times."""
+    """Waits until `condition()` is true, and returns it. Fails after `seconds`, which are many, because machines are busy at times."""
     deadline = time.monotonic() + seconds
-    while not condition():
+    while not (outcome := condition()):
         assert time.monotonic() < deadline, f"the condition was false for {seconds} s"
         time.sleep(0.01)  # leaves the processor to those who make it true
+    return outcome
 
 
 def openssl(*arguments, cwd):

@@ -162,8 +162,8 @@ def page_of(server, path, token=None):
     return content.decode()
 
 
-def status_of(server, query=""):
-    return json.loads(page_of(server, f"/status.json{query}"))
+def status_of(server, query="", token=None):
+    return json.loads(page_of(server, f"/status.json{query}", token))
 
 
 def series(server, name, token=None, **labels):

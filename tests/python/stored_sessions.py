@@ -160,17 +160,15 @@ def expected_decision(channel, error):
 
 def until_answered(call):
     """Repeats a call while its outcome is UNAVAILABLE, as the client libraries do, and returns the answer."""
-    answers = []
 
-    def is_answered():
+    def answers():
         try:
-            answers.append(call())
+            return [call()]
         except grpc.RpcError as error:
             assert error.code() == grpc.StatusCode.UNAVAILABLE, error
-        return answers != []
+            return []
 
-    until(is_answered)
-    return answers[0]
+    return until(answers)[0]
 
 
 def decide(server, i, decision):
@@ -184,17 +182,15 @@ def decisions(server, i, begin, end):
 
 def decision_instead_of(server, i, decision):
     """Returns the decision that the server expects in the place of one that it refuses in the end."""
-    errors = []
 
-    def is_refused():
+    def refused():
         with pytest.raises(grpc.RpcError) as error:
             server.Act(**acting(i, 0, decision))
-        errors.append(error.value)
-        return error.value.code() != grpc.StatusCode.UNAVAILABLE
+        return error.value if error.value.code() != grpc.StatusCode.UNAVAILABLE else None
 
-    until(is_refused)
-    assert errors[-1].code() == grpc.StatusCode.FAILED_PRECONDITION
-    return expected_decision(server.channel, errors[-1])
+    error = until(refused)
+    assert error.code() == grpc.StatusCode.FAILED_PRECONDITION
+    return expected_decision(server.channel, error)
 
 
 def undisturbed_answers(sessions):

@@ -4,7 +4,6 @@ Each activity is a function that does one round of its kind. Errors of the activ
 EXPECTED, which the activities cause for each other.
 """
 
-import contextlib
 import json
 import os
 import pathlib
@@ -16,7 +15,7 @@ import threading
 
 import grpc
 from security import ADMIN, POLICY
-from serving import SHIPPED_POLICIES
+from serving import SHIPPED_POLICIES, http_call
 
 OBSERVATION = [0.1, -0.1, 0.05, 0.0]
 STEPS = 25
@@ -157,8 +156,9 @@ class Activities:
         for path in ("/metrics", "/status.json", "/history.json", "/sessions.json?sort=decisions", "/"):
             self._server.page(path)
         for session in json.loads(self._server.page("/sessions.json"))["sessions"][:1]:
-            with contextlib.suppress(OSError):  # it may have ended meanwhile
-                self._server.page(f"/session.json?session={session['session_id']}")
+            # It may have ended meanwhile.
+            path = f"/session.json?session={session['session_id']}"
+            http_call(self._server.addresses.http, "GET", path, token="operator")
         operator.ListSessions(page_size=100)
 
     def kill(self, *_):

@@ -10,8 +10,8 @@ import secrets
 import shutil
 import time
 
-from security import entry, http_body, service_with, until
-from serving import SHIPPED_POLICIES, running_server
+from security import entry, service_with, until
+from serving import SHIPPED_POLICIES, page_of, running_server
 
 MEGABYTE = 1 << 20
 TENANT = "fleet"
@@ -79,7 +79,7 @@ class SoakedServer:
         return service_with(self.addresses, token, name)
 
     def page(self, path):
-        return http_body(self.addresses.http, path, "Bearer operator").decode()
+        return page_of(self.addresses, path, "operator")
 
     def _metric(self, name):
         values = re.findall(rf"^{name}(?:{{[^}}]*}})? (\S+)$", self.page("/metrics"), re.MULTILINE)

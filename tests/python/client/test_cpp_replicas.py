@@ -4,12 +4,11 @@ import asyncio
 import os
 import signal
 import subprocess
-import urllib.request
 
 import pytest
 from replicated import observation, options_of, policy_of, reward, running_fleet
 from security import until
-from serving import DEADLINE_SECONDS, run, running_server
+from serving import DEADLINE_SECONDS, run, running_server, series
 from spikeserve.values import Decision, EpisodeSummary, SessionState
 from spikeserve.wire import message_class
 from test_replicas import (  # noqa: F401
@@ -202,8 +201,7 @@ def test_spikeload_with_retries_waits_for_the_store(mode, method):
     """Redis stands still until the server refuses decisions that it cannot store."""
 
     def answered(code):
-        with urllib.request.urlopen(f"http://{replica.http_address}/metrics") as page:
-            return f'_count{{code="{code}",method="{method}"' in page.read().decode()
+        return series(replica.server, "spikeserve_rpc_duration_seconds_count", code=code, method=method)
 
     with running_fleet(replicas=1, http=True, redis_flags=()) as fleet:
         [replica] = fleet.replicas

@@ -5,9 +5,8 @@ import json
 import grpc
 import numpy as np
 import pytest
-from restartable_server import RestartableServer
-from security import ADMIN, fails_with
-from serving import POLICY, Service, run
+from security import fails_with
+from stored_sessions import Restartable
 from test_learning import HIGH, LOW, TOLERANCE, norm, policies, server  # noqa: F401
 
 STEPS = 30
@@ -195,99 +194,69 @@ def test_a_server_that_is_killed_has_the_same_head_again(policies, tmp_path):  #
     """Beside one that is never killed."""
     states = []
     for kills in (True, False):
-        store = f"--session_store=file:{tmp_path / str(kills)}"
-        restartable = RestartableServer(f"--policies={policies[0]}", store)
-        restartable.start()
-        try:
-            with grpc.insecure_channel(restartable.address) as channel:
-                robot = Robot(
-                    Service(channel, POLICY),
-                    "discrete",
-                    probed=False,
-                    durability="SYNC",
-                )
-                for step in range(STEPS):
-                    _, answer = robot.act()
-                    robot.execute(action_of("discrete", step, type(answer.action)))
-                    if kills and step % 10 == 5:
-                        restartable.kill()
-                        restartable.start()
-                        grpc.channel_ready_future(channel).result()
-                states.append(robot.state())
-        finally:
-            restartable.kill()
+        with Restartable(f"file:{tmp_path}/{kills}", policies=policies[0]) as server:
+            robot = Robot(server, "discrete", probed=False, durability="SYNC")
+            for step in range(STEPS):
+                _, answer = robot.act()
+                robot.execute(action_of("discrete", step, type(answer.action)))
+                if kills and step % 10 == 5:
+                    server.restart()
+            states.append(robot.state())
     assert any(states[0].head_delta) and states[0].head_delta == states[1].head_delta
     assert str(states[0].corrections) == str(states[1].corrections)
 
 
 def test_a_head_that_returns_less_than_that_before_is_tried_against_it(policies, tmp_path):  # noqa: F811
     """And both live through a kill."""
-    restartable = RestartableServer(f"--policies={policies[0]}", f"--session_store=file:{tmp_path / 'store'}")
-    restartable.start()
-    try:
-        with grpc.insecure_channel(restartable.address) as channel:
-            robot = Robot(Service(channel, POLICY), "discrete", probed=False, durability="SYNC")
-            robot.alone(5, steps=10)
-            for _ in range(10):
-                _, answer = robot.act()
-                robot.execute(type(answer.action)(discrete=1 - answer.action.discrete))
-            assert not robot.end().rolled_back
-            taught = robot.delta()
-            assert taught.any()
-            assert not robot.alone(4, steps=6).rolled_back and np.array_equal(robot.delta(), taught)
-            assert robot.alone(1, steps=6).rolled_back
-            assert not robot.delta().any() and robot.state().rollbacks == 1
-            assert not robot.alone(4, steps=3).rolled_back
-            restartable.kill()
-            restartable.start()
-            grpc.channel_ready_future(channel).result()
-            assert robot.alone(1, steps=3).rolled_back  # the one before returns even less now
-            assert np.array_equal(robot.delta(), taught) and robot.state().rollbacks == 2
-    finally:
-        restartable.kill()
+    with Restartable(f"file:{tmp_path}/store", policies=policies[0]) as server:
+        robot = Robot(server, "discrete", probed=False, durability="SYNC")
+        robot.alone(5, steps=10)
+        for _ in range(10):
+            _, answer = robot.act()
+            robot.execute(type(answer.action)(discrete=1 - answer.action.discrete))
+        assert not robot.end().rolled_back
+        taught = robot.delta()
+        assert taught.any()
+        assert not robot.alone(4, steps=6).rolled_back and np.array_equal(robot.delta(), taught)
+        assert robot.alone(1, steps=6).rolled_back
+        assert not robot.delta().any() and robot.state().rollbacks == 1
+        assert not robot.alone(4, steps=3).rolled_back
+        server.restart()
+        assert robot.alone(1, steps=3).rolled_back  # the one before returns even less now
+        assert np.array_equal(robot.delta(), taught) and robot.state().rollbacks == 2
 
 
 def test_what_an_operator_taught_a_session_is_undone(policies, tmp_path):  # noqa: F811
     """And stays so after a kill; what another one taught before stays."""
-    store = (f"--session_store=file:{tmp_path / 'store'}", f"--audit_log={tmp_path / 'audit'}")
-    restartable = RestartableServer(f"--policies={policies[0]}", *store)
-    restartable.start()
-    try:
-        with grpc.insecure_channel(restartable.address) as channel:
-            admin = Service(channel, ADMIN)
-            robot = Robot(Service(channel, POLICY), "discrete", probed=False, durability="SYNC")
-            undo = {"session_id": robot.id, "seconds": 600.0}
+    flags = [f"--audit_log={tmp_path}/audit"]
+    with Restartable(f"file:{tmp_path}/store", flags, policies[0]) as server:
+        robot = Robot(server, "discrete", probed=False, durability="SYNC")
+        undo = {"session_id": robot.id, "seconds": 600.0}
 
-            def teach(operator_id, steps):
-                for _ in range(steps):
-                    _, answer = robot.act()
-                    robot.execute(type(answer.action)(discrete=1 - answer.action.discrete), operator_id=operator_id)
-                robot.act()
+        def teach(operator_id, steps):
+            for _ in range(steps):
+                _, answer = robot.act()
+                robot.execute(type(answer.action)(discrete=1 - answer.action.discrete), operator_id=operator_id)
+            robot.act()
 
-            teach("anna", 8)
-            by_anna, agreement = robot.delta(), robot.state().corrections.disagreement
-            teach("eve", 8)
-            assert not np.array_equal(robot.delta(), by_anna)
-            restartable.kill()
-            restartable.start()
-            grpc.channel_ready_future(channel).result()
-            robot.state()  # which makes the server take the session over
-            assert admin.UndoCorrections(operator_id="bob", **undo).updates == 0
-            undone = admin.UndoCorrections(operator_id="eve", **undo)
-            assert undone.updates == 8 and undone.head_drift == robot.state().head_drift > 0
-            assert np.array_equal(robot.delta(), by_anna)  # bit for bit
-            assert robot.state().corrections.disagreement == agreement
-            restartable.kill()
-            restartable.start()
-            grpc.channel_ready_future(channel).result()
-            assert np.array_equal(robot.delta(), by_anna)
-            flags = (f"--session={robot.id}", "--operator=anna", "--last=10m", f"--server={restartable.address}")
-            answer = run("spikectl", "--json", "admin", "undo_corrections", *flags).stdout
-            assert json.loads(answer) == {"updates": 8, "head_drift": 0.0}
-            assert not robot.delta().any()
-            assert (tmp_path / "audit").read_text().count('"UndoCorrections"') == 3
-    finally:
-        restartable.kill()
+        teach("anna", 8)
+        by_anna, agreement = robot.delta(), robot.state().corrections.disagreement
+        teach("eve", 8)
+        assert not np.array_equal(robot.delta(), by_anna)
+        server.restart()
+        robot.state()  # which makes the server take the session over
+        assert server.admin.UndoCorrections(operator_id="bob", **undo).updates == 0
+        undone = server.admin.UndoCorrections(operator_id="eve", **undo)
+        assert undone.updates == 8 and undone.head_drift == robot.state().head_drift > 0
+        assert np.array_equal(robot.delta(), by_anna)  # bit for bit
+        assert robot.state().corrections.disagreement == agreement
+        server.restart()
+        assert np.array_equal(robot.delta(), by_anna)
+        flags = (f"--session={robot.id}", "--operator=anna", "--last=10m")
+        answer = server.spikectl("--json", "admin", "undo_corrections", *flags).stdout
+        assert json.loads(answer) == {"updates": 8, "head_drift": 0.0}
+        assert not robot.delta().any()
+        assert (tmp_path / "audit").read_text().count('"UndoCorrections"') == 3
 
 
 def test_a_session_does_not_know_its_corrections_for_ever(server):  # noqa: F811

@@ -8,8 +8,8 @@ import grpc
 import gymnasium
 import numpy as np
 import pytest
-from security import ADMIN, OBSERVATION, TOKENS, code_of, entry, http_body, service_with, until
-from serving import running_server
+from security import ADMIN, OBSERVATION, TOKENS, code_of, entry, service_with, until
+from serving import page_of, running_server, status_of
 
 INVENTED_EPISODES = 200
 HONEST_SESSIONS = 5
@@ -212,8 +212,7 @@ def test_the_own_tenants_head_comes_back(tokens, seed):
 
 def figure(addresses, name):
     """Returns what the status page says of the policy."""
-    status = json.loads(http_body(addresses.http, "/status.json", "Bearer machine"))
-    return sum(each[name] for each in status["versions"] if each["policy"] == "cartpole")
+    return sum(each[name] for each in status_of(addresses, token="machine")["versions"] if each["policy"] == "cartpole")
 
 
 def test_a_held_out_session_judges_and_contributes_nothing(tokens):
@@ -246,7 +245,7 @@ def test_a_held_out_session_judges_and_contributes_nothing(tokens):
             drift = owner.GetHead(policy="cartpole").drift
             assert [end_episode(agent, judges[0]) for _ in range(3)] == [0] * 3
             assert owner.GetHead(policy="cartpole").drift == drift > 0
-            metrics = http_body(addresses.http, "/metrics", "Bearer machine").decode().splitlines()
+            metrics = page_of(addresses, "/metrics", "machine").splitlines()
             assert any('reason="held_out"' in line and line.endswith(f"}} {len(judges) + 3}") for line in metrics)
             contributor = next(session for session in ids if session not in judges)
             assert end_episode(agent, contributor) == 1

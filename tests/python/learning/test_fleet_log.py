@@ -14,7 +14,7 @@ import pytest
 import spikeserve
 from redis_servers import DURABLE, WITHOUT_REDIS, Files, Redis, start_cluster, stopping
 from replicated import running_fleet
-from security import ADMIN, HEALTH, SERVING, code_of, until
+from security import HEALTH, SERVING, code_of, until
 from serving import SHIPPED_POLICIES, Service, metric
 from stored_sessions import Restartable, until_answered
 
@@ -133,7 +133,7 @@ def test_contributions_arrive_once_while_replicas_are_killed():
             return session.session_id
 
     with (
-        running_fleet("--reflection_v1alpha") as fleet,
+        running_fleet() as fleet,
         spikeserve.Client(fleet.addresses, options) as client,
         ThreadPoolExecutor(LEARNERS) as pool,
     ):
@@ -148,11 +148,7 @@ def test_contributions_arrive_once_while_replicas_are_killed():
             fleet.replicas[i % 3].kill()
             fleet.replicas[i % 3].start()
         sessions = {learner.result() for learner in learners}
-        heads = []
-        for replica in fleet.replicas:
-            with grpc.insecure_channel(replica.address) as channel:
-                head = Service(channel, ADMIN).GetHead(policy="cartpole", version=1, include_weights=True)
-            heads.append((head.delta[:], head.updates, head.rejected_updates, head.rollbacks, head.watched_return))
+        heads = [weights(replica.server) for replica in fleet.replicas]
         markers = fleet.redis.command("KEYS fc:*")
         entries = entries_of(fleet.redis)
     expected = {f"fc:{{cartpole@1}}:{session}:{episode}" for session in sessions for episode in range(EPISODES)}

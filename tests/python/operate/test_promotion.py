@@ -12,8 +12,8 @@ import gymnasium
 import pytest
 from policy_file import read_policy
 from random_policy import export_random
-from security import ADMIN, POLICY, Bearer, code_of, http_body, until
-from serving import Service, running_server
+from security import ADMIN, POLICY, Bearer, code_of, until
+from serving import Service, page_of, running_server
 
 PROMOTIONS = 1000
 LONGEST_FILE = 4096  # bytes; shorter than a policy
@@ -88,7 +88,7 @@ def test_a_tenant_leaves_others_room_for_their_versions(folder, tokens):
         assert contents(folder) == before
         assert neighbour.promote(1).version == 5
         stored = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-        page = http_body(addresses.http, "/metrics", "Bearer viewer").decode()
+        page = page_of(addresses, "/metrics", "viewer")
         assert f'spikeserve_stored_bytes{{folder="policies"}} {stored}' in page
         assert f'spikeserve_stored_bytes_limit{{folder="policies"}} {7 * size}' in page
 

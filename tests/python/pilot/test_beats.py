@@ -6,8 +6,8 @@ import random
 import grpc
 import pytest
 from beating import KINDS, Robot, answers_on_stream, as_fields, observation
-from security import POLICY, TOKENS, code_of, http_body, service_with, until
-from serving import Service, metric, running_server, status_of
+from security import code_of, service_with, until
+from serving import metric, page_of, running_server, status_of
 from stored_sessions import Restartable
 
 STEPS = 60
@@ -285,9 +285,8 @@ def test_a_killed_server_has_lost_nothing(tmp_path, durability):
         cut.kill()
 
 
-def test_a_session_is_exported_within_its_tenant_and_recorded(tmp_path):
-    tokens, log = tmp_path / "tokens.json", tmp_path / "audit.jsonl"
-    tokens.write_text(json.dumps(TOKENS))
+def test_a_session_is_exported_within_its_tenant_and_recorded(tmp_path, tokens):
+    log = tmp_path / "audit.jsonl"
     flags = [f"--tokens={tokens}", f"--audit_log={log}"]
     with (tmp_path / "stderr").open("w") as stderr, running_server(flags=flags, log=stderr) as addresses:
         with service_with(addresses, "agent") as agent:
@@ -311,8 +310,8 @@ def alerts(addresses):
 
 
 def test_the_server_sees_its_robots():
-    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, POLICY)
+    with running_server() as addresses:
+        service = addresses.agent
         robot = Robot(service, policy="pendulum", period_seconds=0.02, labels={"robot": "arm-7"})
         report = {"fresh": 10, "held": 5, "local": 3, "safe": 2, "late_answers": 4, "oldest_age_seconds": 0.3}
         report["invalid_observations"] = 1
@@ -342,7 +341,7 @@ def test_the_server_sees_its_robots():
         until(misses_beats)
         until(lambda: metric(addresses, "spikeserve_silent_robots") == 1)
         until(lambda: "SpikeserveRobotsSilent" in alerts(addresses))
-        listed = json.loads(http_body(addresses.http, "/sessions.json?filter=robot%3Darm-7", None))
+        listed = json.loads(page_of(addresses, "/sessions.json?filter=robot%3Darm-7"))
         [session] = listed["sessions"]
         assert session["silent"] and session["beats"]["held"] == str(report["held"])
 
@@ -363,8 +362,8 @@ def test_a_report_that_no_robot_makes_is_refused(service, name, value, expected)
 
 def test_what_a_robot_reports_fits_into_the_time():
     """A robot that lies counts for no more than one that plays at twice its rate."""
-    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, POLICY)
+    with running_server() as addresses:
+        service = addresses.agent
         liar = Robot(service, policy="pendulum", period_seconds=0.02)
         liar.act(report={"fresh": 10**12, "longest_gap_seconds": 1e7, "oldest_age_seconds": 1e7})
         for i in range(20):
@@ -384,8 +383,8 @@ def test_what_a_robot_reports_fits_into_the_time():
 
 
 def test_a_return_that_the_policy_cannot_have_is_no_part_of_its_mean():
-    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        service = Service(channel, POLICY)
+    with running_server() as addresses:
+        service = addresses.agent
         session = service.OpenSession(policy="cartpole").session_id
         for reward in (-3e38, 100.0, 3e38, 300.0, 1e6):
             service.Act(session_id=session, observation=[0.0] * 4)

@@ -1,7 +1,6 @@
 """Steps as datagrams: the pilots use them where they come through, and nothing is lost or doubled."""
 
 import contextlib
-import time
 
 import pytest
 import spikeserve
@@ -9,7 +8,7 @@ from cpp_pilot import CppPilot
 from datagram_relay import DatagramRelay
 from restartable_server import RestartableServer
 from spikeserve.piloting.datagram_link import require_ciphers
-from test_pilot import WAIT, Flight, undisturbed
+from test_pilot import Flight, undisturbed
 
 # The label of a session with a channel, which is part of its value.
 SESSION = spikeserve.SessionOptions(labels={"datagrams": "true"})
@@ -18,10 +17,7 @@ SESSION = spikeserve.SessionOptions(labels={"datagrams": "true"})
 class DatagramFlight(Flight):
     def until_datagrams(self, are_sent=True):
         """Plays beats until steps go as datagrams alone, or no longer do."""
-        end = time.monotonic() + WAIT
-        while self.pilot.stats().sends_datagrams != are_sent:
-            self.fly(1)
-            assert time.monotonic() < end, self.pilot.stats()
+        self.fly_until(lambda: self.pilot.stats().sends_datagrams == are_sent)
 
     def check_and_end(self, client):
         self.until("fresh")
@@ -114,10 +110,7 @@ def test_a_robot_whose_address_changes_goes_on(client, relay, fly):
     flight.until_datagrams()
     relay.rebind()
     before = flight.pilot.stats().datagram_answers
-    end = time.monotonic() + WAIT
-    while flight.pilot.stats().datagram_answers < before + 5:
-        flight.fly(1)
-        assert time.monotonic() < end, flight.pilot.stats()
+    flight.fly_until(lambda: flight.pilot.stats().datagram_answers >= before + 5)
     flight.check_and_end(client)
 
 

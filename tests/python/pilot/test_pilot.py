@@ -108,9 +108,15 @@ class Flight:
 
     def until(self, *sources):
         """Plays beats until one of them has one of the sources."""
+        self.fly_until(lambda: self.actions[-1].source in sources)
+
+    def fly_until(self, condition):
+        """Plays at least one beat, until `condition()` is true."""
         end = time.monotonic() + WAIT
-        while self.beat().source not in sources:
-            assert time.monotonic() < end, f"expected {sources}, received {self.pilot.stats()}"
+        self.beat()
+        while not condition():
+            assert time.monotonic() < end, self.pilot.stats()
+            self.beat()
 
     def end(self, reward=1.0):
         self.endings.append(reward)
@@ -274,13 +280,12 @@ def begin_the_next_episode(flight, address):
         before = len(flight.endings)
         flight.end()
         request = METHODS["GetSession"].request(session_id=flight.pilot.session_id)
-        end = time.monotonic() + WAIT
-        while True:
-            flight.fly(3)
+
+        def has_decided():
             session = direct.call("GetSession", request)
-            if session.episode > before and session.step >= 3:
-                break
-            assert time.monotonic() < end, f"the server is at step {session.step} of episode {session.episode}"
+            return session.episode > before and session.step >= 3
+
+        flight.fly_until(has_decided)
     assert not flight.summaries[-1].done()
 
 
@@ -336,10 +341,8 @@ def test_an_earlier_server_ends_episodes_by_a_call(client, link, monkeypatch):
 def test_an_answer_that_is_stale_is_never_executed(client, link, fly):
     with fly(client, local=False, max_age=0.2) as flight:
         link.delay = 0.25
-        end = time.monotonic() + WAIT
-        while flight.pilot.stats().stale < 3 and time.monotonic() < end:
-            assert flight.beat().source == "safe"
-        assert flight.pilot.stats().stale >= 3
+        flight.fly_until(lambda: flight.pilot.stats().stale >= 3)
+        assert {action.source for action in flight.actions} == {"safe"}
         flight.end()
         link.delay = 0.0
         flight.check_session(client)

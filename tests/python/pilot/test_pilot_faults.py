@@ -3,18 +3,16 @@
 import contextlib
 import itertools
 import math
-import re
 import signal
-import time
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import spikeserve
 from redis_servers import WITHOUT_REDIS
 from restartable_server import RestartableServer, restartable_server
-from serving import metric, page_of, running_server
+from security import until
+from serving import metric, running_server, series
 from spikeserve.piloting import robot_clock
 from test_pilot import LEARNING, WAIT, Flight, client, fly  # noqa: F401
 
@@ -27,18 +25,15 @@ def test_a_server_that_denies_the_session_has_not_the_last_word(tmp_path, fly):
         for server in servers:
             stack.callback(server.kill)
             server.start()
-        pages = {server: SimpleNamespace(http=server.http_address) for server in servers}
         client = stack.enter_context(spikeserve.Client(",".join(server.address for server in servers)))
         with fly(client, local=False, session=options) as flight:
             flight.until("fresh")
             first = flight.pilot.session_id
-            [owner] = [server for server in servers if "spikeserve_sessions{" in page_of(pages[server], "/metrics")]
+            [owner] = [each for each in servers if series(each.server, "spikeserve_sessions")]
             [other] = [server for server in servers if server is not owner]
             owner.stop()
-            end = time.monotonic() + WAIT
-            while not re.search('count{code="NOT_FOUND",method="ActStream"} [1-9]', page_of(pages[other], "/metrics")):
-                flight.fly(1)
-                assert time.monotonic() < end
+            refused = {"code": "NOT_FOUND", "method": "ActStream"}
+            flight.fly_until(lambda: any(series(other.server, "spikeserve_rpc_duration_seconds_count", **refused)))
             owner.resume()
             flight.until("fresh")
             flight.end()
@@ -112,20 +107,14 @@ def test_a_blind_robot_is_not_reported_fresh(fly):
             flight.end()
             flight.check_summaries()
             assert stats.reopened == stats.lost_episodes == 0
-            end = time.monotonic() + WAIT
-            while metric(server, "spikeserve_invalid_observations_total", policy="pendulum") != 75:
-                flight.fly(1)
-                assert time.monotonic() < end
+            flight.fly_until(lambda: metric(server, "spikeserve_invalid_observations_total", policy="pendulum") == 75)
 
 
 def test_a_server_hears_of_a_robot_that_stays_blind(fly):
     with running_server() as server, spikeserve.Client(server.grpc) as client:
         with fly(client, local=False) as flight:
             flight.until("fresh")
-            end = time.monotonic() + WAIT
-            while metric(server, "spikeserve_invalid_observations_total", policy="pendulum") < 2:
-                flight.blind(1)
-                assert time.monotonic() < end
+            until(lambda: flight.blind(1) and metric(server, "spikeserve_invalid_observations_total", policy="pendulum") >= 2)
             flight.end()
             flight.check_summaries()
 

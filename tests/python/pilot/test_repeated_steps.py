@@ -6,7 +6,7 @@ import spikeserve
 from beating import KINDS, Robot, answers_on_stream
 from redis_servers import WITHOUT_REDIS
 from security import until
-from serving import Service, metric, running_server
+from serving import POLICY, Service, series
 from stored_sessions import Restartable
 
 CONFLICTS = "spikeserve_conflicting_requests_total"
@@ -15,32 +15,23 @@ MISSING = "spikeserve_missing_rewards_total"
 
 def count(server, name):
     """Returns a metric that has no series before its first event."""
+    return sum(series(server, name))
+
+
+def by_call(server, request):
     try:
-        return metric(server, name)
-    except AssertionError:
-        return 0
-
-
-@pytest.fixture(scope="module")
-def server():
-    with running_server() as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        yield addresses, channel, Service(channel, "spikeserve.v1.PolicyService")
-
-
-def by_call(channel, service, request):
-    try:
-        return 0, service.Act(**request)
+        return 0, server.agent.Act(**request)
     except grpc.RpcError as error:
         return error.code().value[0], error.details()
 
 
-def by_stream(channel, service, request):
-    [answer] = answers_on_stream(channel, [request])
+def by_stream(server, request):
+    [answer] = answers_on_stream(server.channel, [request])
     return (answer.error.code, answer.error.message) if answer.HasField("error") else (0, answer)
 
 
-def by_batch(channel, service, request):
-    [result] = service.ActBatch(requests=[request]).results
+def by_batch(server, request):
+    [result] = server.agent.ActBatch(requests=[request]).results
     return (result.code, result.message) if result.code else (0, result.response)
 
 
@@ -59,14 +50,13 @@ def changed(request, path, value):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("history", [0, 3])
 def test_a_step_with_another_content_is_no_repetition(server, door, kind, history):
-    addresses, channel, service = server
-    robot = Robot(service, **KINDS[kind])
+    robot = Robot(server.agent, **KINDS[kind])
     for _ in range(5):
         robot.act(1 if robot.beats else 0)
     request = robot.request(history) if history else robot.request(executed_action=robot.beats[-1]["executed"])
-    code, answer = door(channel, service, request)
+    code, answer = door(server, request)
     assert code == 0
-    value, before = robot.value(), count(addresses, CONFLICTS)
+    value, before = robot.value(), count(server, CONFLICTS)
     changes = [
         (("observation", 2), 0.375, f"observation[2]: expected {request['observation'][2]:.9g}"[:28], "received 0.375"),
         (("observation",), [0.5], f"observation: expected {len(request['observation'])} numbers", "received 1"),
@@ -80,12 +70,12 @@ def test_a_step_with_another_content_is_no_repetition(server, door, kind, histor
     else:
         changes.append(((*place, "continuous", "values"), [-1.75], f"{name}[0]: expected ", "received -1.75"))
     for path, other, expected, received in changes:
-        code, message = door(channel, service, changed(request, path, other))
+        code, message = door(server, changed(request, path, other))
         assert code == REFUSED and expected in message and received in message, message
         assert "step 5" in message and "another robot may use this session_id" in message
     assert robot.value() == value
-    assert count(addresses, CONFLICTS) == before + len(changes)
-    code, again = door(channel, service, request)
+    assert count(server, CONFLICTS) == before + len(changes)
+    code, again = door(server, request)
     assert code == 0
     for field in ("action", "stats"):
         assert getattr(again, field).SerializeToString() == getattr(answer, field).SerializeToString()
@@ -95,27 +85,25 @@ def test_a_step_with_another_content_is_no_repetition(server, door, kind, histor
 
 @pytest.mark.parametrize("door", DOORS)
 def test_a_history_that_differs_from_the_session_is_refused(server, door):
-    addresses, channel, service = server
-    robot = Robot(service, **KINDS["learning"])
+    robot = Robot(server.agent, **KINDS["learning"])
     for _ in range(6):
         robot.act(1 if robot.beats else 0)
-    value, before = robot.value(), count(addresses, CONFLICTS)
+    value, before = robot.value(), count(server, CONFLICTS)
     changes = [
         (("history", 3, "observation", 1), 0.375, "history[3]: observation[1]: expected "),
         (("history", 2, "reward"), 4.5, "history[2]: reward: expected about 0."),
         (("history", 1, "executed", "discrete"), 1 - robot.beats[3]["executed"]["discrete"], "history[2]: executed_ac"),
     ]
     for path, other, message in changes:
-        code, received = door(channel, service, changed(robot.request(4), path, other))
+        code, received = door(server, changed(robot.request(4), path, other))
         assert code == REFUSED and message in received, received
     assert robot.value() == value
-    assert count(addresses, CONFLICTS) == before + 3
+    assert count(server, CONFLICTS) == before + 3
     robot.act(4)
 
 
 def test_two_robots_with_one_session_id_are_told(server):
-    addresses, _, _ = server
-    with spikeserve.Client(addresses.grpc) as client:
+    with spikeserve.Client(server.grpc) as client:
         first = client.open_session("pendulum")
         second = spikeserve.Session(client, first.session_id)
         first.act([0.1, 0.2, 0.3])
@@ -143,7 +131,7 @@ def test_a_session_in_a_store_goes_on_only_with_what_was_executed(redis):
         server.kill()
         lose_last_entry(redis, robot.id)
         server.restart()
-        code, message = by_call(None, server, robot.request(1))
+        code, message = by_call(server, robot.request(1))
         assert code == REFUSED and "history: expected beats from step 10 on, received those from step 11 on" in message
         assert server.Act(**robot.request(2)).appended == 1
         steady.act(1)
@@ -161,18 +149,17 @@ def lose_last_entry(redis, session_id):
 
 @pytest.mark.parametrize("door", DOORS)
 def test_rewards_that_are_left_out_are_counted(server, door):
-    addresses, channel, service = server
-    before = count(addresses, MISSING)
-    robot = Robot(service, **KINDS["greedy"])
+    before = count(server, MISSING)
+    robot = Robot(server.agent, **KINDS["greedy"])
 
     def send(request):
-        code, answer = door(channel, service, {key: value for key, value in request.items() if key != "reward"})
+        code, answer = door(server, {key: value for key, value in request.items() if key != "reward"})
         assert code == 0, answer
         return answer
 
     def missing():
-        rewards = service.GetSession(session_id=robot.id).missing_rewards
-        assert count(addresses, MISSING) == before + rewards
+        rewards = server.agent.GetSession(session_id=robot.id).missing_rewards
+        assert count(server, MISSING) == before + rewards
         return rewards
 
     robot.execute(send(robot.request()).action)  # step 0 has none
@@ -201,10 +188,10 @@ def test_rewards_that_are_left_out_are_counted(server, door):
 
 
 def test_a_repeated_step_gets_the_identical_answer_on_any_connection(server):
-    addresses, _, service = server
+    service = server.agent
     session = service.OpenSession(policy="cartpole").session_id
-    with grpc.insecure_channel(addresses.grpc) as channel:
-        another = Service(channel, "spikeserve.v1.PolicyService")
+    with grpc.insecure_channel(server.grpc) as channel:
+        another = Service(channel, POLICY)
         for step in range(30):
             observation = [0.01 * step, -0.02 * step, 0.003 * step, 0.1]
             request = {"session_id": session, "step": step, "observation": observation, "reward": 1.0}

@@ -9,11 +9,9 @@ import os
 import pathlib
 import subprocess
 
-import grpc
 import pytest
 from restartable_server import RestartableServer
-from security import ADMIN
-from serving import DEADLINE_SECONDS, Service, running_server
+from serving import DEADLINE_SECONDS, running_server
 
 ROOT = pathlib.Path(__file__).parents[3]
 PYTHON = ROOT / "build/ros/venv/bin/python"
@@ -76,9 +74,8 @@ def test_cartpole_across_two_processes(environment, kind):
             # Chance balances for about 20 steps. An action that comes late moves the robot without a new decision.
             assert episode["return"] > 50
         assert int(diagnostics["values"]["beats_fresh"]) > 0
-        with grpc.insecure_channel(addresses.grpc) as channel:
-            [session] = Service(channel, ADMIN).ListSessions().sessions
-            assert session.episode >= 1
+        [session] = addresses.admin.ListSessions().sessions
+        assert session.episode >= 1
 
 
 def run_node(environment, *arguments):

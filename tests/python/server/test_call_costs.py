@@ -10,8 +10,8 @@ import grpc
 import pytest
 from gymnasium import make
 from random_policy import export_random
-from security import ADMIN, OBSERVATION, POLICY, TOKENS, Bearer, entry, http_body, service_with, until
-from serving import Service, running_server, schedule_of
+from security import ADMIN, OBSERVATION, POLICY, TOKENS, Bearer, entry, service_with, until
+from serving import Service, page_of, running_server, schedule_of, status_of
 
 INFERENCE = "inference.GRPCInferenceService"
 VERSIONS = 1000
@@ -247,8 +247,8 @@ def playing_servers(tmp_path_factory):
                     agent.Act(session_id=session, observation=OBSERVATION)
 
             def has_figures(addresses=addresses):
-                page = http_body(addresses.http, "/status.json?metrics=false&window=100000", "Bearer watchman")
-                return all(version["decisions"] == 1 for version in json.loads(page)["versions"])
+                status = status_of(addresses, "?metrics=false&window=100000", "watchman")
+                return all(version["decisions"] == 1 for version in status["versions"])
 
             until(has_figures)
             started.append(addresses)
@@ -261,7 +261,7 @@ def cost(addresses, page):
     for _ in range(TRIES):
         wait_for_threads(pid)
         before = schedule_of(pid, "worker")[0]
-        http_body(addresses.http, page, "Bearer watchman")
+        page_of(addresses, page, "watchman")
         wait_for_threads(pid)
         tries.append(schedule_of(pid, "worker")[0] - before)
     return min(tries)
@@ -285,8 +285,8 @@ def test_who_waits_for_one_page_shares_it(playing_servers):
         wait_for_threads(pid)
         before = schedule_of(pid, "worker")[0]
         with concurrent.futures.ThreadPoolExecutor(VIEWERS) as viewers:
-            pages = list(viewers.map(lambda _: http_body(addresses.http, "/status.json", "Bearer watchman"), range(VIEWERS)))
-        assert all(len(json.loads(page)["versions"]) == MANY for page in pages)
+            pages = list(viewers.map(lambda _: status_of(addresses, token="watchman"), range(VIEWERS)))
+        assert all(len(page["versions"]) == MANY for page in pages)
         wait_for_threads(pid)
         return schedule_of(pid, "worker")[0] - before
 

@@ -50,14 +50,7 @@ class Collector:
 
     def find(self, name, parent):
         """Waits for the span `name` below the span `parent`."""
-        found = []
-
-        def is_there():
-            found[:] = [span for span in self.spans() if (span["Name"], span["Parent ID"]) == (name, parent)]
-            return found
-
-        until(is_there)
-        [span] = found
+        [span] = until(lambda: [span for span in self.spans() if (span["Name"], span["Parent ID"]) == (name, parent)])
         return span
 
 

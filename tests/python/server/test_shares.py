@@ -10,18 +10,8 @@ import time
 
 import grpc
 import pytest
-from security import (
-    ADMIN,
-    OBSERVATION,
-    POLICY,
-    TOKENS,
-    code_of,
-    entry,
-    http_body,
-    service_with,
-    until,
-)
-from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, message_class, running_server
+from security import ADMIN, OBSERVATION, POLICY, TOKENS, code_of, entry, service_with, until
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, message_class, page_of, running_server
 
 from tests.attacks.process import MEGABYTE, Process
 
@@ -112,7 +102,7 @@ def test_lists_of_sessions_need_memory_for_one_page(tmp_path):
             for _ in range(5):
                 query = f"sort=energy_joules&order=descending&filter=robot&page_size=50&page_token={token}"
                 start = time.perf_counter()
-                page = json.loads(http_body(addresses.http, f"/sessions.json?{query}", "Bearer viewer"))
+                page = json.loads(page_of(addresses, f"/sessions.json?{query}", "viewer"))
                 seconds.append(time.perf_counter() - start)
                 token = page["next_page_token"]
                 yield page
@@ -173,7 +163,7 @@ def test_versions_that_were_unloaded_leave_nothing(tmp_path):
             for version in range(2, VERSIONS + 1):
                 shutil.rmtree(policies / "small" / str(version))
             assert len(admin.ReloadPolicies().unloaded) == VERSIONS - 1
-            page = http_body(addresses.http, "/metrics", "Bearer viewer").decode()
+            page = page_of(addresses, "/metrics", "viewer")
             assert 'version="1"' in page and 'version="2"' not in page
             if warm is None:
                 warm = process.memory()

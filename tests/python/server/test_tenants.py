@@ -3,16 +3,8 @@
 import json
 
 import grpc
-from security import (
-    ADMIN,
-    OBSERVATION,
-    Bearer,
-    code_of,
-    http_body,
-    http_code,
-    service_with,
-)
-from serving import DEADLINE_SECONDS, method_of
+from security import ADMIN, OBSERVATION, Bearer, code_of, service_with
+from serving import DEADLINE_SECONDS, http_call, method_of, page_of
 
 
 def test_another_tenants_session_is_not_found(addresses):
@@ -36,10 +28,10 @@ def test_looking_stops_at_the_tenant_unless_the_token_sees_all(addresses):
                 code_of(policies.GetSession, session_id=session),
                 code_of(policies.Explain, session_id=session),
             ]
-        explained = http_code(addresses.http, f"/explain.json?session={session}", f"Bearer {token}")
+        explained = http_call(addresses.http, "GET", f"/explain.json?session={session}", token=token)[0]
         with service_with(addresses, token, ADMIN) as admin:
             listed = admin.ListSessions(page_size=1000)
-        page = json.loads(http_body(addresses.http, "/sessions.json?page_size=1000", f"Bearer {token}"))
+        page = json.loads(page_of(addresses, "/sessions.json?page_size=1000", token))
         assert listed.open_sessions == len(listed.sessions) == page["open"] == page["matching"]
         for ids in (
             [entry.session_id for entry in listed.sessions],
@@ -56,7 +48,7 @@ def test_looking_stops_at_the_tenant_unless_the_token_sees_all(addresses):
     query = "/sessions.json?page_size=1000&filter=tenant%3Drival"
     with service_with(addresses, "rival") as theirs:
         theirs.OpenSession(policy="cartpole")
-    rivals = json.loads(http_body(addresses.http, query, "Bearer watchman"))["sessions"]
+    rivals = json.loads(page_of(addresses, query, "watchman"))["sessions"]
     assert {entry["tenant"] for entry in rivals} == {"rival"}
     # A token that sees a session cannot use it.
     with service_with(addresses, "rival-operator") as other:

@@ -15,11 +15,10 @@ from security import (
     TOKENS,
     code_of,
     entry,
-    http_code,
     service_with,
     until,
 )
-from serving import DEADLINE_SECONDS, Service, method_of, refusal_at_start, running_server
+from serving import DEADLINE_SECONDS, Service, http_call, method_of, refusal_at_start, running_server
 
 
 @pytest.mark.parametrize("token", [None, "wrong", "expired"])
@@ -85,17 +84,21 @@ PAGES = ("/", "/main.js", "/metrics", "/status.json", "/sessions.json")
 @pytest.mark.parametrize("path", [*PAGES, "/explain.json?session=nobody", "/nothing"])
 def test_the_status_page_is_for_viewers_and_operators(addresses, path):
     found = 200 if path in PAGES else 404
-    assert http_code(addresses.http, path) == 401
+
+    def code(**headers):
+        return http_call(addresses.http, "GET", path, **headers)[0]
+
+    assert code() == 401
     for token in ("wrong", "expired"):
-        assert http_code(addresses.http, path, f"Bearer {token}") == 401
+        assert code(token=token) == 401
     for token in ("agent", "rival", "small"):
-        assert http_code(addresses.http, path, f"Bearer {token}") == 403
+        assert code(token=token) == 403
     for token in ("viewer", "operator", "rival-viewer", "watchman", "machine"):
-        assert http_code(addresses.http, path, f"Bearer {token}") == found
+        assert code(token=token) == found
     browser = base64.b64encode(b"anyone:operator").decode()
-    assert http_code(addresses.http, path, f"Basic {browser}") == found
-    assert http_code(addresses.http, path, "bearer operator") == found
-    assert http_code(addresses.http, path, "operator") == 401
+    assert code(Authorization=f"Basic {browser}") == found
+    assert code(Authorization="bearer operator") == found
+    assert code(Authorization="operator") == 401
 
 
 def tokens_of(*entries):
@@ -125,7 +128,7 @@ def test_a_mistake_in_the_file_keeps_the_server_from_starting(tmp_path, text, me
 
 
 def test_load_balancers_need_no_token(addresses):
-    assert http_code(addresses.http, "/healthz") == 200
+    assert http_call(addresses.http, "GET", "/healthz")[0] == 200
 
 
 def test_a_changed_file_takes_effect_and_a_broken_one_does_not(tmp_path):

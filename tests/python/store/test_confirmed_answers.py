@@ -53,21 +53,19 @@ def answered(call, fields, before=()):
 
     `before`: calls with their fields, sent again to a server that has claimed a session before ASYNC has stored them.
     """
-    answers = []
 
-    def is_answered():
+    def answers():
         try:
-            answers.append(call(**fields))
+            return [call(**fields)]
         except grpc.RpcError as error:
             is_behind = before and error.code() == grpc.StatusCode.FAILED_PRECONDITION
             assert is_behind or error.code() == grpc.StatusCode.UNAVAILABLE, error
             for earlier, earlier_fields in before if is_behind else ():
                 with contextlib.suppress(grpc.RpcError):  # most of them are there
                     earlier(**earlier_fields)
-        return answers != []
+            return []
 
-    until(is_answered)
-    return answers[0]
+    return until(answers)[0]
 
 
 def by_call(server):

@@ -11,7 +11,7 @@ import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis
 from security import POLICY, TOKENS, code_of, fails_with, service_with, until
-from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, Service, method_of, metric, refusal_at_start, running_server
+from serving import DEADLINE_SECONDS, SHIPPED_POLICIES, method_of, metric, refusal_at_start, running_server
 from stored_sessions import (
     SESSIONS,
     Restartable,
@@ -360,13 +360,13 @@ def test_a_server_that_stops_hands_its_sessions_over(redis, tmp_path, password):
     store = f"redis://127.0.0.1:{redis.port}"
     with Restartable(store, [password]) as second, running_server(
         flags=[f"--session_store={store}", password]
-    ) as addresses, grpc.insecure_channel(addresses.grpc) as channel:
-        first = Service(channel, "spikeserve.v1.PolicyService")
+    ) as addresses:
+        first = addresses.agent
         for i in range(6):
             first.OpenSession(**opening(i) | {"durability": "ASYNC"})
             for step in range(5):
                 act(first, i, step)
-        request_class, stream = method_of(channel, POLICY, "ActStream")
+        request_class, stream = method_of(addresses.channel, POLICY, "ActStream")
         requests = queue.SimpleQueue()
         requests.put(request_class(**acting(0, 0, 5)))
         answers = stream(iter(requests.get, None))

@@ -7,7 +7,7 @@ import shutil
 import grpc
 import pytest
 from security import OBSERVATION, POLICY, TOKENS, code_of, fails_with, service_with, until
-from serving import SHIPPED_POLICIES, Service, method_of
+from serving import SHIPPED_POLICIES, method_of
 from stored_sessions import (
     DEADLINE_SECONDS,
     Restartable,
@@ -235,16 +235,12 @@ def test_other_tenants_do_not_get_the_session(tmp_path, tokens):
             assert ours.GetSession(session_id=session).decisions == 1
 
 
-def test_without_a_store(address):
-    with grpc.insecure_channel(address) as channel:
-        service = Service(channel, "spikeserve.v1.PolicyService")
-        with fails_with(grpc.StatusCode.INVALID_ARGUMENT) as error:
-            service.OpenSession(policy="cartpole", durability="SYNC")
-        assert error.value.details() == (
-            "durability: expected NONE, because the server runs without --session_store, received SYNC"
-        )
-        assert code_of(service.OpenSession, policy="cartpole", session_id="7") == grpc.StatusCode.INVALID_ARGUMENT
-        opened = service.OpenSession(policy="cartpole", session_id="7" * 32)
-        assert (opened.session_id, opened.durability) == ("7" * 32, 1)
-        answer = service.Act(session_id="7" * 32, observation=[0.0] * 4)
-        assert answer.durable_decision == 0
+def test_without_a_store(service):
+    message = "durability: expected NONE, because the server runs without --session_store, received SYNC"
+    with fails_with(grpc.StatusCode.INVALID_ARGUMENT, whole=message):
+        service.OpenSession(policy="cartpole", durability="SYNC")
+    assert code_of(service.OpenSession, policy="cartpole", session_id="7") == grpc.StatusCode.INVALID_ARGUMENT
+    opened = service.OpenSession(policy="cartpole", session_id="7" * 32)
+    assert (opened.session_id, opened.durability) == ("7" * 32, 1)
+    answer = service.Act(session_id="7" * 32, observation=[0.0] * 4)
+    assert answer.durable_decision == 0

@@ -6,7 +6,8 @@ import json
 import grpc
 import pytest
 from redis_servers import DURABLE, WITHOUT_REDIS, Redis, stopping
-from security import ADMIN, OBSERVATION, code_of, http_body, service_with, until
+from security import ADMIN, OBSERVATION, code_of, service_with, until
+from serving import page_of
 from stored_sessions import Restartable, until_answered
 
 FOREIGN, UNKNOWN = "a" * 32, "b" * 32
@@ -70,7 +71,7 @@ def test_an_id_of_another_tenant_is_as_any_other(servers, durability):
         assert told(theirs.OpenSession(**opening(FOREIGN, durability)), FOREIGN) == answers[0]
         with service_with(first.addresses, "rival-operator", ADMIN) as admin:
             assert FOREIGN in [listed.session_id for listed in admin.ListSessions().sessions]
-        page = json.loads(http_body(first.http, "/sessions.json", "Bearer rival-viewer"))
+        page = json.loads(page_of(first, "/sessions.json", "rival-viewer"))
         assert FOREIGN in [listed["session_id"] for listed in page["sessions"]]
         ours.CloseSession(session_id=FOREIGN)
         assert code_of(ours.GetSession, session_id=FOREIGN) == NOT_FOUND

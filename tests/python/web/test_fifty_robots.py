@@ -4,11 +4,9 @@ import json
 import shutil
 import threading
 
-import grpc
 import pytest
 from browser import DESKTOP, PHONE
-from security import POLICY
-from serving import SHIPPED_POLICIES, Service, running_server
+from serving import SHIPPED_POLICIES, running_server
 
 ROBOTS = 50
 BROKEN = "arm-17"
@@ -60,11 +58,7 @@ def fleet(tmp_path_factory):
     for name in ("cartpole", "pendulum"):
         for version in ("1", "2") if name == "cartpole" else ("1",):
             shutil.copytree(SHIPPED_POLICIES / name / version, policies / name / version)
-    with (
-        running_server(policies) as addresses,
-        grpc.insecure_channel(addresses.grpc) as channel,
-        Fleet(Service(channel, POLICY)) as robots,
-    ):
+    with running_server(policies) as addresses, Fleet(addresses.agent) as robots:
         yield addresses.http, robots
 
 

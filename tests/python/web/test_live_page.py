@@ -11,8 +11,7 @@ import pytest
 from browser import SCREENSHOTS
 from policy_file import read_policy, write_policy
 from robots import Robot
-from serving import SHIPPED_POLICIES, running_server
-from test_watching import get
+from serving import SHIPPED_POLICIES, page_of, running_server, status_of
 
 CART = [0.5, 0.0, 0.1, 0.0]
 DOUBLE = "double-pendulum"  # the policy of another task with observations of this size
@@ -75,21 +74,20 @@ def server(tmp_path_factory):
     for name in [*(task[0] for task in TASKS if task[0] != DOUBLE), UNKNOWN, "cartpole-small"]:
         shutil.copytree(SHIPPED_POLICIES / name / "1", policies / name / "1")
     with running_server(policies) as addresses:
-        yield addresses.http, addresses.agent
+        yield addresses
 
 
 def open_page(browser, server, policy, **options):
     """Opens a session and its page. Returns a function that makes a decision, and waits until the page draws it."""
-    http, service = server
-    session = service.OpenSession(policy=policy, **options).session_id
+    session = server.agent.OpenSession(policy=policy, **options).session_id
     step = 0
     browser.driver.get("about:blank")
 
     def act(observation):
         nonlocal step
-        service.Act(session_id=session, step=step, observation=observation)
+        server.agent.Act(session_id=session, step=step, observation=observation)
         if step == 0:
-            browser.driver.get(f"http://{http}/#/sessions/{session}")
+            browser.driver.get(f"http://{server.http}/#/sessions/{session}")
         drawn = f"document.querySelector('#scene .quiet')?.textContent.startsWith('Episode 0, step {step},')"
         browser.wait_for(drawn, f"decision {step}")
         step += 1
@@ -99,9 +97,8 @@ def open_page(browser, server, policy, **options):
 
 
 def observation_size(server, name):
-    http, _ = server
-    status = json.loads(get(f"http://{http}/status.json?metrics=false"))
-    return next(int(policy["observation_size"]) for policy in status["policies"] if policy["name"] == name)
+    policies = status_of(server, "?metrics=false")["policies"]
+    return next(int(policy["observation_size"]) for policy in policies if policy["name"] == name)
 
 
 @pytest.mark.parametrize(("policy", "what", "left", "right"), TASKS, ids=[task[0] for task in TASKS])
@@ -148,12 +145,11 @@ def expected_rasters(explained):
 
 @pytest.mark.parametrize("policy", ["cartpole", "cartpole-small"])
 def test_the_rasters_hold_the_spikes_of_the_answer_and_no_others(browser, server, policy):
-    http, _ = server
     act = open_page(browser, server, policy)
     for _ in range(4):
         session = act(CART)
     browser.wait_for("document.querySelector('#frame-text').textContent.endsWith('step 3')", "the explanation")
-    explained = json.loads(get(f"http://{http}/explain.json?session={session}"))
+    explained = json.loads(page_of(server, f"/explain.json?session={session}"))
     expected = expected_rasters(explained)
     spikes = 0
     for drawn in browser.evaluate(RASTERS):
@@ -219,11 +215,10 @@ def test_an_unusual_element_stands_beside_its_range_in_training(browser, server)
 
 @pytest.mark.skipif(not SCREENSHOTS, reason="writes the picture only on request")
 def test_picture(browser, server):
-    http, service = server
-    robot = Robot(service, "Pendulum-v1", "pendulum", "swing-03", {}, True, 200, seed=5)
+    robot = Robot(server.agent, "Pendulum-v1", "pendulum", "swing-03", {}, True, 200, seed=5)
     for _ in range(6):
         robot.act()
-    browser.driver.get(f"http://{http}/#/sessions/{robot.session}")
+    browser.driver.get(f"http://{server.http}/#/sessions/{robot.session}")
     for i in range(8):
         robot.act()
         browser.wait_for(f"document.querySelector('#frame-text').textContent.endsWith('step {6 + i}')", "a decision")

@@ -11,8 +11,8 @@ import pytest
 from browser import DESKTOP, PHONE, SCREENSHOTS
 from policy_file import copy_without_wiring
 from robots import Fleet
-from serving import SHIPPED_POLICIES, running_server
-from test_watching import get, wait_for
+from security import until
+from serving import SHIPPED_POLICIES, page_of, running_server
 
 ENERGY_MODEL = "int_sram_45nm"
 WEAK_ROBOT = "arm-03"
@@ -32,14 +32,14 @@ def copy_policies(directory):
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory):
-    """Starts a server and a fleet. Yields the HTTP address and the fleet."""
+    """Starts a server and a fleet. Yields them."""
     policies = copy_policies(tmp_path_factory.mktemp("policies"))
     with running_server(policies) as addresses:
         addresses.admin.SetDefaultVersion(policy="cartpole", version=1)
         addresses.admin.SetLabel(policy="cartpole", version=1, label="stable")
         addresses.admin.SetShadow(policy="acrobot", shadow_version=1)
         addresses.admin.StartRollout(policy="cartpole", version=2, steps=[50, 100], min_episodes=20)
-        robots = Fleet(addresses.grpc)
+        robots = Fleet(addresses.agent)
         robots.add("CartPole-v1", "cartpole", 3, prefix="arm")
         robots.add("CartPole-v1", "cartpole", 1, broken={None: 0.5}, prefix="arm")  # arm-03
         # The motors of these robots ignore version 2, so its episodes end after about 20 steps whatever chance does. Those of
@@ -48,16 +48,16 @@ def fleet(tmp_path_factory):
         robots.add("CartPole-v1", "cartpole", 8, broken, keeps_session=False, episode_steps=60, prefix="cart")
         robots.add("Pendulum-v1", "pendulum", 4, prefix="swing")
         with robots:
-            yield addresses.http, robots
+            yield addresses, robots
 
 
 @pytest.fixture
 def page(browser, fleet):
     """Opens the page at its first screen, as a new visitor, and waits until it shows traffic."""
-    address, _ = fleet
+    addresses, _ = fleet
     browser.resize(DESKTOP)
     browser.prefer("light")
-    browser.open(f"http://{address}/")
+    browser.open(f"http://{addresses.http}/")
     browser.wait_for("document.querySelectorAll('#policies-table tbody tr').length > 1", "policies")
     browser.wait_for("document.querySelector('#most-energy strong')", "energy")
     yield browser
@@ -67,8 +67,7 @@ def page(browser, fleet):
 
 
 def document(fleet, path):
-    address, _ = fleet
-    return json.loads(get(f"http://{address}{path}"))
+    return json.loads(page_of(fleet[0], path))
 
 
 def test_which_policy_spends_most(page, fleet):
@@ -116,8 +115,8 @@ def test_which_robot_has_the_lowest_return_and_what_its_last_decision_looked_lik
 
 
 def test_decisions_are_followed_and_played_again(page, fleet):
-    address, robots = fleet
-    page.driver.get(f"http://{address}/#/sessions/{robots.session_of('arm-00')}")
+    addresses, robots = fleet
+    page.driver.get(f"http://{addresses.http}/#/sessions/{robots.session_of('arm-00')}")
     page.wait_for("document.querySelector('#frame').max >= 2", "three decisions")
     page.click("#follow")
     count = int(page.evaluate("document.querySelector('#frame').max")) + 1
@@ -134,18 +133,18 @@ def test_decisions_are_followed_and_played_again(page, fleet):
 
 
 def test_links_lead_to_a_policy_and_a_session(page, fleet):
-    address, robots = fleet
-    page.driver.get(f"http://{address}/#/policies/pendulum/2")
+    addresses, robots = fleet
+    page.driver.get(f"http://{addresses.http}/#/policies/pendulum/2")
     page.wait_for("document.querySelector('#scope').textContent.includes('pendulum/2')", "the policy")
     page.wait_for("document.querySelectorAll('#sessions-table tbody tr').length === 4", "its sessions")
     assert {row["Policy"] for row in page.records("sessions-table")} == {"pendulum/2"}
     assert {row["Policy"] for row in page.records("policies-table")} == {"pendulum/1", "pendulum/2"}
     assert "Head drift" in page.tiles()
-    page.driver.get(f"http://{address}/#/sessions/{robots.session_of('arm-01')}")
+    page.driver.get(f"http://{addresses.http}/#/sessions/{robots.session_of('arm-01')}")
     page.wait_for("document.querySelector('#session-tiles').textContent.includes('robot=arm-01')", "the session")
     page.driver.back()
     page.wait_for("!document.querySelector('#policies').hidden", "the policy again")
-    page.driver.get(f"http://{address}/#/sessions/nobody")
+    page.driver.get(f"http://{addresses.http}/#/sessions/nobody")
     page.wait_for("document.querySelector('#session-error').textContent.includes('nobody')", "the error")
     page.problems()  # Chromium reports the expected HTTP status 404
 
@@ -175,9 +174,9 @@ def wait_for_figures(page):
 
 @pytest.mark.skipif(not SCREENSHOTS, reason="writes pictures only on request")
 def test_pictures(page, fleet):
-    address, robots = fleet
+    addresses, robots = fleet
     history = lambda: len(document(fleet, "/history.json?seconds=600")["seconds_ago"]) > 40
-    wait_for(history, "three minutes of figures", seconds=240)
+    until(history, seconds=240)  # three minutes of figures
     for scheme in ("light", "dark"):
         page.prefer(scheme)
         wait_for_figures(page)
@@ -187,7 +186,7 @@ def test_pictures(page, fleet):
     wait_for_figures(page)
     page.screenshot("status-phone.png", height=1500)
     page.resize(DESKTOP)
-    page.driver.get(f"http://{address}/#/sessions/{robots.session_of(WEAK_ROBOT)}")
+    page.driver.get(f"http://{addresses.http}/#/sessions/{robots.session_of(WEAK_ROBOT)}")
     page.wait_for("document.querySelector('#frame').max >= 5", "six decisions")
     page.screenshot("session-light.png")
     page.prefer("dark")

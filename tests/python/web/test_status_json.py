@@ -7,8 +7,8 @@ import grpc
 import jsonschema
 import pytest
 
-from serving import DEPLOY, SHIPPED_POLICIES, running_server
-from test_watching import get, wait_for
+from security import until
+from serving import DEPLOY, SHIPPED_POLICIES, http_call, page_of, running_server, status_of
 
 SCHEMA_FILE = DEPLOY.parent / "server" / "web" / "static" / "schema.json"
 OBSERVATION = [0.01, -0.02, 0.03, 0.1]
@@ -28,7 +28,7 @@ def play(agent):
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
-    """Starts a server with a roll-out, a label, a shadow and a session. Yields its HTTP address and the session."""
+    """Starts a server with a roll-out, a label, a shadow and a session. Yields it and the session."""
     policies = tmp_path_factory.mktemp("policies")
     for version in ("1", "2"):
         shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", policies / "robot" / version)
@@ -38,9 +38,8 @@ def server(tmp_path_factory):
         addresses.admin.SetShadow(policy="robot", shadow_version=2)
         addresses.admin.StartRollout(policy="robot", version=2, steps=[50, 100])
         session = play(addresses.agent)
-        played = lambda: json.loads(get(f"http://{addresses.http}/status.json"))["figures"]["decisions"] == 6
-        wait_for(played, "the decisions in the history")
-        yield addresses.http, session
+        until(lambda: status_of(addresses)["figures"]["decisions"] == 6)
+        yield addresses, session
 
 
 def validate(definition, document):
@@ -49,8 +48,7 @@ def validate(definition, document):
 
 
 def test_the_schema_is_valid_and_published(server):
-    address, _ = server
-    published = get(f"http://{address}/schema.json")
+    published = page_of(server[0], "/schema.json")
     assert published == SCHEMA_FILE.read_text()
     jsonschema.Draft202012Validator.check_schema(json.loads(published))
 
@@ -70,8 +68,8 @@ def test_the_schema_is_valid_and_published(server):
     ],
 )
 def test_documents_follow_the_schema(server, definition, path):
-    address, session = server
-    document = json.loads(get(f"http://{address}{path.format(session=session)}"))
+    addresses, session = server
+    document = json.loads(page_of(addresses, path.format(session=session)))
     validate(definition, document)
     # The definitions are closed, so a field that the schema does not know is found.
     with pytest.raises(jsonschema.ValidationError):
@@ -79,15 +77,14 @@ def test_documents_follow_the_schema(server, definition, path):
 
 
 def test_errors_follow_the_schema(server):
-    address, _ = server
-    with pytest.raises(OSError) as error:
-        get(f"http://{address}/session.json?session=nobody")
-    validate("error", json.loads(error.value.read()))
+    code, _, error = http_call(server[0].http, "GET", "/session.json?session=nobody")
+    assert code == 404
+    validate("error", json.loads(error))
 
 
 def test_the_documents_hold_what_the_page_shows(server):
-    address, session = server
-    status = json.loads(get(f"http://{address}/status.json?window=600"))
+    addresses, session = server
+    status = status_of(addresses, "?window=600")
     [first, second] = status["versions"]
     assert [first["version"], second["version"]] == ["1", "2"]
     assert first["decisions"] + second["decisions"] == 6
@@ -99,6 +96,6 @@ def test_the_documents_hold_what_the_page_shows(server):
     )
     [rollout] = status["rollouts"]
     assert rollout["state"] == "STATE_RUNNING"
-    listed = json.loads(get(f"http://{address}/sessions.json?sort=mean_return"))
+    listed = json.loads(page_of(addresses, "/sessions.json?sort=mean_return"))
     assert [row["session_id"] for row in listed["sessions"]] == [session]
     assert listed["sessions"][0]["last_return"] == 5.0

@@ -17,7 +17,7 @@ import pytest
 
 from documentation import page_of
 from redis_servers import Redis, stopping
-from security import code_of
+from security import code_of, until
 from serving import DEADLINE_SECONDS, DEPLOY, SHIPPED_POLICIES, TEST_TIME, run, running_server
 
 PROMETHEUS_YML = DEPLOY / "prometheus" / "prometheus.yml"
@@ -38,23 +38,12 @@ OF_PROMETHEUS = {"up": set(), "ALERTS": {"alertname", "alertstate"}}
 OF_BUDGETS = {"spikeserve_budget_ratio": {"tenant", "budget"}}
 STEPS = 5  # of an episode
 OBSERVATION = [0.01, -0.02, 0.03, 0.1]
-PROMTOOL_SECONDS = 600  # it evaluates days of every alert, and other tests run at the same time
 
 
 def get(url, **parameters):
     query = f"?{urllib.parse.urlencode(parameters)}" if parameters else ""
     with urllib.request.urlopen(url + query, timeout=DEADLINE_SECONDS) as response:
         return response.read().decode()
-
-
-def wait_for(condition, what, seconds=DEADLINE_SECONDS):
-    """Calls `condition` until its result is true, and returns the result."""
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        if answer := condition():
-            return answer
-        time.sleep(0.05)
-    pytest.fail(f"{what}: expected within {seconds} s, received none")
 
 
 class Prometheus:
@@ -153,7 +142,7 @@ def roll_out_in_vain(agent, admin):
             agent.CloseSession(session_id=session.session_id)
         return admin.ListRollouts().rollouts[0].state == 3  # STATE_ABORTED
 
-    wait_for(aborted, "the end of the roll-out")
+    until(aborted)
     admin.SetDefaultVersion(policy="cartpole", version=2)
 
 
@@ -166,7 +155,7 @@ def shadow(agent, admin, address):
         observation = [0.0, 0.0, angle, -angle * (step % 7)]
         agent.Act(session_id=session, step=step, observation=observation, reward=1.0)
     agent.CloseSession(session_id=session)
-    wait_for(lambda: 'agreement="differ"' in get(f"http://{address}/metrics"), "another action")
+    until(lambda: 'agreement="differ"' in get(f"http://{address}/metrics"))
 
 
 def test_versions_without_a_session_have_hardly_any_series():
@@ -217,17 +206,17 @@ def prometheus(server, tmp_path_factory):
         # A rate needs two samples of every series.
         errors = 'spikeserve_rpc_duration_seconds_count{code="INVALID_ARGUMENT"}'
         decisions = 'spikeserve_decisions_total{policy="cartpole",version="2"}'
-        [(_, before)] = wait_for(lambda: api.query(errors), "the first scrape")
-        [(_, decided)] = wait_for(lambda: api.query(decisions), "the first scrape")
+        [(_, before)] = until(lambda: api.query(errors))  # the first scrape
+        [(_, decided)] = until(lambda: api.query(decisions))
         play(server.agent)
-        wait_for(lambda: api.query(f"{errors} > {before}"), "a scrape after the play")
+        until(lambda: api.query(f"{errors} > {before}"))
         # The first play's last error may have been counted after the first scrape, and be the one that is seen.
-        wait_for(lambda: api.query(f"{decisions} >= {decided + 2 * STEPS}"), "a scrape with the play's decisions")
+        until(lambda: api.query(f"{decisions} >= {decided + 2 * STEPS}"))
         # The shadow computes later than the answers, and later still on a busy machine.
         shadowed = "increase(spikeserve_shadow_decisions_total[1m]) > 0"
-        wait_for(lambda: api.query(shadowed), "a scrape after the shadow's decisions")
-        wait_for(lambda: all(rule["health"] == "ok" for rule in api.rules()), "the rules")
-        wait_for(lambda: api.query('ALERTS{alertname="SpikeserveRolloutAborted"}'), "the alert of the roll-out")
+        until(lambda: api.query(shadowed))
+        until(lambda: all(rule["health"] == "ok" for rule in api.rules()))
+        until(lambda: api.query('ALERTS{alertname="SpikeserveRolloutAborted"}'))
         yield api
 
 
