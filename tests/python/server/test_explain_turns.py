@@ -1,17 +1,17 @@
 """Explanations take long: tenants take turns, and a cancelled call is not computed."""
 
+import concurrent.futures
 import json
 import threading
 import time
 
 import grpc
 import pytest
-from security import OBSERVATION, POLICY, TOKENS, service_with
+from security import OBSERVATION, POLICY, TOKENS, service_with, until
 from serving import DEADLINE_SECONDS, message_class, running_server, series
 
 CALLERS = 24
 ANSWERS = 12
-POLL_SECONDS = 0.001
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ class Crowd:
         self._lock = threading.Lock()
         self._stopped = threading.Event()
         self._addresses, self._session, self._token = addresses, session, token
-        self._threads = [threading.Thread(target=self._run) for _ in range(CALLERS)]
+        self._threads = concurrent.futures.ThreadPoolExecutor(CALLERS)
 
     def _run(self):
         options = [("grpc.use_local_subchannel_pool", 1)]
@@ -67,22 +67,21 @@ class Crowd:
                     self.refused += not answered
 
     def __enter__(self):
-        for thread in self._threads:
-            thread.start()
+        self._running = [self._threads.submit(self._run) for _ in range(CALLERS)]
         return self
 
     def __exit__(self, *_):
         self._stopped.set()
-        for thread in self._threads:
-            thread.join()
+        self._threads.shutdown()
+        for caller in self._running:
+            caller.result()
 
 
 def test_24_callers_of_one_tenant_leave_another_one_half(addresses):
     with service_with(addresses, "agent") as agent, service_with(addresses, "rival") as rival:
         crowded, alone = explainable(agent), explainable(rival)
         with Crowd(addresses, crowded, "agent") as crowd:
-            while crowd.refused == 0:  # until the queue of the tenant is full
-                time.sleep(POLL_SECONDS)
+            until(lambda: crowd.refused > 0)  # the queue of the tenant is full
             before = crowd.answered
             for _ in range(ANSWERS):
                 rival.Explain(session_id=alone)
@@ -115,11 +114,9 @@ def test_a_full_queue_is_unavailable_after_a_delay(addresses):
     with service_with(addresses, "agent") as agent:
         session = explainable(agent)
         with Crowd(addresses, session, "agent") as crowd:
-            while crowd.refused == 0:
-                time.sleep(POLL_SECONDS)
+            until(lambda: crowd.refused > 0)
             answered, refused, start = crowd.answered, crowd.refused, time.monotonic()
-            while crowd.answered - answered < ANSWERS:
-                time.sleep(POLL_SECONDS)
+            until(lambda: crowd.answered - answered >= ANSWERS)
             refusals, seconds = crowd.refused - refused, time.monotonic() - start
             # Each caller waits for a tenth of a second on average. Otherwise it would be refused hundreds of times a second.
             assert refusals <= CALLERS * (20 * seconds + 1)
