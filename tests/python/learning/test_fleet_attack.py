@@ -217,7 +217,7 @@ def figure(addresses, name):
 
 def test_a_held_out_session_judges_and_contributes_nothing(tokens):
     """The server decides which: on another one the same ids have other roles."""
-    ids = [secrets.token_hex(16) for _ in range(40)]
+    ids = [secrets.token_hex(16) for _ in range(80)]
 
     def end_episode(agent, session):
         for step in range(3):
@@ -240,7 +240,7 @@ def test_a_held_out_session_judges_and_contributes_nothing(tokens):
             for session in ids[4:]:
                 agent.OpenSession(policy="cartpole", learning=FLEET, session_id=session)
             judges = [session for session in ids if end_episode(agent, session) == 0]
-            assert 1 <= len(judges) <= 20
+            assert 1 <= len(judges) <= 40  # of one in five on average
             until(lambda: figure(addresses, "held_out_sessions") == len(judges))
             drift = owner.GetHead(policy="cartpole").drift
             assert [end_episode(agent, judges[0]) for _ in range(3)] == [0] * 3
