@@ -55,7 +55,7 @@ class Flight:
         self.endings = []
         self.summaries = []
         self.actions = []
-        self.ages = []  # of the observations that the actions were chosen for, when their beats began
+        self.ages = []  # of the observations that the actions were chosen for, when their beats began; 0 or less: their own
         self.due = time.monotonic()
         self.asleep, self.clock = 0.0, None  # seconds of sleep, and what adds them
 
