@@ -36,6 +36,7 @@ TOKENS = {
         entry("operator", "operator"),
         entry("watchman", "viewer", sees="all"),
         entry("machine", "operator", sees="all"),
+        entry("nina", "operator", name="nina"),
         entry("rival", "agent", "rival"),
         entry("rival-viewer", "viewer", "rival", sees="tenant"),
         entry("rival-operator", "operator", "rival"),

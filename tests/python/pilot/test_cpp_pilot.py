@@ -21,7 +21,6 @@ from test_pilot import (  # noqa: F401
     test_five_seconds_without_a_cable_cost_no_action,
     test_nothing_that_a_robot_passes_makes_a_beat_fail,
     test_the_next_episode_does_not_wait_for_the_answer_to_the_end,
-    test_times_without_an_end_have_none,
     test_what_a_safety_layer_executes_is_what_the_server_remembers,
 )
 from test_pilot_engine import (  # noqa: F401
@@ -40,6 +39,7 @@ from test_pilot_faults import (  # noqa: F401
     test_episodes_begin_and_end_without_an_observation,
     test_what_a_kill_loses_the_robot_sends_again,
 )
+from test_pilot_options import REFUSED, test_times_without_an_end_have_none  # noqa: F401
 from traces import collecting, environment
 
 WARM = 20  # beats after which nothing is allocated
@@ -158,7 +158,7 @@ def test_an_engine_that_cannot_play_is_an_error_at_the_begin():
     [
         ({"period": 0}, "period: expected 1ms to 1h, received 0"),
         ({"budget": 1}, r"budget: expected 0 to period \(10ms\), received 1s"),
-        *test_pilot.REFUSED,
+        *REFUSED,
     ],
 )
 def test_the_options_are_checked(address, options, message):
