@@ -33,7 +33,7 @@ def test_the_server_outlives(name, tokens, certificates):
 
 def log_of(path, *attacks):
     """Runs attacks, (address, seconds), on a new server. Returns the lines that it logged."""
-    with path.open("wb") as log, running_server(log=log) as addresses:
+    with running_server(log=path) as addresses:
         host, _, port = addresses.grpc.rpartition(":")
         for attack in attacks:
             assert attack((host, int(port)), ATTACK_SECONDS).connections > 0

@@ -99,25 +99,23 @@ def refusal_at_start(*flags, policies=SHIPPED_POLICIES):
 def running_server(policies=SHIPPED_POLICIES, flags=(), log=None, prefix=(), status=0):
     """Starts a server with the policies of a folder and yields it as a Server.
 
-    Asserts that the server ends with `status` at the latest at the SIGTERM that follows, unless it was killed. The server logs to `log`, an open file; None: to stderr. The
-    variable SPIKESERVE_SERVER_FLAGS holds flags of every server. Of a flag that is repeated, the last one counts.
-    `prefix` is a command that runs the server in its own process, such as prlimit.
+    Asserts that the server ends with `status` at the latest at the SIGTERM that follows, unless it was killed. The server
+    appends its log to the file at the path `log`, or logs to what Popen takes; None: to stderr. The variable
+    SPIKESERVE_SERVER_FLAGS holds flags of every server. Of a flag that is repeated, the last one counts. `prefix` is a
+    command that runs the server in its own process, such as prlimit.
     """
-    process = subprocess.Popen(
-        [
-            *prefix,
-            os.environ["SPIKESERVE_PROGRAM"],
-            f"--policies={policies}",
-            "--listen=127.0.0.1:0",
-            "--http_listen=127.0.0.1:0",
-            "--reflection_v1alpha",  # the version that grpcio-reflection speaks
-            *shlex.split(os.environ.get("SPIKESERVE_SERVER_FLAGS", "")),
-            *flags,
-        ],
-        stdout=subprocess.PIPE,
-        stderr=log,
-        text=True,
-    )
+    command = [
+        *prefix,
+        os.environ["SPIKESERVE_PROGRAM"],
+        f"--policies={policies}",
+        "--listen=127.0.0.1:0",
+        "--http_listen=127.0.0.1:0",
+        "--reflection_v1alpha",  # the version that grpcio-reflection speaks
+        *shlex.split(os.environ.get("SPIKESERVE_SERVER_FLAGS", "")),
+        *flags,
+    ]
+    with log.open("a") if isinstance(log, pathlib.Path) else contextlib.nullcontext(log) as stderr:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
     server = Server(process, status)
 
     def announced(protocol):

@@ -57,8 +57,8 @@ class SoakedServer:
             "--session_ttl=10s",
             "--compact_after=1s",
         ]
-        log = self._stack.enter_context((self.folder / "server.log").open("w"))
-        self.addresses = self._stack.enter_context(running_server(self.policies, flags, log=log))
+        started = running_server(self.policies, flags, log=self.folder / "server.log")
+        self.addresses = self._stack.enter_context(started)
         return self
 
     def __exit__(self, *error):

@@ -52,15 +52,9 @@ def test_stored_means_that_the_file_is_there(tmp_path):
 
 @pytest.mark.parametrize("sessions", [1, 3])
 def test_a_full_disk_is_one_line_in_the_log(tmp_path, sessions):
-    records, log_path = tmp_path / "records", tmp_path / "log"
-    with (
-        log_path.open("w") as log,
-        running_server(
-            flags=[f"--record_dir={records}"],
-            log=log,
-            prefix=["prlimit", f"--fsize={LONGEST_FILE}:"],
-        ) as addresses,
-    ):
+    records, log = tmp_path / "records", tmp_path / "log"
+    prefix = ["prlimit", f"--fsize={LONGEST_FILE}:"]
+    with running_server(flags=[f"--record_dir={records}"], log=log, prefix=prefix) as addresses:
         players = [Player(addresses) for _ in range(sessions)]
         for _ in range(EPISODES // sessions):
             for player in players:
@@ -72,7 +66,7 @@ def test_a_full_disk_is_one_line_in_the_log(tmp_path, sessions):
         players[0].play()
         until(lambda: players[0].end() == "STORED")
         assert len(list(records.rglob("*.cbor"))) == 1
-    lines = log_path.read_text().splitlines()
+    lines = log.read_text().splitlines()
     lost = EPISODES // sessions * sessions
     assert len([line for line in lines if "recordings are lost" in line]) == 1
     assert [line for line in lines if f'recordings are written again lost="{lost}"' in line]
@@ -98,8 +92,7 @@ def test_a_tenant_leaves_others_their_share_of_the_disk(tmp_path, tokens):
     log = tmp_path / "log"
     flags = [f"--tokens={tokens}", f"--record_dir={tmp_path}/records", f"--max_recorded_bytes={LIMIT}"]
     with (
-        log.open("w") as file,
-        running_server(flags=flags, log=file) as addresses,
+        running_server(flags=flags, log=log) as addresses,
         service_with(addresses, "agent") as greedy,
         service_with(addresses, "rival") as neighbour,
     ):

@@ -217,7 +217,7 @@ def test_the_fleets_head_does_not_depend_on_who_ends_first(serve):
 @pytest.mark.parametrize("scope", ["session", "fleet"])
 def test_the_guard_rolls_back_and_says_so(folder, tmp_path_factory, scope):
     path = tmp_path_factory.mktemp("log") / "stderr"
-    with path.open("w") as log, running_server(folder, log=log) as addresses:
+    with running_server(folder, log=path) as addresses:
         server = Learner(addresses)
         session_id = server.open(seed=1, learning={"scope": scope.upper()}, **SAMPLING)
         for episode in range(40):

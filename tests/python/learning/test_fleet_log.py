@@ -2,10 +2,10 @@
 
 import contextlib
 import hashlib
+import itertools
 import json
 import pathlib
 import shutil
-import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -59,10 +59,11 @@ def start_on_cluster(tmp_path):
 def replicas_on(port, tmp_path):
     """Yields a function that starts a replica, which serves version 1 of one policy."""
     shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", tmp_path / "policies" / "cartpole" / "1")
+    numbers = itertools.count()
     with contextlib.ExitStack() as started:
 
         def start_one():
-            log = started.enter_context(tempfile.TemporaryFile("a+"))
+            log = tmp_path / f"log{next(numbers)}"
             replica = Restartable(f"redis://127.0.0.1:{port}", policies=tmp_path / "policies", log=log)
             return started.enter_context(replica)
 
@@ -77,11 +78,6 @@ def weights(replica):
     """Returns all of a shared head that replicas must agree on."""
     head = head_of(replica)
     return head.delta[:], head.updates, head.rejected_updates, head.rollbacks, head.watched_return
-
-
-def logged(replica):
-    replica.log.seek(0)
-    return replica.log.read()
 
 
 def open_learner(replica, seed=1, session_id=""):
@@ -323,8 +319,8 @@ def test_a_lost_entry_is_noticed_and_the_head_reloaded(redis, start):
     second.resume()
     until(lambda: metric(second, "spikeserve_head_log_reloads_total", outcome="reloaded") == 1)
     assert weights(second) == weights(first)
-    assert "error the log of shared heads lacks entries" in logged(second)
-    assert "warning shared heads reloaded from their log" in logged(second)
+    assert "error the log of shared heads lacks entries" in second.log.read_text()
+    assert "warning shared heads reloaded from their log" in second.log.read_text()
     assert metric(first, "spikeserve_head_log_reloads_total") == 0
     third = start()
     assert weights(third) == weights(first) and head_of(third).updates == 4
@@ -341,7 +337,7 @@ def test_a_gap_that_none_can_fill_is_cut(redis, start):
     redis.command(f"XDEL {log} {lost}")
     second = start()
     until(lambda: Service(second.channel, HEALTH).Check(service="").status == SERVING)
-    assert "error the log of shared heads was cut" in logged(second)
+    assert "error the log of shared heads was cut" in second.log.read_text()
     assert head_of(second).updates == 1
     play(second, session)
     assert head_of(second).updates == 2 and weights(start()) == weights(second)

@@ -101,8 +101,7 @@ def test_exports_do_not_stand_between_operators_and_their_calls(tmp_path):
     tokens.write_text(json.dumps(TOKENS | {"tenants": {name: any_rate for name in TOKENS["tenants"]}}))
     flags = [f"--tokens={tokens}", f"--audit_log={log}"]
     with (
-        (tmp_path / "stderr").open("w") as stderr,
-        running_server(flags=flags, log=stderr, prefix=["prlimit", f"--fsize={4 * MEGABYTE}:"]) as addresses,
+        running_server(flags=flags, log=tmp_path / "stderr", prefix=["prlimit", f"--fsize={4 * MEGABYTE}:"]) as addresses,
         service_with(addresses, "agent", POLICY) as agent,
         service_with(addresses, "machine", ADMIN) as operator,
     ):
@@ -139,7 +138,7 @@ def test_a_disk_that_agents_wait_for_does_not_stop_operators(tmp_path):
 
 def test_the_file_of_agents_is_rotated(tmp_path):
     log = tmp_path / "audit.jsonl"
-    with running_server(flags=[f"--audit_log={log}"], log=(tmp_path / "stderr").open("w")) as addresses, service_with(addresses, None) as agent:
+    with running_server(flags=[f"--audit_log={log}"], log=tmp_path / "stderr") as addresses, service_with(addresses, None) as agent:
         older = log.with_name("audit.jsonl.agents")
         older.write_text("{}\n" * (3 * MEGABYTE))  # above the limit
         assert code_of(agent.ExportSession, session_id="missing") == grpc.StatusCode.NOT_FOUND

@@ -120,7 +120,7 @@ def test_a_bad_file_never_takes_a_good_one_down(server, policies):
 
 def test_a_polled_directory_needs_no_operator(policies, tmp_path):
     log = tmp_path / "log"
-    with log.open("wb") as file, running_server(policies, ["--poll_policies=10ms"], log=file) as server:
+    with running_server(policies, ["--poll_policies=10ms"], log=log) as server:
         garbage = tmp_path / "garbage"
         garbage.write_bytes(b"garbage")
         garbage.rename(policies / "robot/1" / FILE)  # the server cannot refuse a half-written file as well
@@ -405,7 +405,7 @@ def test_a_setting_waits_for_a_version_that_is_not_there(policies, settings, tmp
         divide(server, {1: 80, 2: 20}, shadow_version=2)
     away = (policies / "robot/2").rename(tmp_path / "away")
     log = tmp_path / "log"
-    with log.open("wb") as file, serving_with(settings, policies, file) as server:
+    with serving_with(settings, policies, log) as server:
         assert held(server) == ["1 stable 0%", "3 default 0%"]
         for setting in ("default_version", "labels.canary", "shares"):
             waits = f"policies.robot.{setting}: waits for version 2, which is not served"

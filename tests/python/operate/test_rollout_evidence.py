@@ -39,9 +39,9 @@ def served(tmp_path, tokens):
         shutil.copytree(SHIPPED_POLICIES / "cartpole" / "1", policies / "cartpole" / str(version))
     settings = tmp_path / "settings"
     settings.mkdir()
+    flags = [f"--tokens={tokens}", f"--policy_settings={settings}/settings.json"]
     with (
-        (tmp_path / "log").open("w") as log,
-        running_server(policies, [f"--tokens={tokens}", f"--policy_settings={settings}/settings.json"], log=log) as addresses,
+        running_server(policies, flags, log=tmp_path / "log") as addresses,
         service_with(addresses, "operator", ADMIN) as admin,
         service_with(addresses, "agent") as fleet,
         service_with(addresses, "rival") as rival,

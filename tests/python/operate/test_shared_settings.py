@@ -125,11 +125,10 @@ def test_settings_lost_while_no_replica_lives(redis, start, tmp_path):
     first.admin.SetDefaultVersion(policy="cartpole", version=1)
     first.kill()
     redis.command("FLUSHALL")
-    with (tmp_path / "log").open("w") as log:
-        first.log = log
-        first.restart()
-        until(lambda: redis.command("HGET cfg revision") == b"1")
-    line = next(line for line in (tmp_path / "log").read_text().splitlines() if "has no settings" in line)
+    first.log = tmp_path / "log"
+    first.restart()
+    until(lambda: redis.command("HGET cfg revision") == b"1")
+    line = next(line for line in first.log.read_text().splitlines() if "has no settings" in line)
     assert 'settings="defaults"' in line
     assert opened_version(first) == 2
 

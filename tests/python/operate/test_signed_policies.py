@@ -138,9 +138,10 @@ def test_a_version_is_refused_at_the_start(keys, folder, tmp_path, damage):
     sign(keys, folder, 1)
     sign(keys, folder, 2)
     reason = damage(keys, folder)
-    with (tmp_path / "log").open("w") as log, services(folder, trusting(keys), log) as (service, _):
+    log = tmp_path / "log"
+    with services(folder, trusting(keys), log) as (service, _):
         assert served(service) == [2]
-    logged = (tmp_path / "log").read_text()
+    logged = log.read_text()
     assert str(policy_file(folder)) in logged
     assert reason in logged
     # Without any other version the server does not start.
@@ -171,14 +172,12 @@ def test_a_version_is_refused_by_reload_and_load(keys, folder, damage):
 
 def test_the_poller_waits_for_the_signature(keys, folder, tmp_path):
     sign(keys, folder, 1)
-    with (
-        (tmp_path / "log").open("w") as log,
-        services(folder, trusting(keys, "--poll_policies=10ms"), log) as (service, _),
-    ):
-        until(lambda: "cartpole/2/policy.safetensors: expected a signature" in (tmp_path / "log").read_text())
+    log = tmp_path / "log"
+    with services(folder, trusting(keys, "--poll_policies=10ms"), log) as (service, _):
+        until(lambda: "cartpole/2/policy.safetensors: expected a signature" in log.read_text())
         assert served(service) == [1]
         sign(keys, folder, 2, "mallory")
-        until(lambda: "received one of another file or key" in (tmp_path / "log").read_text())
+        until(lambda: "received one of another file or key" in log.read_text())
         assert served(service) == [1]
         sign(keys, folder, 2, "bob")
         until(lambda: served(service) == [1, 2])
@@ -286,11 +285,10 @@ def test_promoted_versions_of_other_servers(keys, folder, tmp_path):
         sign(keys, folder, version)
     other = tmp_path / "other"
     shutil.copytree(folder, other)
-    signing = f"--signing_key={keys}/alice.key"
+    signing, log = f"--signing_key={keys}/alice.key", tmp_path / "log"
     with (
         stopping([Redis()]) as [redis],
         replica(redis, keys, folder, *trusting(keys, signing)) as (first, first_admin),
-        (tmp_path / "log").open("w") as log,
         replica(redis, keys, other, *trusting(keys), log=log) as (second, _),
     ):
         learn(first)
@@ -304,10 +302,9 @@ def test_promoted_versions_of_other_servers(keys, folder, tmp_path):
             until(lambda: served(unguarded) == [1, 2, 3])
             learn(unguarded, seed=2)  # other actions, so that the new version has other bytes
             assert unguarded_admin.PromoteHead(policy="cartpole").version == 4
-        until(lambda: "promoted version not taken over" in (tmp_path / "log").read_text())
+        until(lambda: "promoted version not taken over" in log.read_text())
     refusal = "promoted version in the session store: expected a signature in policy.safetensors.sig"
-    logged = (tmp_path / "log").read_text()
-    assert f"{policy_file(other, 4)}: {refusal}" in logged
+    assert f"{policy_file(other, 4)}: {refusal}" in log.read_text()
     assert not policy_file(other, 4).exists()
 
 

@@ -169,7 +169,7 @@ def with_budgets(path, **budgets):
 
 def test_a_spent_budget_refuses_new_sessions_until_it_is_raised(tmp_path):
     path = tmp_path / "tokens.json"
-    log = (tmp_path / "log").open("w+")
+    log = tmp_path / "log"
     with_budgets(path, decisions=10, joules={"horowitz_45nm": 1.0})
     with running_server(flags=[f"--tokens={path}", OFTEN], log=log) as server:
         ratio = lambda: series(server, "spikeserve_budget_ratio", "viewer", budget="decisions")  # noqa: E731
@@ -180,7 +180,7 @@ def test_a_spent_budget_refuses_new_sessions_until_it_is_raised(tmp_path):
             for _ in range(8):
                 act()
             until(lambda: ratio() == [0.8])
-            assert "budget of a tenant is nearly spent" in (tmp_path / "log").read_text()
+            assert "budget of a tenant is nearly spent" in log.read_text()
             for _ in range(3):
                 act()
             until(lambda: code_of(service.OpenSession, policy="cartpole") == EXHAUSTED)
@@ -197,7 +197,7 @@ def test_a_spent_budget_refuses_new_sessions_until_it_is_raised(tmp_path):
             act()
         lines = server.spikectl("usage", env=os.environ | {"SPIKESERVE_TOKEN": "viewer"}).stdout
         assert "budget of fleet: decisions" in lines
-    assert "budget of a tenant is spent" in (tmp_path / "log").read_text()
+    assert "budget of a tenant is spent" in log.read_text()
 
 
 @pytest.mark.parametrize(

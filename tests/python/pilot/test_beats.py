@@ -288,7 +288,7 @@ def test_a_killed_server_has_lost_nothing(tmp_path, durability):
 def test_a_session_is_exported_within_its_tenant_and_recorded(tmp_path, tokens):
     log = tmp_path / "audit.jsonl"
     flags = [f"--tokens={tokens}", f"--audit_log={log}"]
-    with (tmp_path / "stderr").open("w") as stderr, running_server(flags=flags, log=stderr) as addresses:
+    with running_server(flags=flags, log=tmp_path / "stderr") as addresses:
         with service_with(addresses, "agent") as agent:
             session = agent.OpenSession(policy="cartpole").session_id
             exported = agent.ExportSession(session_id=session)

@@ -35,7 +35,7 @@ def write(policies, version, content):
 def log_of(policies, *flags):
     """Starts and ends a server that serves the three good versions. Returns its log."""
     log = policies.parent / "log"
-    with log.open("wb") as file, running_server(policies, flags, log=file) as server:
+    with running_server(policies, flags, log=log) as server:
         served = [(policy.name, policy.version) for policy in server.agent.ListPolicies().policies]
         assert served == [("cartpole", 1), ("cartpole", 2), ("pendulum", 1)]
     return log.read_text()
@@ -119,10 +119,10 @@ def test_a_directory_of_the_wrong_level_names_the_right_one(policies):
 def test_nothing_is_served_if_that_is_meant(tmp_path):
     policies = tmp_path / "policies"
     policies.mkdir()
-    with (tmp_path / "log").open("wb") as log, running_server(policies, ["--allow_no_policies"], log=log):
+    log = tmp_path / "log"
+    with running_server(policies, ["--allow_no_policies"], log=log):
         pass
-    log = (tmp_path / "log").read_text()
-    assert "no policy is served" in log and str(policies) in log
+    assert "no policy is served" in log.read_text() and str(policies) in log.read_text()
 
 
 REFUSED = grpc.StatusCode.INVALID_ARGUMENT

@@ -90,7 +90,7 @@ def test_an_open_door_is_served_where_it_was_asked_for():
 @contextlib.contextmanager
 def silent_server(path, *arguments, **options):
     """Starts a server and asserts that it has logged nothing when it has ended."""
-    with path.open("wb") as log, running_server(*arguments, log=log, **options) as server:
+    with running_server(*arguments, log=path, **options) as server:
         yield server
     assert path.read_text() == ""
 
@@ -162,7 +162,7 @@ def test_the_answer_under_way_ends_and_new_calls_are_refused(policies, tmp_path)
 
 def test_the_drain_timeout_ends_what_does_not_end(policies, tmp_path):
     log = tmp_path / "log"
-    with log.open("wb") as file, running_server(policies, ["--drain_timeout=50ms"], log=file) as server, slow_reader(server):
+    with running_server(policies, ["--drain_timeout=50ms"], log=log) as server, slow_reader(server):
         server.process.terminate()
         server.process.wait(timeout=DEADLINE_SECONDS)
     assert 'still in flight after the drain timeout drain_timeout="50ms"' in log.read_text()

@@ -22,7 +22,7 @@ from security import (
     tls_flags,
     until,
 )
-from serving import DEADLINE_SECONDS, Service, http_call, run, running_server
+from serving import DEADLINE_SECONDS, Service, http_call, refusal_at_start, run, running_server
 
 
 def reaches(folder, addresses, **options):
@@ -111,7 +111,7 @@ def replace(folder, name):
 def logged_server(folder, *flags):
     """Starts a server with the certificate of a folder. Yields it and a function that reads its log."""
     log = folder / "log"
-    with log.open("w") as file, running_server(flags=tls_flags(folder, *flags), log=file) as addresses:
+    with running_server(flags=tls_flags(folder, *flags), log=log) as addresses:
         yield addresses, log.read_text
 
 
@@ -169,15 +169,9 @@ def test_files_that_cannot_be_used_are_reported_and_not_used(renewed):
 @pytest.mark.parametrize("missing", ["server.pem", "server.key"])
 def test_a_missing_file_is_named(renewed, missing):
     (renewed / missing).unlink()
-    log = renewed / "log"
     flag = "--tls_certificate" if missing == "server.pem" else "--tls_key"
-    with (
-        log.open("w") as file,
-        pytest.raises(AssertionError),
-        running_server(flags=tls_flags(renewed), log=file, status=1),
-    ):
-        pass
-    assert f"{flag}: cannot read {renewed / missing}: No such file or directory" in log.read_text()
+    said = refusal_at_start(*tls_flags(renewed))
+    assert f"{flag}: cannot read {renewed / missing}: No such file or directory" in said
 
 
 def handshake(address, ciphers):

@@ -106,7 +106,7 @@ def to_scripts(answer):
 def starts_with(url, log, *flags):
     """Asserts that a server starts, serves sessions without a store and refuses others. Returns its log."""
     flags = [f"--session_store={url}", *flags]
-    with log.open("w") as file, running_server(flags=flags, log=file) as addresses:
+    with running_server(flags=flags, log=log) as addresses:
         with pytest.raises(grpc.RpcError) as error:
             addresses.agent.OpenSession(**opening(0))
         # A script that always answers 0 says that the session exists.

@@ -92,9 +92,7 @@ def test_tls_with_strangers(tmp_path, password):
             ([*mine, f"--store_ca={certificates}/ca.pem"], "[::ffff:127.0.0.1]", "IP address mismatch"),
             ([f"--store_ca={certificates}/ca.pem"], "localhost", "tlsv13 alert certificate required"),
         ):
-            with log.open("w") as file, Restartable(
-                f"rediss://{host}:{redis.port}", [password, *flags], log=file
-            ) as server:
+            with Restartable(f"rediss://{host}:{redis.port}", [password, *flags], log=log) as server:
                 until(lambda: code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.UNAVAILABLE)
                 until(lambda expected=expected: expected in log.read_text())
 
@@ -117,9 +115,7 @@ def test_a_user_of_the_access_control_list(tmp_path, password, undisturbed, by_f
         assert redis.command("DBSIZE", database=3) > 0
         log = tmp_path / "log"
         file.write_text("another")
-        with log.open("w") as out, Restartable(
-            f"redis://{user}127.0.0.1:{redis.port}", flags, log=out
-        ) as server:
+        with Restartable(f"redis://{user}127.0.0.1:{redis.port}", flags, log=log) as server:
             assert code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.UNAVAILABLE
             assert "WRONGPASS" in log.read_text()
 
@@ -342,8 +338,6 @@ def test_cluster_has_one_database(tmp_path, password):
     log = tmp_path / "log"
     with stopping([]) as servers:
         start_cluster(servers)
-        with log.open("w") as file, Restartable(
-            f"redis://127.0.0.1:{servers[0].port}/3", [password], log=file
-        ) as server:
+        with Restartable(f"redis://127.0.0.1:{servers[0].port}/3", [password], log=log) as server:
             assert code_of(server.OpenSession, **opening(0)) == grpc.StatusCode.UNAVAILABLE
             assert "SELECT is not allowed in cluster mode" in log.read_text()

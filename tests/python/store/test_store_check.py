@@ -70,7 +70,7 @@ def first_number(step):
 def test_the_end_of_a_journal_is_cut_off_where_it_is_damaged(tmp_path):
     """A bit of the last entry changes, which is still a document. The client sends the decision again."""
     folder, log = tmp_path / "store", tmp_path / "log"
-    with log.open("w") as file, Restartable(f"file:{folder}", log=file) as server:
+    with Restartable(f"file:{folder}", log=log) as server:
         server.OpenSession(**opening(0))
         answers = [comparable(server.Act(**acting(0, 0, step))) for step in range(5)]
         server.kill()

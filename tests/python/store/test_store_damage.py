@@ -292,12 +292,12 @@ def undisturbed():
 @contextlib.contextmanager
 def server_with(clock, tmp_path):
     """Yields a server on a file store whose sessions have decided once, and its log."""
-    with (tmp_path / "log").open("w+") as log:
-        with Restartable(f"file:{tmp_path}/store", log=log, prefix=clock.prefix) as server:
-            for i in IDLE:
-                server.OpenSession(**opening(i))
-                server.Act(**acting(i, 0, 0))
-            yield server, lambda: (tmp_path / "log").read_text()
+    log = tmp_path / "log"
+    with Restartable(f"file:{tmp_path}/store", log=log, prefix=clock.prefix) as server:
+        for i in IDLE:
+            server.OpenSession(**opening(i))
+            server.Act(**acting(i, 0, 0))
+        yield server, log.read_text
 
 
 @pytest.mark.parametrize("jump", [25 * 3600, -56 * 365 * DAY, 400 * DAY])

@@ -157,10 +157,6 @@ def test_a_redis_that_evicts_everything_refuses_and_loses_nothing(redis, replica
     assert answers == undisturbed[i][:15]
 
 
-def log_of(tmp_path):
-    return (tmp_path / "log").read_text()
-
-
 def started_on(redis, log, *flags):
     return Restartable(f"redis://127.0.0.1:{redis.port}", flags, log=log)
 
@@ -168,14 +164,15 @@ def started_on(redis, log, *flags):
 def test_a_redis_that_evicts_is_no_store_for_sync(redis, tmp_path):
     redis.command("CONFIG SET maxmemory 100mb")
     redis.command("CONFIG SET maxmemory-policy volatile-lru")
-    with (tmp_path / "log").open("w") as log, started_on(redis, log) as server:
+    log = tmp_path / "log"
+    with started_on(redis, log) as server:
         with fails_with(grpc.StatusCode.FAILED_PRECONDITION) as error:
             server.OpenSession(**opening(0))
         expected = "durability: maxmemory-policy of Redis: expected noeviction, received volatile-lru"
         assert expected in error.value.details()
         server.OpenSession(**opening(2) | {"durability": "ASYNC"})
-        assert "expected noeviction, received volatile-lru" in log_of(tmp_path)
-    with (tmp_path / "log").open("w") as log, started_on(redis, log, "--store_may_evict") as server:
+        assert "expected noeviction, received volatile-lru" in log.read_text()
+    with started_on(redis, log, "--store_may_evict") as server:
         server.OpenSession(**opening(0))
 
 
@@ -200,8 +197,9 @@ def test_a_session_that_redis_may_evict_now_is_refused(redis, replicas):
 )
 def test_what_the_settings_of_redis_mean_is_said(redis, tmp_path, setting, value, expected):
     redis.command(f"CONFIG SET {setting} {value}")
-    with (tmp_path / "log").open("w") as log, started_on(redis, log):
-        until(lambda: expected in log_of(tmp_path))
+    log = tmp_path / "log"
+    with started_on(redis, log):
+        until(lambda: expected in log.read_text())
     report = check(redis)
     assert (report.returncode, expected in report.stdout) == (0, True)
 
