@@ -141,6 +141,16 @@ def play(service, disturb=lambda episode, step: None, batch=None, **fields):
     return answers
 
 
+def learn(service, seed=1):
+    """Plays an episode that teaches the shared head of the default version of cartpole."""
+    learning = {"scope": "FLEET", "modulator": "realized", "learning_rate": 0.5}
+    fields = {"action_selection": "SAMPLE", "seed": seed, "learning": learning}
+    session = service.OpenSession(policy="cartpole", **fields).session_id
+    for step in range(20):
+        service.Act(session_id=session, step=step, observation=[0.1, 0.2, -0.1, 0.0], reward=float(step % 3))
+    service.EndEpisode(session_id=session, reward=5.0, terminated=True)
+
+
 def undisturbed_play():
     """Plays all sessions on a server without a store."""
     with Restartable("memory") as server:

@@ -2,7 +2,6 @@
 
 import base64
 import contextlib
-import json
 import socket
 import ssl
 import struct
@@ -14,7 +13,7 @@ import h2.exceptions
 import pytest
 from contract import call, message_class, v1
 from http2_client import Http2Client, framed, headers
-from security import OBSERVATION, POLICY, SERVING, TOKENS, credentials, tls_flags
+from security import OBSERVATION, POLICY, SERVING, credentials, tls_flags
 from serving import DEADLINE_SECONDS, running_server
 
 LIST = f"/{POLICY}/ListPolicies"
@@ -283,9 +282,7 @@ def test_a_draining_server_sends_goaway_finishes_the_call_and_closes():
     assert client.goaway == 0
 
 
-def test_a_tenant_has_a_budget_of_its_own(tmp_path):
-    tokens = tmp_path / "tokens.json"
-    tokens.write_text(json.dumps(TOKENS))
+def test_a_tenant_has_a_budget_of_its_own(tokens):
     flags = [f"--tokens={tokens}", f"--max_tenant_bytes={5 << 20}"]
     incomplete = b"\x00\x00\x30\x00\x00" + b"x" * (2 << 20)  # 2 of 3 MiB
     with running_server(flags=flags) as started, contextlib.ExitStack() as connections:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import spikeserve
 from redis_servers import WITHOUT_REDIS
-from security import TOKENS, fails_with, service_with, until
+from security import fails_with, service_with, until
 from serving import DEPLOY, SHIPPED_POLICIES, run, running_server
 from spikeserve.conversion.recordings import read_file
 from spikeserve.reward_model import follow
@@ -158,9 +158,7 @@ def test_closed_sessions_are_no_robots_and_end(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    tokens = tmp_path_factory.mktemp("tokens") / "tokens.json"
-    tokens.write_text(json.dumps(TOKENS))
+def server(tmp_path_factory, tokens):
     recordings = tmp_path_factory.mktemp("recordings")
     with running_server(flags=[f"--tokens={tokens}", f"--record_dir={recordings}"]) as started:
         started.recordings = recordings

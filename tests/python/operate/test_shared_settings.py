@@ -12,7 +12,7 @@ import pytest
 from redis_servers import WITHOUT_REDIS, Redis, stopping
 from security import HEALTH, SERVING, code_of, entry, fails_with, service_with, until
 from serving import SHIPPED_POLICIES, Service, run, status_of
-from stored_sessions import Restartable, comparable
+from stored_sessions import Restartable, comparable, learn
 
 pytestmark = WITHOUT_REDIS
 
@@ -131,16 +131,6 @@ def test_settings_lost_while_no_replica_lives(redis, start, tmp_path):
     line = next(line for line in first.log.read_text().splitlines() if "has no settings" in line)
     assert 'settings="defaults"' in line
     assert opened_version(first) == 2
-
-
-def learn(replica):
-    """Plays episodes that teach the fleet."""
-    learning = {"scope": "FLEET", "modulator": "realized", "learning_rate": 0.5}
-    fields = {"action_selection": "SAMPLE", "seed": 1, "learning": learning}
-    session = replica.OpenSession(policy="cartpole", **fields).session_id
-    for step in range(20):
-        replica.Act(session_id=session, step=step, observation=[0.1, 0.2, -0.1, 0.0], reward=float(step % 3))
-    replica.EndEpisode(session_id=session, reward=5.0, terminated=True)
 
 
 def test_a_promoted_version_travels(start):

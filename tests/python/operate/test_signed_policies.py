@@ -10,6 +10,7 @@ from documentation import Shell
 from redis_servers import PASSWORD, WITHOUT_REDIS, Redis, stopping
 from security import code_of, fails_with, openssl, until
 from serving import SHIPPED_POLICIES, refusal_at_start, running_server
+from stored_sessions import learn
 
 SIGNATURE_BYTES = 64
 LONG_AGO = 1_000_000_000
@@ -190,15 +191,6 @@ def test_old_signatures_are_not_swept(keys, folder):
     for _ in range(2):
         with services(folder, trusting(keys)) as (service, _):
             assert served(service) == [1]
-
-
-def learn(service, seed=1):
-    learning = {"scope": "FLEET", "modulator": "realized", "learning_rate": 0.5}
-    fields = {"action_selection": "SAMPLE", "seed": seed, "learning": learning}
-    session = service.OpenSession(policy="cartpole", **fields).session_id
-    for step in range(20):
-        service.Act(session_id=session, step=step, observation=[0.1, 0.2, -0.1, 0.0], reward=float(step % 3))
-    service.EndEpisode(session_id=session, reward=5.0, terminated=True)
 
 
 def test_promotion_without_a_signing_key_is_refused(keys, folder):
