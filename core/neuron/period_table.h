@@ -4,7 +4,7 @@
 // by a factor that is not negative and addition are monotone, rounding included. A neuron therefore
 // fires within n ticks if and only if its current reaches a threshold. The constructor finds the
 // threshold of each n by bisection over the floats; a lookup counts the thresholds that the current
-// does not reach. The result equals the simulated period bit for bit:
+// reaches. The result equals the simulated period bit for bit:
 //
 //   const PeriodTable table(lif, ticks);
 //   table.Period(0.3f);  // equals lif.Period(0.3f, ticks)
@@ -30,11 +30,13 @@ class PeriodTable {
     for (int n = 1; n <= ticks; ++n) thresholds_.push_back(SmallestCurrent(lif, n));
   }
 
-  // Returns the same value as Lif::Period(current, ticks).
+  // Returns the same value as Lif::Period(current, ticks): 0 if the current is NaN, which reaches
+  // no threshold.
   int Period(float current) const {
-    int period = 1;
-    for (const float threshold : thresholds_) period += current < threshold;
-    return period > static_cast<int>(thresholds_.size()) ? 0 : period;
+    const auto ticks = static_cast<int>(thresholds_.size());
+    int period = ticks + 1;
+    for (const float threshold : thresholds_) period -= current >= threshold;
+    return period > ticks ? 0 : period;
   }
 
   // Returns the thresholds, [ticks]. Element n - 1 is the smallest current that fires within n

@@ -389,6 +389,26 @@ INSTANTIATE_TEST_SUITE_P(Arithmetics, EngineParityAtPaperSizeTest,
                          testing::Values(Arithmetic::kFloat32, Arithmetic::kInteger),
                          [](const auto& test) { return std::string(ToString(test.param)); });
 
+// Observations that float32 holds become infinite when they are standardised, and the residual
+// stream then has infinities and NaN, and no neuron fires for NaN, also behind the last whole
+// vector.
+TEST(EngineParityBeyondFloat32Test, StreamingEqualsReferenceOnEveryTarget) {
+  for (const NormKind norm : {NormKind::kLayer, NormKind::kNone}) {
+    Shape shape = {.name = "beyond", .config = ConfigOf(35, 5), .steps = 12, .spread = 1e37f};
+    shape.config.norm = norm;
+    Policy random = MakePolicy(shape, 1);
+    random.weights.observation_std.values.assign(4, 0.01f);
+    const auto policy = std::make_shared<const Policy>(std::move(random));
+    const std::vector<Engine::Output> expected = Play(*MakeReferenceEngine(policy), shape);
+    const std::unique_ptr<Engine> streaming = MakeEngine(policy);
+    OnEverySimdTarget([&] {
+      const std::vector<Engine::Output> actual = Play(*streaming, shape);
+      for (int step = 0; step < shape.steps; ++step)
+        ExpectEqual(actual[step], expected[step], step);
+    });
+  }
+}
+
 // Returns the reference engine's decision at `step` of the episode, from the steps that it depends
 // on.
 Engine::Output ReferenceDecision(const Policy& policy, const Shape& shape, int step) {

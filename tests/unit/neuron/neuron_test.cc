@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <limits>
 
 #include "core/neuron/lif.h"
 #include "core/neuron/period_table.h"
@@ -57,6 +58,10 @@ TEST(PeriodTableTest, EqualsTheSimulatedNeuronAroundEveryThreshold) {
     }
     for (float current = -1.0f; current < 2.0f; current += 0.00037f) {
       ASSERT_EQ(table.Period(current), lif.Period(current, kTicks)) << current;
+    }
+    constexpr float kInfinity = std::numeric_limits<float>::infinity();
+    for (const float current : {std::nanf(""), -kInfinity, kInfinity}) {
+      EXPECT_EQ(table.Period(current), lif.Period(current, kTicks)) << current;
     }
   }
 }

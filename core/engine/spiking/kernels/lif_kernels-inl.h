@@ -18,18 +18,18 @@ constexpr int kLifVectors = std::max(kVectorsPerWord, kManyRegisters ? 8 : 4);
 // long contiguous reads better.
 constexpr int kSumVectors = std::max(kVectorsPerWord, kManyRegisters ? 16 : 8);
 
-// Returns the periods: one more than the number of thresholds that the current does not reach, or 0
-// if it reaches none.
+// Returns the periods: one more than the number of thresholds less those that the current reaches,
+// or 0 if it reaches none, as a NaN does.
 HWY_INLINE hn::Vec<I32> Periods(VecF current, const std::vector<float>& thresholds) {
   const F32 d;
   const I32 di;
-  auto period = hn::Set(di, 1);
+  const auto ticks = hn::Set(di, static_cast<int32_t>(thresholds.size()));
+  auto period = hn::Add(ticks, hn::Set(di, 1));
   for (const float threshold : thresholds) {
-    const auto below = hn::RebindMask(di, hn::Lt(current, hn::Set(d, threshold)));
-    period = hn::Sub(period, hn::VecFromMask(di, below));  // a true lane is -1
+    const auto reached = hn::RebindMask(di, hn::Ge(current, hn::Set(d, threshold)));
+    period = hn::Add(period, hn::VecFromMask(di, reached));  // a true lane is -1
   }
-  const auto silent = hn::Gt(period, hn::Set(di, static_cast<int32_t>(thresholds.size())));
-  return hn::IfThenZeroElse(silent, period);
+  return hn::IfThenZeroElse(hn::Gt(period, ticks), period);
 }
 
 void CoderPeriodsImpl(const PeriodTable& table, const float* x, const float* gain,
