@@ -8,6 +8,7 @@
 #include "core/engine/spiking/kernels/drive.h"
 #include "core/engine/spiking/kernels/lif_kernels.h"
 #include "core/engine/spiking/kernels/linear_kernels.h"
+#include "core/engine/spiking/kernels/targets.h"
 #include "core/engine/spiking/packed/packed_rows.h"
 #include "core/math/exp.h"
 
@@ -94,6 +95,7 @@ PackedWeights::PackedWeights(const Policy& policy)
       embed_action(Pack({&policy.weights.embed_action.linear})),
       head_nonzero(NonzeroByInput(policy.weights.head)),
       periods({policy.config.membrane_decay, policy.config.threshold}, policy.config.ticks) {
+  kernels::ChooseTarget();  // RunSilently() runs some
   for (const LayerWeights& weights : policy.weights.layers) {
     PackedLayer layer;
     layer.key_value_query = Pack({&weights.key, &weights.value, &weights.query});
