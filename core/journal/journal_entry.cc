@@ -40,12 +40,36 @@ absl::Status CheckSize(absl::string_view field, int64_t expected, size_t receive
 }
 
 absl::Status CheckAction(const Action& action, const ActionSpace& space) {
-  if (space.is_discrete()) {
-    if (action.discrete >= 0 && action.discrete < space.n) return absl::OkStatus();
+  if (space.is_discrete() && (action.discrete < 0 || action.discrete >= space.n)) {
     return absl::DataLossError(absl::StrCat("journal: action: expected 0 to ", space.n - 1,
                                             ", received ", action.discrete));
   }
-  return CheckSize("action", space.size(), action.continuous.size());
+  const int values = space.is_discrete() ? 0 : space.size();
+  return CheckSize("action", values, action.continuous.size());
+}
+
+absl::Status CheckAnswer(const Answer& answer, const Policy& policy) {
+  RETURN_IF_ERROR(CheckAction(answer.action, policy.action_space));
+  const int64_t actions = policy.action_space.size();
+  RETURN_IF_ERROR(CheckSize("logits", actions, answer.logits.size()));
+  const int64_t probabilities = policy.action_space.is_discrete() ? actions : 0;
+  return CheckSize("probabilities", probabilities, answer.probabilities.size());
+}
+
+// ParseSession() has checked that the arrays of a learner fit each other.
+absl::Status CheckLearnerShape(const Learner& learner, const Policy& policy) {
+  const auto head = static_cast<int64_t>(policy.weights.head.weight.values.size());
+  RETURN_IF_ERROR(CheckSize("learner", head, static_cast<size_t>(learner.head_delta.size())));
+  const auto check_factor = [&](size_t size) {
+    return size == 0 ? absl::OkStatus()
+                     : CheckSize("learner.post", policy.action_space.size(), size);
+  };
+  RETURN_IF_ERROR(check_factor(static_cast<size_t>(learner.post.size())));
+  if (!learner.kept.has_value()) return absl::OkStatus();
+  for (const StepFactors& step : learner.kept->steps) {
+    RETURN_IF_ERROR(check_factor(step.post.size()));
+  }
+  return absl::OkStatus();
 }
 
 // Checks that a snapshot has the shapes of `policy`.
@@ -56,8 +80,11 @@ absl::Status CheckSnapshot(const Session& session, const Policy& policy) {
         CheckSize("observation", policy.observation_size(), history.observation(i).size()));
     RETURN_IF_ERROR(CheckAction(history.action(i), policy.action_space));
   }
-  const auto head = static_cast<int64_t>(policy.weights.head.weight.values.size());
+  if (session.last_answer.has_value()) {
+    RETURN_IF_ERROR(CheckAnswer(*session.last_answer, policy));
+  }
   if (session.options.head_delta.size() != 0) {
+    const auto head = static_cast<int64_t>(policy.weights.head.weight.values.size());
     const auto size = static_cast<size_t>(session.options.head_delta.size());
     RETURN_IF_ERROR(CheckSize("head_delta", head, size));
   }
@@ -67,8 +94,8 @@ absl::Status CheckSnapshot(const Session& session, const Policy& policy) {
   if (session.seat.has_value()) {
     RETURN_IF_ERROR(CheckAction(session.seat->action, policy.action_space));
   }
-  if (!session.learner.has_value()) return absl::OkStatus();
-  return CheckSize("learner", head, static_cast<size_t>(session.learner->head_delta.size()));
+  return session.learner.has_value() ? CheckLearnerShape(*session.learner, policy)
+                                     : absl::OkStatus();
 }
 
 // Checks that `entry` is the next decision of `session` and has the shapes of `policy`.
@@ -79,18 +106,15 @@ absl::Status CheckEntry(const JournalEntry& entry, const Session& session, const
                                             entry.decision, " at step ", entry.answer.step));
   }
   RETURN_IF_ERROR(CheckSize("observation", policy.observation_size(), entry.observation.size()));
-  RETURN_IF_ERROR(CheckAction(entry.answer.action, policy.action_space));
+  RETURN_IF_ERROR(CheckAnswer(entry.answer, policy));
   if (entry.executed.has_value()) {
     if (session.step == 0) {
       return absl::DataLossError("journal: executed: expected none at step 0, received one");
     }
     RETURN_IF_ERROR(CheckAction(*entry.executed, policy.action_space));
   }
-  const int64_t actions = policy.action_space.size();
-  RETURN_IF_ERROR(CheckSize("logits", actions, entry.answer.logits.size()));
-  const int64_t probabilities = policy.action_space.is_discrete() ? actions : 0;
-  RETURN_IF_ERROR(CheckSize("probabilities", probabilities, entry.answer.probabilities.size()));
   if (!session.learner.has_value()) return absl::OkStatus();
+  const int64_t actions = policy.action_space.size();
   const bool noisy = !policy.action_space.is_discrete() && session.options.action_selection.sample;
   RETURN_IF_ERROR(CheckSize("noise", noisy ? actions : 0, entry.noise.size()));
   const auto head = static_cast<int64_t>(policy.weights.head.weight.values.size());

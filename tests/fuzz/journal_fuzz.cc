@@ -51,7 +51,7 @@ void FuzzOne(absl::string_view input) {
   const int64_t step = session->step;
   const uint64_t decisions = session->decisions;
   AgentSession agent(Served(), *std::move(session), &clock);
-  if (agent.Act(step, ObservationAt(step), RewardAt(step)).ok()) {
+  if (agent.Act(step, ObservationAt(step), RewardAt(step), ReportedAction(int64_t{1})).ok()) {
     FUZZ_CHECK(agent.session().decisions == decisions + 1);
     agent.AppendPendingAction();
   }

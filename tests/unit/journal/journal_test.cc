@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <ostream>
 
+#include "absl/functional/function_ref.h"
 #include "core/agent/agent_session.h"
 #include "core/agent/wiring_check.h"
 #include "core/journal/journal_entry.h"
@@ -211,6 +212,12 @@ class DamagedJournalTest : public ::testing::Test {
     EXPECT_THAT(std::string(status.message()), HasSubstr(message));
   }
 
+  // Returns a journal of one snapshot, of a session that `damage` has changed.
+  static std::vector<std::string> With(Session session, absl::FunctionRef<void(Session&)> damage) {
+    damage(session);
+    return {SerializeSession(session)};
+  }
+
   // Returns the records with one field of the last entry replaced.
   std::vector<std::string> Edited(const std::string& pointer, const nlohmann::json& value) {
     auto json = nlohmann::json::from_cbor(writer_.bytes_.back());
@@ -285,6 +292,27 @@ TEST_F(DamagedJournalTest, ASnapshotOfAnotherPolicyIsRefused) {
   ASSERT_TRUE(parsed.ok()) << parsed.status();
   EXPECT_EQ(RestoreSession(*std::move(parsed), box->policy()).status().code(),
             absl::StatusCode::kDataLoss);
+}
+
+// An executed action replaces the last answer and its factors by index.
+TEST_F(DamagedJournalTest, ASnapshotWhoseLastAnswerDoesNotFitIsRefused) {
+  SessionOptions options = SmallOptions();
+  options.learning = LearningOptions();
+  AgentSession learning(served_, NewSession("id", options), &clock_);
+  ASSERT_TRUE(learning.Act(0, ObservationAt(0), 0.0).ok());
+  ExpectDamaged(With(learning.session(), [](Session& s) { s.last_answer->action.discrete = 3; }),
+                "action: expected 0 to 2, received 3");
+  ExpectDamaged(With(learning.session(), [](Session& s) { s.last_answer->logits.pop_back(); }),
+                "logits: expected 3 numbers, received 2");
+  ExpectDamaged(
+      With(learning.session(), [](Session& s) { s.last_answer->action.continuous = {1.0f}; }),
+      "action: expected 0 numbers, received 1");
+  ExpectDamaged(With(learning.session(),
+                     [](Session& s) {  // the head has 3 x 16 weights
+                       s.learner->post.setZero(1);
+                       s.learner->readout.setZero(48);
+                     }),
+                "learner.post: expected 3 numbers, received 1");
 }
 
 class SessionJournalTest : public DamagedJournalTest {
