@@ -56,6 +56,9 @@ State RungeKutta4(const AcrobotParameters& parameters, double torque, const Stat
 
 // Returns the angle in [-pi, pi].
 double Wrap(double angle) {
+  // Gymnasium subtracts turn by turn, which does not end for the angles of extreme perturbations.
+  constexpr double kManyTurns = 1e4;
+  if (!(std::abs(angle) < kManyTurns)) return std::remainder(angle, 2 * pi);
   while (angle > pi) angle -= 2 * pi;
   while (angle < -pi) angle += 2 * pi;
   return angle;

@@ -188,6 +188,13 @@ TEST(PerturbationTest, LengthAndMassAreThoseOfThePendulumsEquation) {
   EXPECT_NEAR(Next("Pendulum-v1", "length=2", {1.0, 0}, torque, 1), expected(1, 2), 1e-12);
 }
 
+TEST(PerturbationTest, AnglesOfAbsurdPhysicsAreWrapped) {
+  for (const char* perturb : {"gravity=1e6", "gravity=1e200", "length=1e-5"}) {
+    const double angle = Next("Acrobot-v1", perturb, {0.1, 0.1, 0, 0}, Push(2), 0);
+    EXPECT_FALSE(std::abs(angle) > kPi) << perturb;
+  }
+}
+
 TEST(PerturbationTest, SaysWhatATaskHas) {
   const auto message = [](const std::string& id, const Perturbation& perturbation) {
     return std::string(MakePerturbedEnvironment(id, perturbation).status().message());
