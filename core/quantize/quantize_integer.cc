@@ -257,6 +257,20 @@ absl::Status RoundLayer(const std::string& name, const LayerWeights& layer, int 
   return status;
 }
 
+// Sets the integers of `integer`, a dense policy, to those of `policy`.
+absl::Status RoundDensePolicy(const Policy& policy, Policy* integer) {
+  const ModelConfig& config = integer->config;
+  absl::Status status = RoundEnds(policy.weights, config, &integer->weights.fixed_point);
+  integer->weights.embed_timestep = {};
+  for (size_t i = 0; i < policy.weights.layers.size() && status.ok(); ++i) {
+    LayerWeights& layer = integer->weights.layers[i];
+    layer = {};
+    status = RoundLayer(absl::StrCat("layers.", i), policy.weights.layers[i],
+                        config.residual_fraction, &layer.fixed_point);
+  }
+  return status;
+}
+
 }  // namespace
 
 absl::StatusOr<Policy> QuantizeToInteger(const Policy& policy, const IntegerOptions& options) {
@@ -278,19 +292,6 @@ absl::StatusOr<Policy> QuantizeToInteger(const Policy& policy, const IntegerOpti
                                     : Rounding(policy, config).Run(&integer));
   RETURN_IF_ERROR(integer.Validate());
   return integer;
-}
-
-absl::Status RoundDensePolicy(const Policy& policy, Policy* integer) {
-  const ModelConfig& config = integer->config;
-  absl::Status status = RoundEnds(policy.weights, config, &integer->weights.fixed_point);
-  integer->weights.embed_timestep = {};
-  for (size_t i = 0; i < policy.weights.layers.size() && status.ok(); ++i) {
-    LayerWeights& layer = integer->weights.layers[i];
-    layer = {};
-    status = RoundLayer(absl::StrCat("layers.", i), policy.weights.layers[i],
-                        config.residual_fraction, &layer.fixed_point);
-  }
-  return status;
 }
 
 }  // namespace spikeserve

@@ -7,7 +7,6 @@
 
 #include <optional>
 
-#include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/model/policy.h"
 
@@ -30,10 +29,5 @@ struct IntegerOptions {
 // INVALID_ARGUMENT if `policy` is not valid, is not float32, lacks a part that options.mode has, or
 // has numbers that the integers cannot hold. The message names the tensor or field.
 absl::StatusOr<Policy> QuantizeToInteger(const Policy& policy, const IntegerOptions& options = {});
-
-// Sets the integers of `integer`, whose config says what they stand for, to those of `policy`, and
-// clears the float32 numbers that they replace. INVALID_ARGUMENT, which names the tensor, if a
-// number is too large. Pure and thread-safe.
-absl::Status RoundDensePolicy(const Policy& policy, Policy* integer);
 
 }  // namespace spikeserve

@@ -46,6 +46,26 @@ absl::Status RoundTo16Bits(const std::string& name, int k, float value, float sc
   return absl::OkStatus();
 }
 
+// Returns max over j of |w_kj| / 127.
+float RowScale(const Tensor& weight, int k) {
+  float largest = 0.0f;
+  for (int j = 0; j < weight.shape[1]; ++j) largest = std::max(largest, std::abs(weight.at(k, j)));
+  return largest / static_cast<float>(kLargestInt8Weight);
+}
+
+// Returns the weights divided by the scale of their row and rounded, ties to even. The limit
+// matters only if the scale is subnormal and therefore inexact.
+Int8Tensor RoundWeights(const Tensor& weight, const Tensor& scale) {
+  Int8Tensor rounded = Int8Tensor::Zeros(weight.shape);
+  const auto inputs = static_cast<size_t>(weight.shape[1]);
+  constexpr auto kLimit = static_cast<float>(kLargestInt8Weight);
+  for (size_t i = 0; i < weight.values.size(); ++i) {
+    const float level = std::nearbyint(weight.values[i] / scale.values[i / inputs]);
+    rounded.values[i] = static_cast<int8_t>(std::clamp(level, -kLimit, kLimit));
+  }
+  return rounded;
+}
+
 }  // namespace
 
 int FractionFor(double largest) {
@@ -102,8 +122,7 @@ absl::Status RoundMap(const std::string& name, const Linear& linear, double fact
       map->weight.values[static_cast<size_t>(k) * inputs + j] = static_cast<int8_t>(level);
     }
   }
-  Tensor bias = linear.bias;
-  return RoundNumbers(name + ".bias", bias, output_fraction, &map->bias);
+  return RoundNumbers(name + ".bias", linear.bias, output_fraction, &map->bias);
 }
 
 absl::Status RoundNorm(const std::string& name, const Norm& norm, int fraction,
@@ -128,24 +147,6 @@ absl::Status RoundNorm(const std::string& name, const Norm& norm, int fraction,
     rounded->weight.values[i] = static_cast<int16_t>(level);
   }
   return RoundNumbers(name + ".bias", norm.bias, fraction, &rounded->bias);
-}
-
-float RowScale(const Tensor& weight, int k) {
-  float largest = 0.0f;
-  for (int j = 0; j < weight.shape[1]; ++j) largest = std::max(largest, std::abs(weight.at(k, j)));
-  return largest / static_cast<float>(kLargestInt8Weight);
-}
-
-// The limit matters only if the scale is subnormal and therefore inexact.
-Int8Tensor RoundWeights(const Tensor& weight, const Tensor& scale) {
-  Int8Tensor rounded = Int8Tensor::Zeros(weight.shape);
-  const auto inputs = static_cast<size_t>(weight.shape[1]);
-  constexpr auto kLimit = static_cast<float>(kLargestInt8Weight);
-  for (size_t i = 0; i < weight.values.size(); ++i) {
-    const float level = std::nearbyint(weight.values[i] / scale.values[i / inputs]);
-    rounded.values[i] = static_cast<int8_t>(std::clamp(level, -kLimit, kLimit));
-  }
-  return rounded;
 }
 
 absl::Status RoundPopulation(const std::string& name, const Linear& linear, float threshold,

@@ -33,14 +33,8 @@ absl::Status RoundMap(const std::string& name, const Linear& linear, double fact
 absl::Status RoundNorm(const std::string& name, const Norm& norm, int fraction,
                        FixedPointNorm* rounded);
 
-// Returns max over j of |w_kj| / 127.
-float RowScale(const Tensor& weight, int k);
-
-// Returns the weights divided by the scale of their row and rounded, ties to even.
-Int8Tensor RoundWeights(const Tensor& weight, const Tensor& scale);
-
-// Rounds the map `linear` into a population (see Quantize). INVALID_ARGUMENT if 16 bits cannot hold
-// a bias or threshold. The message names the tensor, of which `name` is the prefix.
+// Rounds the map `linear` into a population (integer_weights.h). INVALID_ARGUMENT if 16 bits cannot
+// hold a bias or threshold. The message names the tensor, of which `name` is the prefix.
 absl::Status RoundPopulation(const std::string& name, const Linear& linear, float threshold,
                              IntegerPopulation* population);
 
