@@ -23,17 +23,11 @@ struct Token {
   std::vector<float> input;
 };
 
-// Returns the embedding of tokens of this kind.
-inline const Embedding& EmbeddingOf(const Weights& weights, TokenKind kind) {
-  switch (kind) {
-    case TokenKind::kReturn:
-      return weights.embed_return;
-    case TokenKind::kState:
-      return weights.embed_state;
-    case TokenKind::kAction:
-      break;
-  }
-  return weights.embed_action;
+// Returns the embedding of tokens of this kind, from weights in any form.
+const auto& EmbeddingOf(const auto& weights, TokenKind kind) {
+  return kind == TokenKind::kReturn  ? weights.embed_return
+         : kind == TokenKind::kState ? weights.embed_state
+                                     : weights.embed_action;
 }
 
 // Returns (return_to_go - offset) / scale.

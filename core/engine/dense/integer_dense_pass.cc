@@ -56,12 +56,6 @@ int ScoreScale(int head_size) {
   return static_cast<int>(std::nearbyint(std::ldexp(scale, kScoreFraction)));
 }
 
-const FixedPointEmbedding& EmbeddingOf(const FixedPointEnds& ends, TokenKind kind) {
-  return kind == TokenKind::kReturn  ? ends.embed_return
-         : kind == TokenKind::kState ? ends.embed_state
-                                     : ends.embed_action;
-}
-
 }  // namespace
 
 IntegerDensePass::IntegerDensePass(const Policy& policy, std::vector<KeyValues>& layers)

@@ -81,15 +81,9 @@ class IntegerReferencePass : private PrefixPass {
     if (IsNew(i)) counts_.layer_norm_elements += x.size();
   }
 
-  const FixedPointEmbedding& EmbeddingOf(TokenKind kind) const {
-    const FixedPointEnds& ends = policy_.weights.fixed_point;
-    return kind == TokenKind::kReturn  ? ends.embed_return
-           : kind == TokenKind::kState ? ends.embed_state
-                                       : ends.embed_action;
-  }
-
   void Embed(size_t i) {
-    const FixedPointEmbedding& embedding = EmbeddingOf(tokens_[i].kind);
+    const FixedPointEmbedding& embedding =
+        EmbeddingOf(policy_.weights.fixed_point, tokens_[i].kind);
     Integers input;
     for (const float value : tokens_[i].input) {
       const float scaled = std::ldexp(value, config_.input_fraction);

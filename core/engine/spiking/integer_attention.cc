@@ -84,7 +84,6 @@ const int32_t* IntegerAttention::SumPlanes(const TickGroup& group, int size, Sum
 
 void IntegerAttention::ReadQuery(const IntegerKeys& keys, const TickGroup& group, int head) {
   query_.clear();
-  if (keys.query == nullptr) return;
   const int words = keys.cache.words();
   const int tick_words = keys.config.heads * words;
   const int ticks = keys.config.plane_ticks();

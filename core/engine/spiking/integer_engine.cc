@@ -118,7 +118,7 @@ class IntegerTokenPass {
 
  private:
   void Embed(TokenKind kind, absl::Span<const float> input) {
-    const PackedEmbedding& embedding = packed_.embedding(kind);
+    const PackedEmbedding& embedding = EmbeddingOf(packed_, kind);
     AssignZeros(&scratch_.input, PadToLanes(static_cast<int>(input.size())));
     const auto unit = static_cast<float>(1 << config_.input_fraction);
     for (size_t i = 0; i < input.size(); ++i) {

@@ -10,7 +10,6 @@
 #include "absl/status/status.h"
 #include "core/engine/spiking/packed/packed_fixed_point.h"
 #include "core/engine/spiking/packed_integers.h"
-#include "core/engine/token.h"
 #include "core/model/policy.h"
 #include "core/neuron/phase.h"
 
@@ -47,12 +46,6 @@ struct PackedIntegerPolicy {
   void DropFrom(Weights* weights) const;
   // Writes the numbers back that DropFrom() has freed.
   void RestoreTo(Weights* weights) const;
-
-  const PackedEmbedding& embedding(TokenKind kind) const {
-    return kind == TokenKind::kReturn  ? embed_return
-           : kind == TokenKind::kState ? embed_state
-                                       : embed_action;
-  }
 
   PackedEmbedding embed_return;
   PackedEmbedding embed_state;

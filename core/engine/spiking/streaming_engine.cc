@@ -96,7 +96,7 @@ class TokenPass {
     context.band.Add(context.band.Slot(context.timestep, kind));
     token_->band = context.band;
     AddTokenCosts(config_, kind, token_->band.tokens(), &counts);
-    Affine(PackedEmbedding(), input.data(), token_->x);
+    Affine(EmbeddingOf(packed_, kind), input.data(), token_->x);
     Normalize(EmbeddingOf(policy_.weights, kind).norm);
   }
 
@@ -140,12 +140,6 @@ class TokenPass {
   float* x() { return token_->x.data(); }
   Counts& counts() { return *token_->counts; }
   const PhaseSpikes& phase() const { return token_->context->phase; }
-
-  const PackedLinear& PackedEmbedding() const {
-    return token_->kind == TokenKind::kReturn  ? packed_.embed_return
-           : token_->kind == TokenKind::kState ? packed_.embed_state
-                                               : packed_.embed_action;
-  }
 
   void Affine(const PackedLinear& map, const float* input, AlignedVector<float>& output) {
     output.resize(map.width);
