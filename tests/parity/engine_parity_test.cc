@@ -6,6 +6,7 @@
 
 #include <cmath>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -389,15 +390,23 @@ INSTANTIATE_TEST_SUITE_P(Arithmetics, EngineParityAtPaperSizeTest,
                          testing::Values(Arithmetic::kFloat32, Arithmetic::kInteger),
                          [](const auto& test) { return std::string(ToString(test.param)); });
 
-// Observations that float32 holds become infinite when they are standardised, and the residual
-// stream then has infinities and NaN, and no neuron fires for NaN, also behind the last whole
-// vector.
+// Observations that float32 holds become infinite when they are standardised, or the scores of a
+// gate do by large weights. The residual stream then has infinities and NaN, and no neuron fires
+// for NaN, also behind the last whole vector.
 TEST(EngineParityBeyondFloat32Test, StreamingEqualsReferenceOnEveryTarget) {
-  for (const NormKind norm : {NormKind::kLayer, NormKind::kNone}) {
-    Shape shape = {.name = "beyond", .config = ConfigOf(35, 5), .steps = 12, .spread = 1e37f};
+  for (const auto& [norm, by_gates] :
+       {std::pair(NormKind::kLayer, false), {NormKind::kLayer, true}, {NormKind::kNone, false}}) {
+    Shape shape = {.name = "beyond", .config = ConfigOf(35, 5), .steps = 12};
     shape.config.norm = norm;
+    if (!by_gates) shape.spread = 1e37f;
     Policy random = MakePolicy(shape, 1);
-    random.weights.observation_std.values.assign(4, 0.01f);
+    if (!by_gates) random.weights.observation_std.values.assign(4, 0.01f);
+    if (by_gates) {
+      LayerWeights& layer = random.weights.layers[1];
+      layer.routing_hidden.weight.values.assign(6 * 35, 1.0f);
+      layer.routing_hidden.bias.values.assign(6, 0.0f);  // so that gates of silent heads are finite
+      layer.routing_gate.weight.values.assign(5 * 6, 3e38f);
+    }
     const auto policy = std::make_shared<const Policy>(std::move(random));
     const std::vector<Engine::Output> expected = Play(*MakeReferenceEngine(policy), shape);
     const std::unique_ptr<Engine> streaming = MakeEngine(policy);

@@ -34,7 +34,8 @@ HWY_INLINE uint64_t FindActive(const PackedLinear& linear, const float* input, i
     auto any = hn::Zero(du);
     for (int t = 0; t < ticks; ++t) {
       const auto row = hn::LoadU(d, input + static_cast<size_t>(t) * stride + j);
-      const auto mask = hn::RebindMask(du, hn::Ne(row, hn::Zero(d)));
+      // Not by Ne, which is false for NaN on some targets.
+      const auto mask = hn::RebindMask(du, hn::Not(hn::Eq(row, hn::Zero(d))));
       products = hn::Add(products, hn::IfThenElseZero(mask, nonzero));
       any = hn::Or(any, hn::VecFromMask(du, mask));
     }

@@ -19,7 +19,9 @@ HWY_INLINE VecF Exp(VecF x) {
   const F32 d;
   const I32 di;
   const auto round = hn::Set(d, 12582912.0f);
-  x = hn::Min(hn::Max(x, hn::Set(d, -87.0f)), hn::Set(d, 88.0f));
+  // Not by Min and Max, which return NaN on some targets and the bound on others.
+  x = hn::IfThenElse(hn::Lt(x, hn::Set(d, -87.0f)), hn::Set(d, -87.0f), x);
+  x = hn::IfThenElse(hn::Gt(x, hn::Set(d, 88.0f)), hn::Set(d, 88.0f), x);
   const auto n = hn::Sub(hn::Add(hn::Mul(x, hn::Set(d, 1.44269504088896341f)), round), round);
   x = hn::Sub(x, hn::Mul(n, hn::Set(d, 0.693359375f)));
   x = hn::Sub(x, hn::Mul(n, hn::Set(d, -2.12194440e-4f)));
