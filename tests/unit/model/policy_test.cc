@@ -36,7 +36,6 @@ double Deviation(const std::vector<float>& values) {
   return std::sqrt(sum / static_cast<double>(values.size()));
 }
 
-// Checks the values themselves, so that every machine and every later version draws the same ones.
 TEST(ModelConfig, DefaultsAreThePapersAndValid) {
   const ModelConfig config;
   EXPECT_TRUE(config.Validate().ok());
@@ -45,6 +44,7 @@ TEST(ModelConfig, DefaultsAreThePapersAndValid) {
   EXPECT_EQ(config.merged_size(), 32);
 }
 
+// Checks the values themselves, so that every machine and every later version draws the same ones.
 TEST(RandomPolicy, DrawsTheSameNumbersEverywhere) {
   ModelConfig config = SmallConfig();
   config.heads = 4;
