@@ -28,7 +28,7 @@ MARGIN = 5.0  # points of the score: a smaller difference counts as none
 # Mean scores between which both arms have room to differ: near chance and near the expert all arms are alike.
 ROOM = (2 * MARGIN, 100 - 2 * MARGIN)
 NEAR_LIMIT = (0.04, 0.06)  # p-values that another choice of the test moves across 0.05
-SMALLEST_P = 1e-15  # smaller ones are rounding errors
+SMALLEST_P = 1e-12  # the digits of smaller ones are rounding errors
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,18 +107,21 @@ class Test:
 
 
 def tests_of(results):
-    """Returns the tests by statement and task. Both families of p-values are corrected by Holm's method."""
-    cells = [(statement, task) for statement in STATEMENTS for task in results]
-    values = [statement.values(results[task]) for statement, task in cells]
-    differences, equals, rooms = [], [], []
-    for (statement, task), sample in zip(cells, values, strict=True):
-        enough = len(sample) > 1
-        differences.append(seed_statistics.two_sided(sample, statement.bound) if enough else 1.0)
-        shown = enough and statement.measure == "score" and statement.bound == 0
-        equals.append(seed_statistics.equivalence(sample, MARGIN) if shown else 1.0)
-        rooms.append(not shown or has_room(statement, results[task]))
-    corrected = zip(seed_statistics.holm(differences), seed_statistics.holm(equals), rooms, strict=True)
-    return {cell: Test(cell[0], sample, *rest) for cell, sample, rest in zip(cells, values, corrected, strict=True)}
+    """Returns the tests by statement and task. The p-values of all cells are corrected by Holm's method, and so are those of equality,
+    for which only statements of a higher score are tested."""
+    values = {(statement, task): statement.values(results[task]) for statement in STATEMENTS for task in results}
+    differences, equals, rooms = {}, {}, {}
+    for (statement, task), sample in values.items():
+        enough, cell = len(sample) > 1, (statement, task)
+        differences[cell] = seed_statistics.two_sided(sample, statement.bound) if enough else 1.0
+        if statement.measure == "score" and statement.bound == 0:
+            equals[cell] = seed_statistics.equivalence(sample, MARGIN) if enough else 1.0
+            rooms[cell] = not enough or has_room(statement, results[task])
+    differences, equals = (dict(zip(of, seed_statistics.holm(list(of.values())), strict=True)) for of in (differences, equals))
+    return {
+        cell: Test(cell[0], sample, differences[cell], equals.get(cell, 1.0), rooms.get(cell, True))
+        for cell, sample in values.items()
+    }
 
 
 def verdict_table(results):
