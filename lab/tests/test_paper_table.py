@@ -76,8 +76,8 @@ def test_what_a_row_names_exists(row):
 
 
 def test_the_first_words_have_the_verdict_of_every_claim():
-    for text in (TEXT, (ROOT / "docs/evidence/paper.md").read_text()):
-        assert re.findall(r"\((\d)\)", " ".join(text.split()[:200])) == [*"123456789"]
+    text = (ROOT / "docs/evidence/paper.md").read_text()
+    assert re.findall(r"\((\d)\)", " ".join(text.split()[:200])) == [*"123456789"]
 
 
 def test_the_tables_in_per_cent_are_the_reports():
