@@ -21,7 +21,7 @@ REDIS_COST = "redis_processor_seconds_per_decision"
 
 
 class Redis:
-    """A Redis server without files on a port of its own, beside the load generator."""
+    """A Redis server on a port of its own, beside the load generator."""
 
     def __init__(self, folder):
         self._path = folder / "redis.sock"
@@ -52,11 +52,10 @@ class Redis:
 
 
 class FleetBench:
-    """Servers with and without a store, with 8-bit weights."""
+    """Servers with and without a store."""
 
     def __init__(self, arguments, folder, redis):
         self._bench = server_bench.Bench(arguments, folder)
-        self._arguments = arguments
         self._folder = folder
         self._redis = redis
 

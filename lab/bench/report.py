@@ -167,7 +167,7 @@ def engine_section(engine):
     ]
     header = ["contestant", "decisions/s", "µs a decision", "spikes a decision", "silent spikeserve is faster by"]
     text = "\nBoth cached dense models have the same weights. The benchmark stops unless their answers equal those of the "
-    text += "engine in dense mode. [architecture.md](../design/architecture.md#what-bounds-a-decision) explains what limits "
+    text += "engine in dense mode. [architecture.md](../../docs/design/architecture.md#what-bounds-a-decision) explains what limits "
     text += "this engine.\n"
     return "## Engine, one core\n\n" + table(header, rows) + text
 

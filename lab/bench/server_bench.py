@@ -24,7 +24,7 @@ ROOT = pathlib.Path(__file__).parents[2]
 BENCH = pathlib.Path(__file__).parent
 SHIPPED = past_policy("cartpole", 1)  # in float32
 SHIPPED_INTEGER = past_policy("cartpole", 3)  # the same policy in integers
-POLICIES = SHIPPED.parents[2]
+POLICIES = ROOT / "deploy/policies"  # those of today
 VERSIONS = {"float32": "1", "integer": "3"}
 
 SESSIONS = [1, 8, 64, 512]
@@ -58,7 +58,7 @@ def policy_folder(folder, arithmetic):
     version = VERSIONS[arithmetic]
     policy = folder / arithmetic / SHIPPED.parts[-3]
     policy.mkdir(parents=True)
-    shutil.copytree(POLICIES / SHIPPED.parts[-3] / version, policy / version)
+    shutil.copytree(SHIPPED.parents[1] / version, policy / version)
     return policy.parent
 
 
@@ -83,7 +83,7 @@ class Bench:
         self._policies = {arithmetic: policy_folder(self.folder, arithmetic) for arithmetic in VERSIONS}
 
     def spikeserve(self, arithmetic=None, cores=programs.MEASURED_CORE, flags=()):
-        """Starts spikeserve with one loop, unless `flags` say otherwise, and all policies, unless with one in `arithmetic`."""
+        """Starts spikeserve with one loop, unless `flags` say otherwise, and POLICIES, or one policy in `arithmetic`."""
         policies = self._policies[arithmetic] if arithmetic else POLICIES
         command = [self._bin / "spikeserve", f"--policies={policies}", "--listen=127.0.0.1:0"]
         command += ["--http_listen=", "--loops=1", f"--tokens={self._tokens}", *flags]
