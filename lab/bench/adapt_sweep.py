@@ -9,38 +9,23 @@ lab/evidence/online-learning.md. Each seed has its own server. No two seeds shar
 
 import argparse
 import concurrent.futures
-import contextlib
 import json
 import pathlib
 import statistics
 import subprocess
 import sys
 
+import programs
+
 POLICIES = pathlib.Path(__file__).parents[2] / "deploy/policies"
 STRIDE = 10_000_000  # more reset seeds than one run of spikectl adapt uses
 
 
-@contextlib.contextmanager
-def running_server(program, policies):
-    """Starts a server and yields its address, HOST:PORT."""
-    command = [program, f"--policies={policies}", "--listen=127.0.0.1:0", "--http_listen="]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        line = server.stdout.readline()
-        announcement = "spikeserve: serving gRPC on "
-        if not line.startswith(announcement):
-            raise RuntimeError(f"{program}: expected {announcement!r}, received {line!r}")
-        yield line.removeprefix(announcement).strip()
-    finally:
-        server.terminate()
-        server.wait()
-        server.stdout.close()
-
-
 def adapt(arguments, flags, seed):
     """Returns the report of `spikectl adapt` for one seed."""
-    with running_server(arguments.bin / "spikeserve", arguments.policies) as address:
-        command = [arguments.bin / "spikectl", "adapt", f"--server={address}", f"--seed={seed * STRIDE}", "--json"]
+    served = [arguments.bin / "spikeserve", f"--policies={arguments.policies}", "--listen=127.0.0.1:0", "--http_listen="]
+    with programs.running_server(served, programs.SPIKESERVE, programs.ALL_CORES) as server:
+        command = [arguments.bin / "spikectl", "adapt", f"--server={server.address}", f"--seed={seed * STRIDE}", "--json"]
         return json.loads(subprocess.run([*command, *flags], check=True, stdout=subprocess.PIPE).stdout)
 
 

@@ -22,6 +22,7 @@ ROOT = pathlib.Path(__file__).parents[2]
 BENCH = ROOT / "lab/bench"
 sys.path[:0] = [str(ROOT / "tests/python")]
 
+import programs  # noqa: E402
 from beats_cases import CASES  # noqa: E402
 from beats_site import Site  # noqa: E402
 from beats_table import pages  # noqa: E402
@@ -68,9 +69,7 @@ def play(case, player, seconds, folder, rival):
 
 def processor_seconds(site):
     """Returns what the servers have used. Of those that a case ends, the end shows nothing."""
-    texts = [pathlib.Path(f"/proc/{server.pid}/stat").read_text() for server in site.servers]
-    fields = [text.rpartition(")")[2].split() for text in texts]
-    return sum(int(each[11]) + int(each[12]) for each in fields) / os.sysconf("SC_CLK_TCK")
+    return sum(programs.processor_seconds(server.pid) for server in site.servers)
 
 
 def machine():

@@ -22,19 +22,11 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests/python"), str(ROOT / "tests/python/
 from gymnasium import make  # noqa: E402
 from random_policy import export_random  # noqa: E402
 from security import POLICY, TOKENS, service_with  # noqa: E402
-from serving import running_server  # noqa: E402
+from serving import running_server, schedule_of  # noqa: E402
 from test_call_costs import METHODS, UNARY, called, with_session  # noqa: E402
 
+THREADS = ("loop", "worker")
 UNCHANGED = ("Drain", "ReloadPolicies")  # these change what the others meet, or read all files
-
-
-def seconds_of(pid, name):
-    """Returns the processor time of the threads of a name so far."""
-    total = 0
-    for task in pathlib.Path(f"/proc/{pid}/task").iterdir():
-        if (task / "comm").read_text().strip() == name:
-            total += int((task / "schedstat").read_text().split()[0])
-    return total / 1e9
 
 
 def main():
@@ -71,10 +63,10 @@ def main():
             cost, request = METHODS[service][method]
             session = services[POLICY].OpenSession(policy="small").session_id
             request = with_session(request, session)
-            before = [seconds_of(pid, thread) for thread in ("loop", "worker")]
+            before = [schedule_of(pid, thread)[0] for thread in THREADS]
             for _ in range(arguments.calls):
                 _, size = called(services[service], method, request)
-            after = [seconds_of(pid, thread) for thread in ("loop", "worker")]
+            after = [schedule_of(pid, thread)[0] for thread in THREADS]
             loop, worker = (
                 1e6 * (b - a) / arguments.calls for a, b in zip(before, after, strict=True)
             )

@@ -33,6 +33,8 @@ import threading
 import time
 import types
 
+import programs
+
 FIGURES = ("decisions_per_second", "p50_seconds", "p99_seconds", "server_cores")
 SPIKELOAD = {
     "within": ["--mode=stream", "--rate=400"],
@@ -56,24 +58,17 @@ def running_server(arguments):
         tenants = {"neighbour": {}, "flood": {"decisions_per_second": arguments.limit}}
         entries = [entry(tenant, tenant) for tenant in tenants]
         tokens.write_text(json.dumps({"tenants": tenants, "tokens": entries}))
-        server = subprocess.Popen(
-            [
-                str(arguments.server or arguments.bin / "spikeserve"),
-                f"--policies={arguments.policies}",
-                f"--tokens={tokens}",
-                "--listen=127.0.0.1:0",
-                "--http_listen=",
-                "--datagram_listen=127.0.0.1:0",
-                "--reflection_v1alpha",  # for the kind datagrams
-            ],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        try:
-            yield server.stdout.readline().rsplit(maxsplit=1)[-1], server.pid
-        finally:
-            server.terminate()
-            server.wait()
+        command = [
+            arguments.server or arguments.bin / "spikeserve",
+            f"--policies={arguments.policies}",
+            f"--tokens={tokens}",
+            "--listen=127.0.0.1:0",
+            "--http_listen=",
+            "--datagram_listen=127.0.0.1:0",
+            "--reflection_v1alpha",  # for the kind datagrams
+        ]
+        with programs.running_server(command, programs.SPIKESERVE, programs.ALL_CORES) as server:
+            yield server
 
 
 def start(command, token):
@@ -166,22 +161,16 @@ def throw_datagrams(arguments):
                 robot.send(datagram)
 
 
-def cpu_seconds(pid):
-    """Returns the processor seconds of a process and its threads since it started."""
-    fields = pathlib.Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def measure(arguments, address, pid, kind):
+def measure(arguments, server, kind):
     """Returns the report of the neighbour, and that of the flood; None for the kind `alone`."""
-    flooding = None if kind == "alone" else flood(arguments, address, kind)
+    flooding = None if kind == "alone" else flood(arguments, server.address, kind)
     time.sleep(arguments.head_start if flooding else 0)
-    before = cpu_seconds(pid)
+    before = server.processor_seconds()
     neighbour = spikeload(
-        arguments, address, "neighbour", 16, arguments.seconds, ["--mode=stream", *arguments.load]
+        arguments, server.address, "neighbour", 16, arguments.seconds, ["--mode=stream", *arguments.load]
     )
     report = json.loads(neighbour.communicate()[0])
-    report["server_cores"] = (cpu_seconds(pid) - before) / arguments.seconds
+    report["server_cores"] = (server.processor_seconds() - before) / arguments.seconds
     return report, json.loads(flooding.communicate()[0]) if flooding else None
 
 
@@ -216,10 +205,10 @@ def main():
 
     reports = {kind: [] for kind in ("alone", *arguments.kinds)}
     floods = {kind: [] for kind in arguments.kinds}
-    with running_server(arguments) as (address, pid):
+    with running_server(arguments) as server:
         for _ in range(arguments.rounds):
             for kind in reports:
-                report, flooded = measure(arguments, address, pid, kind)
+                report, flooded = measure(arguments, server, kind)
                 reports[kind].append(report)
                 if flooded:
                     floods[kind].append(flooded)

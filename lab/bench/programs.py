@@ -8,6 +8,9 @@ import time
 # The first core runs the measured program, the other cores run the load generators. "1-": from core 1 to the last one.
 MEASURED_CORE = "0"
 LOAD_CORES = "1-"
+ALL_CORES = "0-"
+
+SPIKESERVE = "spikeserve: serving gRPC on "  # begins its first line
 
 CPUCLOCK_SCHED = 2  # Linux: the lowest bits of the clock id of a process, which select its processor time
 
@@ -63,6 +66,11 @@ def running_contestants(commands):
             contestant.stop()
 
 
+def processor_seconds(pid):
+    """Returns the processor seconds of a process, including its ended threads, from clock_getcpuclockid(3)."""
+    return time.clock_gettime(~pid << 3 | CPUCLOCK_SCHED)
+
+
 class Server:
     """A running server. `address` is its HOST:PORT."""
 
@@ -71,8 +79,7 @@ class Server:
         self.address = address
 
     def processor_seconds(self):
-        """Returns the processor seconds of the process, including its ended threads, from clock_getcpuclockid(3)."""
-        return time.clock_gettime(~self.pid << 3 | CPUCLOCK_SCHED)
+        return processor_seconds(self.pid)
 
 
 @contextlib.contextmanager

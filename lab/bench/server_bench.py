@@ -87,7 +87,7 @@ class Bench:
         policies = self._policies[arithmetic] if arithmetic else POLICIES
         command = [self._bin / "spikeserve", f"--policies={policies}", "--listen=127.0.0.1:0"]
         command += ["--http_listen=", "--loops=1", f"--tokens={self._tokens}", *flags]
-        return programs.running_server(command, "spikeserve: serving gRPC on ", cores)
+        return programs.running_server(command, programs.SPIKESERVE, cores)
 
     def echo(self):
         """Starts the echo service."""

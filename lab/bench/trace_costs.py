@@ -19,6 +19,7 @@ ROOT = pathlib.Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "python")]
 
 import grpc  # noqa: E402
+import programs  # noqa: E402
 from security import OBSERVATION, POLICY  # noqa: E402
 from serving import Service, running_server  # noqa: E402
 
@@ -34,12 +35,6 @@ class Traceparent(grpc.UnaryUnaryClientInterceptor):
     def intercept_unary_unary(self, continuation, details, request):
         metadata = [("traceparent", UNSAMPLED)]
         return continuation(details._replace(metadata=metadata), request)
-
-
-def processor_seconds(pid):
-    """Returns the processor time of all threads so far."""
-    tasks = pathlib.Path(f"/proc/{pid}/task").iterdir()
-    return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks) / 1e9
 
 
 class Contestant:
@@ -58,11 +53,11 @@ class Contestant:
 
     def measure(self, calls):
         """Returns the processor time of one decision of `calls`."""
-        before = processor_seconds(self._pid)
+        before = programs.processor_seconds(self._pid)
         for _ in range(calls):
             self._service.Act(session_id=self._session, step=self._step, observation=OBSERVATION)
             self._step += 1
-        return (processor_seconds(self._pid) - before) / calls
+        return (programs.processor_seconds(self._pid) - before) / calls
 
 
 def interval(values, draws=2000):
