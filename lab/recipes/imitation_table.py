@@ -34,7 +34,7 @@ ROWS = {
 MODES = {"dense": "dense", "baseline": "spiking", "full": "spiking, `--mode=full`"}
 INTERRUPTED = 130  # the status of `imitate` after Ctrl-C
 HEADER = (
-    *("environment", "policy", "random", "expert", "best line", "best baseline", "float32", "8-bit"),
+    *("environment", "policy", "random", "expert", "best line", "best baseline", "float32", "integers"),
     *("spikes", "of the way", "minutes"),
 )
 
@@ -117,7 +117,7 @@ def table_row(out, environment, mode):
         return None
     metadata = json.loads((folder / "metadata.json").read_text())
     chance = json.loads((folder / "evaluations/chance.json").read_text())["returns"]
-    expert, *versions = metadata["figures"].values()  # float32, and 8-bit weights
+    expert, *versions = metadata["figures"].values()  # float32, and integers unless they lost too much; of `dense` the first alone
     returns = [version["returns"] for version in versions]
     share = (np.mean(returns[-1]) - np.mean(chance)) / (np.mean(expert["returns"]) - np.mean(chance))
     _, line = best(metadata["baselines"], "line")
@@ -130,8 +130,8 @@ def table_row(out, environment, mode):
         shown(line),
         f"{shown(baseline)} ({name})",
         shown(returns[0]),
-        "" if mode == "dense" else shown(returns[1]),
-        "" if mode == "dense" else f"{versions[1]['spikes_per_decision']:.0f}",
+        shown(returns[1]) if returns[1:] else "",
+        "" if mode == "dense" else f"{versions[-1]['spikes_per_decision']:.0f}",
         f"{share:.1%}",
         f"{processor_seconds(out, folder.name) / 60:.0f}",
     ]

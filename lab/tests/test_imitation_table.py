@@ -13,7 +13,7 @@ import sys
 
 import pytest
 import spikeserve
-from imitation_table import MODES, ROWS, main, short_name
+from imitation_table import MODES, ROWS, main, short_name, table_row
 from serving import running_server
 from spikeserve.imitation import pipeline
 from spikeserve.imitation.options import ImitationOptions
@@ -72,6 +72,18 @@ def test_the_program_of_the_table_continues_and_prints(tmp_path, monkeypatch, ca
     assert main([f"--out={tmp_path}", "--print"]) == 0
     *_, row = capsys.readouterr().out.splitlines()
     assert row.startswith("| Spring | dense | -")
+
+
+def test_a_policy_that_lost_too_much_in_integers_has_its_row(tmp_path):
+    folder = tmp_path / "Spring-baseline"
+    (folder / "evaluations").mkdir(parents=True)
+    (folder / "evaluations/chance.json").write_text(json.dumps({"returns": [-80.0, -90.0]}))
+    figures = {"expert": {"returns": [-1.0]}, "spring/1, float32": {"returns": [-2.0], "spikes_per_decision": 208.4}}
+    baselines = {"line on 1 frame": {"returns": [-3.0]}}
+    (folder / "metadata.json").write_text(json.dumps({"figures": figures, "baselines": baselines}))
+    (tmp_path / "processor.jsonl").write_text("")
+    row = table_row(tmp_path, "hidden_state:Spring-v0", "baseline")
+    assert row[-5:] == ["-2.00 ± 0.00", "", "208", "98.8%", "0"]
 
 
 # Rows that a baseline passes by more than two standard errors, as the page says: MountainCarContinuous' line passes its expert, too.
