@@ -8,7 +8,7 @@ import dataclasses
 from study_tasks import ALL_TASKS, FIELD_TASKS, GROUPS, STRUCTURED_TASKS, TASKS_OF_SETTINGS, TASKS_OF_THE_PAPER
 
 FIRST_UNSEEN_SEED = 2_000_000  # starts of the evaluation
-FIRST_SELECTION_SEED = 1_000_000  # starts by which the learning rate of `dense` is chosen, and integers are refused
+FIRST_SELECTION_SEED = 1_000_000  # starts by which the learning rate of `dense` is chosen
 STARTS_OF_A_SEED = 4_000  # seed 3 records its data from the environment's start 12,000 on
 RATES = ("3e-4", "1e-3", "3e-3")  # of `dense`
 SWEEP_SEEDS = (101, 102)
