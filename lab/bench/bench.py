@@ -24,7 +24,7 @@ from server_bench import BATCH, BENCH, SHIPPED, SHIPPED_INTEGER, summarize
 def parse_arguments():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bin", type=pathlib.Path, required=True, help="folder of the programs")
-    parser.add_argument("--python", type=pathlib.Path, help="a Python with the packages of requirements.txt; without it, no PyTorch")
+    parser.add_argument("--python", type=pathlib.Path, required=True, help="a Python with the packages of requirements.txt")
     parser.add_argument("--json", type=pathlib.Path, required=True, help="output file for programs")
     parser.add_argument("--markdown", type=pathlib.Path, required=True, help="output file for readers")
     parser.add_argument("--rounds", type=int, default=5)

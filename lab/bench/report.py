@@ -288,9 +288,8 @@ def torch_section(server):
 
 
 def server_section(server):
-    parts = [closed_loop_section(server), half_peak_section(server), batch_section(server)]
-    parts += [write(server) for key, write in (("loops", loops_section), ("torch_server", torch_section)) if server[key]]
-    return "\n".join(parts)
+    sections = (closed_loop_section, half_peak_section, batch_section, loops_section, torch_section)
+    return "\n".join(section(server) for section in sections)
 
 
 def own_section(own):
@@ -378,17 +377,14 @@ def to_markdown(result):
     text += f"{result['seconds']:g} s. The figures are medians over the rounds. The run took "
     text += f"{result['duration_seconds'] / 60:.1f} minutes. The figures of engines use processor time. "
     text += "No arm64 processor was timed.\n\n"
-    sections = [
-        (engine_section, ["engine"]),
-        (server_section, ["server"]),
-        (own_section, ["own"]),
-        (learning_section, ["learning"]),
-        (fleet_section, ["fleet"]),
-        (growth_section, ["growth"]),
-        (sessions_section, ["sessions"]),
-    ]
-    text += targets_section(result)
-    for write, keys in sections:
-        if all(key in result for key in keys):
-            text += "\n" + write(*(result[key] for key in keys))
-    return text
+    sections = {
+        "engine": engine_section,
+        "server": server_section,
+        "own": own_section,
+        "learning": learning_section,
+        "fleet": fleet_section,
+        "growth": growth_section,
+        "sessions": sessions_section,
+    }
+    parts = [write(result[key]) for key, write in sections.items() if key in result]
+    return text + "\n".join([targets_section(result), *parts])

@@ -290,8 +290,6 @@ def running_torch_server(arguments):
 
 
 def measure_torch_server(arguments):
-    """Measures the Python server, if its packages are there."""
-    if arguments.python is None:
-        return []
+    """Measures the Python server."""
     with prepared(arguments) as bench, running_torch_server(arguments) as server:
         return [{"sessions": n, **bench.load(server, "unary", n)} for n in SESSIONS[:3]]
