@@ -36,19 +36,40 @@ def play_over_a_backup(store, backup, restored):
         assert play(server, range(BEFORE, BEFORE + AFTER)) == lost
 
 
-@pytest.mark.skipif(shutil.which("mdb_copy") is None, reason="without mdb_copy of lmdb-utils")
-@pytest.mark.skipif(TEST_TIME > 1, reason="locks of an emulated server are not those of this machine's mdb_copy")
-def test_a_file_store(tmp_path):
-    def backup():
-        (tmp_path / "backup").mkdir()
-        subprocess.run(["mdb_copy", tmp_path / "store", tmp_path / "backup"], check=True, timeout=DEADLINE_SECONDS)
+WITHOUT_MDB_COPY = pytest.mark.skipif(shutil.which("mdb_copy") is None, reason="without mdb_copy of lmdb-utils")
+WITH_EMULATED_LOCKS = pytest.mark.skipif(TEST_TIME > 1, reason="locks of an emulated server are not those of this machine's mdb_copy")
 
+
+def copy_store(folder):
+    """Copies `folder`/store to `folder`/backup while a server uses it."""
+    (folder / "backup/usage").mkdir(parents=True)
+    for part in (".", "usage"):
+        subprocess.run(["mdb_copy", folder / "store" / part, folder / "backup" / part], check=True, timeout=DEADLINE_SECONDS)
+
+
+@WITHOUT_MDB_COPY
+@WITH_EMULATED_LOCKS
+def test_a_file_store(tmp_path):
     def restored():
         shutil.rmtree(tmp_path / "store")
         shutil.copytree(tmp_path / "backup", tmp_path / "store")
         return f"file:{tmp_path}/store"
 
-    play_over_a_backup(f"file:{tmp_path}/store", backup, restored)
+    play_over_a_backup(f"file:{tmp_path}/store", lambda: copy_store(tmp_path), restored)
+
+
+@WITHOUT_MDB_COPY
+@WITH_EMULATED_LOCKS
+def test_the_ledger_of_a_file_store(tmp_path):
+    """What a session has used is in the backup after its journal is gone."""
+    with Restartable(f"file:{tmp_path}/store") as server:
+        session = server.OpenSession(**opening(SESSION)).session_id
+        play(server, range(BEFORE))
+        server.CloseSession(session_id=session)
+        copy_store(tmp_path)
+    with Restartable(f"file:{tmp_path}/backup") as restored:
+        (row,) = restored.admin.GetUsage().rows
+        assert row.usage.decisions == BEFORE
 
 
 def test_a_file_store_of_a_stopped_server(tmp_path):
