@@ -98,7 +98,7 @@ def test_tls_with_strangers(tmp_path, password):
 
 
 # What a server needs, and no more.
-GRANTS = "~ss:* ~cfg ~r ~fl:* ~fs:* ~fc:* ~fm:* ~pf:* +@all -@admin -@dangerous +role +info +config|get"
+GRANTS = "~ss:* ~cfg ~r ~fl:* ~fs:* ~fc:* ~fm:* ~pf:* ~us:* +@all -@admin -@dangerous +role +info +config|get"
 
 
 @pytest.mark.parametrize("by_flag", [False, True])
@@ -108,10 +108,11 @@ def test_a_user_of_the_access_control_list(tmp_path, password, undisturbed, by_f
         assert redis.command(f"ACL SETUSER robots on >robots-secret {GRANTS}") == b"OK"
         file = tmp_path / "robots"
         file.write_text("robots-secret\n")
-        flags = [f"--store_password_file={file}"] + ["--store_user=robots"] * by_flag
+        flags = [f"--store_password_file={file}", "--usage_interval=50ms"] + ["--store_user=robots"] * by_flag
         user = "" if by_flag else "robots@"
         with Restartable(f"redis://{user}127.0.0.1:{redis.port}/3", flags) as server:
             assert play(lambda: server) == undisturbed
+            until(lambda: len(server.admin.GetUsage().rows) > 0)
         assert redis.command("DBSIZE", database=3) > 0
         log = tmp_path / "log"
         file.write_text("another")
