@@ -35,3 +35,23 @@ def names_of(row):
 def test_a_limit_has_a_test(row, defined):
     assert names_of(row)
     assert set(names_of(row)) <= defined
+
+
+RULES = re.compile(r"rpc (\w+)\(.*?\(rules\) = \{access: (\w+), cost: (\w+)\}", re.DOTALL)
+CONTRACT = [ROOT / f"proto/spikeserve/v1/{name}.proto" for name in ("policy_service", "policy_admin")]
+
+
+@pytest.mark.parametrize(
+    ("begin", "rule"),
+    [
+        ("| `ListSessions`", "ACCESS_VIEWER"),
+        ("| decisions |", "COST_DECISION"),
+        ("| `light` |", "COST_LIGHT"),
+        ("| `listing` |", "COST_LISTING"),
+        ("| `explain` |", "COST_EXPLAIN"),
+    ],
+)
+def test_the_guide_has_the_rules_of_every_method(begin, rule):
+    rules = {name: of_method for path in CONTRACT for name, *of_method in RULES.findall(path.read_text())}
+    (row,) = (line for line in (ROOT / "docs/guides/security.md").read_text().splitlines() if line.startswith(begin))
+    assert set(re.findall(r"`(\w+)`", row)) & rules.keys() == {name for name, of_method in rules.items() if rule in of_method}
