@@ -62,7 +62,7 @@ finish() {
 finish_imitation() {
   "$python" "$here/integer_version.py" "$environment" --out="$out" --spiketrain="$spiketrain" --calibration=20
   if [[ ! -d $out/recordings ]]; then
-    "$python" - "${SPIKESERVE:-$(dirname "$spiketrain")/spikeserve}" "$policies" "$environment" "$name" "$out/recordings" <<'EOF'
+    "$python" - "${SPIKESERVE:-$(dirname "$spiketrain")/spikeserve}" "${shipped%/"$name"/*}" "$environment" "$name" "$out/recordings" <<'EOF'
 import pathlib, shutil, subprocess, sys
 import spikeserve
 server, policies, environment, name, recordings = sys.argv[1:]

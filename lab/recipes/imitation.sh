@@ -18,22 +18,22 @@ settings=(--steps=60000 --burst-rate=0.3 --longest-burst=8 --held-bursts=0 --con
 
 # imitate ENVIRONMENT FLAGS...: runs `python -m spikeserve imitate` into OUT_DIR.
 imitate() {
-  environment=("$1")
+  task=("$1")
   local flag
   for flag in "${@:2}"; do
-    if [[ $flag == --wrapper=* ]]; then environment+=("$flag"); fi
+    if [[ $flag == --wrapper=* ]]; then task+=("$flag"); fi
   done
   "${PYTHON:-python3}" -m spikeserve imitate "$1" "${settings[@]}" "${@:2}" --spiketrain="$spiketrain" --out="$out"
 }
 
 # integer FLAGS...: adds version 3 to OUT_DIR/policies, in integer arithmetic. FLAGS are those of `spiketrain quantize`.
 integer() {
-  "${PYTHON:-python3}" "$(dirname "$0")/integer_version.py" "${environment[@]}" --out="$out" --spiketrain="$spiketrain" \
+  "${PYTHON:-python3}" "$(dirname "$0")/integer_version.py" "${task[@]}" --out="$out" --spiketrain="$spiketrain" \
     --flags="$*"
 }
 
 # train_integer FLAGS...: the same, trained through the integers. FLAGS are those of `spiketrain train`.
 train_integer() {
-  "${PYTHON:-python3}" "$(dirname "$0")/integer_version.py" "${environment[@]}" --out="$out" --spiketrain="$spiketrain" \
+  "${PYTHON:-python3}" "$(dirname "$0")/integer_version.py" "${task[@]}" --out="$out" --spiketrain="$spiketrain" \
     --train="$*"
 }

@@ -1,4 +1,4 @@
-# shellcheck shell=bash
+# shellcheck shell=bash disable=SC2154 # environment
 # Functions for the recipes, which source this file. A recipe is called with SPIKETRAIN and OUT_DIR and sets
 # `environment`. A recipe that was interrupted continues when it is run again. With a third argument, a number from 1 on,
 # it draws other random numbers: seed 3 of run 2 is 203.
