@@ -18,44 +18,50 @@ absl::Status OperatorSettings::ReadFile() {
 }
 
 absl::StatusOr<std::optional<Settings>> OperatorSettings::Follow(
-    absl::FunctionRef<absl::Status()> before_first) {
+    absl::FunctionRef<absl::Status()> before_write) {
   if (!is_shared()) return std::nullopt;
   ASSIGN_OR_RETURN(auto document, shared_->Read());
-  for (int i = 0; document.revision == 0; ++i) {
+  for (int i = 0; document.revision == 0 || document.revision < known_.revision; ++i) {
     if (i == kMostAttempts) {
-      return absl::UnavailableError("settings: the store has no settings and takes none");
+      return absl::UnavailableError("settings: the store has lost settings and takes none");
     }
-    RETURN_IF_ERROR(before_first());
-    ASSIGN_OR_RETURN(document, WriteFirst());
+    RETURN_IF_ERROR(before_write());
+    ASSIGN_OR_RETURN(document, WriteOwn(document.revision));
   }
-  if (document.revision == revision_) return std::nullopt;
+  if (document == known_) return std::nullopt;
   auto settings = ParseSettings(document.json);
   if (!settings.ok()) return Annotate(settings.status(), "shared settings");
   Settings before = settings_;
-  revision_ = document.revision;
+  known_ = std::move(document);
   Replace(*std::move(settings));
   SaveCopy(settings_);
   return before;
 }
 
-absl::StatusOr<SharedSettings::Document> OperatorSettings::WriteFirst() {
-  const SharedSettings::Document first = {.revision = 1, .json = ToJson(settings_)};
-  const auto status = shared_->Write(first);
+absl::Status OperatorSettings::WriteShared(const Settings& settings, int64_t replaced) {
+  SharedSettings::Document written = {.revision = known_.revision + 1, .json = ToJson(settings)};
+  RETURN_IF_ERROR(shared_->Write(written, replaced));
+  known_ = std::move(written);
+  return absl::OkStatus();
+}
+
+absl::StatusOr<SharedSettings::Document> OperatorSettings::WriteOwn(int64_t found) {
+  const bool had_shared = known_.revision > 0;
+  const auto status = WriteShared(settings_, found);
   if (absl::IsAborted(status)) return shared_->Read();  // another server was faster
   RETURN_IF_ERROR(status);
   // Operators must hear of it: what they had set may be lost.
-  LogWarning("the store has no settings; it gets those of this server",
-             {{"settings", revision_ > 0   ? "that the servers had shared"
+  LogWarning(absl::StrCat("the store has ", found == 0 ? "no" : "older",
+                          " settings; it gets those of this server"),
+             {{"settings", had_shared      ? "that the servers had shared"
                            : path_.empty() ? "defaults"
                                            : path_}});
-  revision_ = 1;
-  return first;
+  return known_;
 }
 
 absl::Status OperatorSettings::Save(const Settings& settings) {
   if (!is_shared() || !has_joined()) return SaveFile(settings);
-  RETURN_IF_ERROR(shared_->Write({.revision = revision_ + 1, .json = ToJson(settings)}));
-  ++revision_;
+  RETURN_IF_ERROR(WriteShared(settings, known_.revision));
   SaveCopy(settings);
   return absl::OkStatus();
 }

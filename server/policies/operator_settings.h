@@ -62,9 +62,10 @@ class OperatorSettings {
   absl::Status ReadFile() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
 
   // Takes over the settings that other servers have changed, and returns the former ones; nullopt
-  // if they are the same. If the store has none, calls `before_first` and writes those of this
-  // server. UNAVAILABLE if the shared settings cannot be reached.
-  absl::StatusOr<std::optional<Settings>> Follow(absl::FunctionRef<absl::Status()> before_first)
+  // if they are the same. If the store has none, or has lost changes that it had acknowledged,
+  // calls `before_write` and writes those of this server. UNAVAILABLE if the shared settings cannot
+  // be reached.
+  absl::StatusOr<std::optional<Settings>> Follow(absl::FunctionRef<absl::Status()> before_write)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
 
   // Writes the settings to the shared ones, of which the file is a copy, or otherwise to the file.
@@ -88,8 +89,13 @@ class OperatorSettings {
   absl::Status SaveFile(const Settings& settings) const;
   // Writes the file of settings that are shared. Without it they are in force all the same.
   void SaveCopy(const Settings& settings) const;
-  // Writes the first shared settings, those of this server.
-  absl::StatusOr<SharedSettings::Document> WriteFirst() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
+  // Writes the settings to the shared ones, in the place of those of revision `replaced`.
+  absl::Status WriteShared(const Settings& settings, int64_t replaced)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
+  // Writes the settings of this server where the store has those of revision `found`, which is
+  // older, or 0. Returns what the store has then.
+  absl::StatusOr<SharedSettings::Document> WriteOwn(int64_t found)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex);
 
   const std::string path_;
   const DefaultRule default_rule_;
@@ -97,7 +103,9 @@ class OperatorSettings {
   std::atomic<bool> joined_;
   SessionHolds holds_;  // those of settings_
   Settings settings_ ABSL_GUARDED_BY(mutex);
-  int64_t revision_ ABSL_GUARDED_BY(mutex) = 0;  // of the shared settings in `settings_`
+  // The shared settings that were read or written last. Redis may give a revision to other settings
+  // if it has lost those that had it.
+  SharedSettings::Document known_ ABSL_GUARDED_BY(mutex);
 };
 
 }  // namespace spikeserve

@@ -20,6 +20,8 @@ class SharedSettings {
   struct Document {
     int64_t revision = 0;  // 0: never
     std::string json;
+
+    friend bool operator==(const Document&, const Document&) = default;
   };
 
   // A version, as <policy>@<version>, and the SHA-256 of its file.
@@ -35,9 +37,9 @@ class SharedSettings {
   virtual ~SharedSettings() = default;
 
   virtual absl::StatusOr<Document> Read() = 0;
-  // Replaces the settings of revision `document.revision - 1`. Returns ABORTED and changes nothing
-  // if the store has another revision.
-  virtual absl::Status Write(const Document& document) = 0;
+  // Replaces the settings of revision `replaced`. Returns ABORTED and changes nothing if the store
+  // has another revision.
+  virtual absl::Status Write(const Document& document, int64_t replaced) = 0;
 
   // Stores a file under a name that begins with the SHA-256 of a policy file in hexadecimal.
   virtual absl::Status PutFile(const std::string& name, const std::string& bytes) = 0;

@@ -11,11 +11,11 @@
 namespace spikeserve {
 namespace {
 
-// Returns 0 if the settings have another revision than the one before. KEYS: hash. ARGV: revision,
-// settings.
+// Returns 0 if the settings have another revision than the replaced one. KEYS: hash. ARGV:
+// revision, settings, replaced revision.
 constexpr char kWrite[] = R"(
 local found = redis.call('HGET', KEYS[1], 'revision') or '0'
-if tonumber(found) + 1 ~= tonumber(ARGV[1]) then return 0 end
+if tonumber(found) ~= tonumber(ARGV[3]) then return 0 end
 redis.call('HSET', KEYS[1], 'revision', ARGV[1], 'settings', ARGV[2])
 return 1)";
 
@@ -144,10 +144,10 @@ absl::StatusOr<SharedSettings::Document> RedisShared::Read() {
   return document;
 }
 
-absl::Status RedisShared::Write(const Document& document) {
-  ASSIGN_OR_RETURN(const auto reply,
-                   Run(/*writes=*/true, {"EVAL", kWrite, "1", kSettings,
-                                         absl::StrCat(document.revision), document.json}));
+absl::Status RedisShared::Write(const Document& document, int64_t replaced) {
+  ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/true, {"EVAL", kWrite, "1", kSettings,
+                                                           absl::StrCat(document.revision),
+                                                           document.json, absl::StrCat(replaced)}));
   if (reply->integer == 1) return absl::OkStatus();
   return absl::AbortedError("settings: another server has changed them");
 }

@@ -40,7 +40,7 @@ class RedisShared final : public SharedSettings {
   const std::string& replica() const { return replica_; }
 
   absl::StatusOr<Document> Read() override;
-  absl::Status Write(const Document& document) override;
+  absl::Status Write(const Document& document, int64_t replaced) override;
   absl::Status PutFile(const std::string& name, const std::string& bytes) override;
   absl::Status RemoveFile(const std::string& name) override;
   absl::StatusOr<std::string> GetFile(const std::string& name) override;

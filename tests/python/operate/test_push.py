@@ -154,7 +154,7 @@ def test_redis_that_lost_everything_gets_the_files_again(tmp_path, make):
         second.kill()
         shutil.rmtree(second.policies / "acrobot/2")
         redis.command("FLUSHALL")
-        until(lambda: redis.command("HGET cfg revision") == b"1")
+        until(lambda: redis.command("HGET cfg revision") is not None)
         second.restart()
         assert (versions(second), default(second)) == ([1, 2], 2)
         assert pull(second, 2) == make(2)

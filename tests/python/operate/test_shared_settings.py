@@ -115,8 +115,33 @@ def test_redis_loses_the_settings(redis, start):
     first.admin.SetDefaultVersion(policy="cartpole", version=1)
     until(lambda: opened_version(second) == 1)
     redis.command("FLUSHALL")
-    until(lambda: redis.command("HGET cfg revision") == b"1")
+    until(lambda: redis.command("HGET cfg revision") is not None)
     assert opened_version(start("c")) == 1
+
+
+def test_redis_loses_a_change(redis, start):
+    """It starts again from an older file. The replicas write what they have followed, such as a hold."""
+    first, second = start("a"), start("b")
+    assert redis.command("COPY cfg older") == 1
+    first.admin.HoldSessions(id="fire", selection={"all": True})
+    until(lambda: [each.hold.id for each in second.admin.ListHolds().holds] == ["fire"])
+    followed = int(redis.command("HGET cfg revision"))
+    assert redis.command("COPY older cfg REPLACE") == 1
+    until(lambda: int(redis.command("HGET cfg revision")) > followed)
+    for replica in (first, second, start("c")):
+        assert [each.hold.id for each in replica.admin.ListHolds().holds] == ["fire"]
+
+
+def test_redis_gives_a_lost_revision_to_another_change(redis, start):
+    """The replica that had made the lost one takes the other one over."""
+    first, second = start("a"), start("b")
+    assert redis.command("COPY cfg other") == 1
+    first.admin.SetDefaultVersion(policy="cartpole", version=1)
+    until(lambda: opened_version(second) == 1)
+    script = "redis.call('HSET', 'cfg', 'settings', redis.call('HGET', 'other', 'settings'))"
+    redis.command(f'EVAL "{script}" 0')
+    for replica in (first, second):
+        until(lambda each=replica: opened_version(each) == 2)
 
 
 def test_settings_lost_while_no_replica_lives(redis, start, tmp_path):
