@@ -1,6 +1,7 @@
 // How a PolicyRegistry adds and removes the versions that it stores itself: those that were
 // promoted from a learned head, and those that were pushed.
 #include <algorithm>
+#include <limits>
 #include <set>
 #include <string>
 #include <utility>
@@ -37,7 +38,7 @@ bool IsTaken(const PolicyFolder& folder, const Settings& settings, const PolicyV
          settings.unloaded.contains(version);
 }
 
-// Returns the number above every one for which IsTaken().
+// Returns the number above every one for which IsTaken(), or the largest one, if that is taken.
 int64_t NextNumber(const PolicyFolder& folder, const Settings& settings,
                    const std::string& policy) {
   const auto folders = folder.VersionsOf(policy);
@@ -48,7 +49,7 @@ int64_t NextNumber(const PolicyFolder& folder, const Settings& settings,
   for (const PolicyVersion& version : settings.unloaded) {
     if (version.policy == policy) highest = std::max(highest, version.version);
   }
-  return highest + 1;
+  return highest == std::numeric_limits<int64_t>::max() ? highest : highest + 1;
 }
 
 }  // namespace

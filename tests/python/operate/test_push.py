@@ -144,6 +144,10 @@ def test_a_version_reaches_every_replica_and_leaves_it(tmp_path, make):
         # Its number is not used again.
         assert push(first, make(3)).version == 3
         assert code_of(push, first, make(4), version=2) == grpc.StatusCode.ALREADY_EXISTS
+        # No number follows the largest one.
+        assert push(first, make(4), version=2**63 - 1).version == 2**63 - 1
+        assert code_of(push, first, make(5)) == grpc.StatusCode.ALREADY_EXISTS
+        until(lambda: versions(second) == [1, 3, 2**63 - 1])
 
 
 @WITHOUT_REDIS
