@@ -82,9 +82,11 @@ std::vector<std::string> SharedVersions::Fetch(const Settings& before, const Set
     const auto status = FetchOne(version, sha256);
     if (!status.ok()) missing.emplace_back(status.message());
   }
-  for (const auto& [version, ignored] : before.promoted) {
+  for (const auto& [version, sha256] : before.promoted) {
     if (settings.promoted.contains(version) || !settings.unloaded.contains(version)) continue;
     folder_.Remove(version).status().IgnoreError();  // it is not served
+    // The server that has removed it may not have come to that.
+    shared_->RemoveFile(PushedName(version, sha256)).IgnoreError();
   }
   return missing;
 }

@@ -34,7 +34,8 @@ class SharedVersions {
   void Remove(const PolicyVersion& version, const std::string& sha256, bool is_used) const;
 
   // Writes to the folder the files of the versions of the settings that it does not have, and
-  // removes those of versions that another server has removed since the settings were `before`.
+  // removes those of versions that another server has removed since the settings were `before`, in
+  // the store, too, if they were pushed.
   // Returns an error for each version that it could not get.
   std::vector<std::string> Fetch(const Settings& before, const Settings& settings,
                                  const PolicyCatalog& catalog) const;

@@ -110,8 +110,9 @@ absl::Status PolicyRegistry::ShareOnce(const NewVersion& added, const PolicyVers
     const auto saved = settings_.Save(undone);
     is_undone = saved.ok();
     if (!is_undone) LogError("a version that failed is not removed", {{"error", saved.message()}});
+    // Where that is not undone, this server follows the store as every other one.
     const Settings failed = settings_.get();
-    settings_.Replace(std::move(undone));
+    settings_.Replace(is_undone ? std::move(undone) : std::move(settings));
     Enact(failed, /*call=*/nullptr).IgnoreError();
   }
   // Another server that stores the same file of this number at this time finds it in the settings.
