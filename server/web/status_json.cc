@@ -92,7 +92,8 @@ std::string StatusJson(Json figures, const std::vector<prometheus::MetricFamily>
     Json& series = status["metrics"][family.name] = Json::array();
     for (const auto& metric : family.metric) series.push_back(SeriesToJson(metric, family.type));
   }
-  return status.dump();
+  // The name of a server in the store may be any bytes.
+  return status.dump(-1, ' ', /*ensure_ascii=*/false, Json::error_handler_t::replace);
 }
 
 std::string ServerReport(Json summary, const std::string& address, bool serving) {

@@ -393,10 +393,11 @@ def test_what_is_no_report_is_not_shown(servers):
     first, second, redis = servers
     milliseconds = int(redis.command("TIME")[0]) * 1000
     written = {"a": "nonsense", "b": f"{milliseconds} {{", "c": f"{milliseconds} 7"}
-    written["d"] = f'{milliseconds} {{\\"address\\": \\"ghost\\"}}'
+    for name, address in (("d", "ghost"), ('"\\xff"', "bytes")):
+        written[name] = f'{milliseconds} {{\\"address\\": \\"{address}\\"}}'
     for name, text in written.items():
         assert redis.command(f'HSET pf:servers {name} "{text}"') == 1
-    until(lambda: set(told(first)) == {first.addresses.http, second.addresses.http, "ghost"})
+    until(lambda: set(told(first)) == {first.addresses.http, second.addresses.http, "ghost", "bytes"})
 
 
 def test_a_server_without_others_tells_nothing():
