@@ -26,6 +26,9 @@ constexpr char kReplicasFlag[] = "--store_replicas";
 
 constexpr absl::Duration kShortestTimeout = absl::Milliseconds(10);
 
+// What stays for ever stays for a century: Redis refuses an expiry beyond what its clock can tell.
+constexpr absl::Duration kLongestRetention = absl::Hours(24 * 36525);
+
 // Returns INVALID_ARGUMENT unless the options of Redis fit its address.
 absl::Status CheckRedisOptions(const StoreOptions& options, const StoreAddress& address) {
   const bool is_redis = address.kind == StoreAddress::Kind::kRedis;
@@ -44,6 +47,9 @@ absl::Status CheckRedisOptions(const StoreOptions& options, const StoreAddress& 
   if (options.timeout < kShortestTimeout) {
     return refuse(kTimeoutFlag, absl::StrCat("at least ", absl::FormatDuration(kShortestTimeout)),
                   absl::FormatDuration(options.timeout));
+  }
+  if (options.timeout == absl::InfiniteDuration()) {
+    return refuse(kTimeoutFlag, "a finite duration", "inf");
   }
   if (!is_redis && options.may_evict) {
     return refuse("--store_may_evict", "false without a store in Redis", "true");
@@ -126,9 +132,10 @@ absl::StatusOr<OpenedStore> OpenStore(const StoreOptions& options, prometheus::R
     backend = *std::move(opened);
   } else {
     ASSIGN_OR_RETURN(const auto redis, ReadRedisOptions(std::move(address->redis), options));
-    backend = NewRedisBackend(redis, options.retention, store.replica, options.may_evict);
+    const absl::Duration retention = std::min(options.retention, kLongestRetention);
+    backend = NewRedisBackend(redis, retention, store.replica, options.may_evict);
     store.shared = std::make_unique<RedisShared>(redis, store.replica);
-    store.heads = std::make_unique<HeadLogStore>(redis, options.retention, &clock, registry);
+    store.heads = std::make_unique<HeadLogStore>(redis, retention, &clock, registry);
   }
   const absl::Duration check_interval =
       std::min(JournalStore::kCheckInterval, options.retention / 4);

@@ -321,6 +321,18 @@ def test_polling_does_not_grow_with_the_versions(redis, server_with):
         assert commands_of(redis) - begin < window * 256
 
 
+def test_sessions_may_stay_for_ever(redis, password):
+    flags = [password, "--session_ttl=inf", "--store_retention=inf"]
+    learning = {"scope": "FLEET", "modulator": "realized", "learning_rate": 0.5}
+    with Restartable(f"redis://127.0.0.1:{redis.port}/1", flags) as server:
+        session = server.OpenSession(policy="cartpole", action_selection="SAMPLE", learning=learning).session_id
+        server.Act(session_id=session, observation=[0.1] * 4)
+        server.EndEpisode(session_id=session, reward=1.0, terminated=True)
+        server.kill()
+        server.restart()
+        assert server.GetSession(session_id=session).episode == 1
+
+
 PLAIN, SECURE, NAMED = (f"--session_store={url}" for url in ("redis://host", "rediss://host", "redis://robot@host"))
 
 
@@ -334,6 +346,7 @@ PLAIN, SECURE, NAMED = (f"--session_store={url}" for url in ("redis://host", "re
         ([SECURE, "--store_key=/x"], "--store_certificate, --store_key: expected both or none"),
         (["--store_retention=1s"], "--store_retention: expected at least"),
         ([PLAIN, "--store_timeout=0s"], "--store_timeout: expected at least 10ms, received 0"),
+        ([PLAIN, "--store_timeout=inf"], "--store_timeout: expected a finite duration, received inf"),
         (["--store_user=robot"], "--store_user: expected none without a store in Redis, received robot"),
         ([NAMED, "--store_user=robot"], "--store_user: expected none, because --session_store names one"),
     ],
