@@ -243,6 +243,7 @@ class FileBackend final : public JournalBackend {
       auto transaction = LmdbTransaction::Begin(environment_.get());
       if (!transaction.ok()) break;
       auto status = WriteRecord(*transaction, record);
+      if (absl::IsAborted(status)) continue;  // there is nothing to end
       if (status.ok()) status = Commit(*transaction);
       if (!status.ok()) break;
       ended.insert(record.journal->stored_as());
