@@ -65,6 +65,10 @@ absl::string_view TextOf(const redisReply& reply) {
   return reply.str == nullptr ? absl::string_view() : absl::string_view(reply.str, reply.len);
 }
 
+absl::Status UnexpectedReply(absl::string_view expected) {
+  return absl::UnavailableError(absl::StrCat("session store: expected ", expected));
+}
+
 absl::Status RedisStatus(const redisReply& reply) {
   if (reply.type != REDIS_REPLY_ERROR) return absl::OkStatus();
   return absl::UnavailableError(absl::StrCat("session store: ", TextOf(reply)));

@@ -15,6 +15,7 @@
 
 #include <hiredis/hiredis.h>
 
+#include <cstddef>
 #include <memory>
 #include <string>
 
@@ -38,6 +39,18 @@ std::string FormatRedisCommand(absl::Span<const absl::string_view> arguments);
 
 // Returns the text of a reply; empty unless it is a string, a status or an error.
 absl::string_view TextOf(const redisReply& reply);
+
+// Returns the text of an element of an array. REQUIRES: the array has it.
+inline std::string TextAt(const redisReply& reply, size_t i) {
+  return std::string(TextOf(*reply.element[i]));
+}
+
+inline bool IsArrayOf(const redisReply& reply, size_t elements) {
+  return reply.type == REDIS_REPLY_ARRAY && reply.elements == elements;
+}
+
+// Returns UNAVAILABLE, for a reply that is none of those that the command can have.
+absl::Status UnexpectedReply(absl::string_view expected);
 
 // Returns OK, or UNAVAILABLE with the text of an error reply.
 absl::Status RedisStatus(const redisReply& reply);

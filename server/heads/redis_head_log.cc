@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/status_macros.h"
+#include "core/store/kept_members.h"
 #include "core/store/stored_session.h"
 
 namespace spikeserve {
@@ -31,20 +32,6 @@ local info = redis.pcall('INFO', 'server')
 local run = type(info) == 'string' and string.match(info, 'run_id:(%x+)') or ''
 local time = redis.call('TIME')
 local now = string.format('%d', time[1] * 1000 + math.floor(time[2] / 1000))
-)";
-
-// Keeps the contributors, whose names end with a line each, in the sorted set `key`.
-constexpr char kKeepMembers[] = R"(
-local function keep_members(key, names, alive)
-  local time = redis.call('TIME')
-  local now = time[1] * 1000 + math.floor(time[2] / 1000)
-  for name in string.gmatch(names, '[^\n]+') do redis.call('ZADD', key, now, name) end
-  for _, name in ipairs(redis.call('ZRANGEBYSCORE', key, '(' .. now, '+inf')) do
-    redis.call('ZADD', key, now, name)  -- the clock was set back
-  end
-  redis.call('ZREMRANGEBYSCORE', key, '-inf', now - alive)
-  redis.call('PEXPIRE', key, alive)
-end
 )";
 
 // Appends an entry. Its fields: n, the number; m, the contributors; c, the digest; e, the entry.
@@ -138,33 +125,25 @@ else
 end
 return 1)";
 
-absl::Status Unexpected(absl::string_view expected) {
-  return absl::UnavailableError(absl::StrCat("session store: expected ", expected));
-}
-
-bool IsArrayOf(const redisReply& reply, size_t elements) {
-  return reply.type == REDIS_REPLY_ARRAY && reply.elements == elements;
-}
-
 // Parses [id, [n, .., m, .., c, .., e, ..]].
 absl::StatusOr<LoggedEntry> ParseEntry(const redisReply& reply) {
   if (!IsArrayOf(reply, 2) || !IsArrayOf(*reply.element[1], 8)) {
-    return Unexpected("an entry with four fields");
+    return UnexpectedReply("an entry with four fields");
   }
   const redisReply& fields = *reply.element[1];
   LoggedEntry entry;
-  entry.position.id = std::string(TextOf(*reply.element[0]));
-  entry.position.digest = std::string(TextOf(*fields.element[5]));
-  entry.bytes = std::string(TextOf(*fields.element[7]));
+  entry.position.id = TextAt(reply, 0);
+  entry.position.digest = TextAt(fields, 5);
+  entry.bytes = TextAt(fields, 7);
   if (!absl::SimpleAtoi(TextOf(*fields.element[1]), &entry.position.number) ||
       !absl::SimpleAtoi(TextOf(*fields.element[3]), &entry.members)) {
-    return Unexpected("an entry with two numbers");
+    return UnexpectedReply("an entry with two numbers");
   }
   return entry;
 }
 
 absl::StatusOr<std::vector<LoggedEntry>> ParseEntries(const redisReply& reply) {
-  if (reply.type != REDIS_REPLY_ARRAY) return Unexpected("entries");
+  if (reply.type != REDIS_REPLY_ARRAY) return UnexpectedReply("entries");
   std::vector<LoggedEntry> entries;
   for (size_t i = 0; i < reply.elements; ++i) {
     ASSIGN_OR_RETURN(auto entry, ParseEntry(*reply.element[i]));
@@ -178,12 +157,12 @@ absl::StatusOr<StoredLog> ReadLog(RedisClient& client) {
   StoredLog stored;
   if (!IsArrayOf(*reply, 6) ||
       !absl::SimpleAtoi(TextOf(*reply->element[1]), &stored.snapshot.number)) {
-    return Unexpected("a log with its snapshot");
+    return UnexpectedReply("a log with its snapshot");
   }
-  stored.snapshot.id = std::string(TextOf(*reply->element[0]));
-  stored.snapshot.digest = std::string(TextOf(*reply->element[2]));
+  stored.snapshot.id = TextAt(*reply, 0);
+  stored.snapshot.digest = TextAt(*reply, 2);
   stored.wants_snapshot = !TextOf(*reply->element[3]).empty();
-  stored.bytes = std::string(TextOf(*reply->element[4]));
+  stored.bytes = TextAt(*reply, 4);
   ASSIGN_OR_RETURN(stored.entries, ParseEntries(*reply->element[5]));
   return stored;
 }
@@ -231,7 +210,7 @@ void RedisHeadLog::SendAppend(RedisClient& client, const HeadPosition& at, const
 
 absl::StatusOr<AppendOutcome> RedisHeadLog::ReadAppend(RedisClient& client) {
   ASSIGN_OR_RETURN(const auto reply, client.Read());
-  if (reply->type != REDIS_REPLY_INTEGER) return Unexpected("the outcome of an entry");
+  if (reply->type != REDIS_REPLY_INTEGER) return UnexpectedReply("the outcome of an entry");
   if (reply->integer < -1) return AppendOutcome::kSettling;
   if (reply->integer < 0) return AppendOutcome::kStale;
   return reply->integer == 0 ? AppendOutcome::kKnown : AppendOutcome::kAppended;

@@ -411,7 +411,7 @@ class RedisBackend final : public JournalBackend {
     *reason = UnexpectedReply("the owner of the session");
     ASSIGN_OR_RETURN(const auto reply, client_->Run({"HMGET", RedisHashKey(id), "epoch", "owner",
                                                      "state", "changes"}));
-    if (!IsArray(*reply, 4)) return UnexpectedReply("four fields");
+    if (!IsArrayOf(*reply, 4)) return UnexpectedReply("four fields");
     const std::string epoch = TextAt(*reply, 0);
     if (epoch.empty()) {
       *reason = absl::NotFoundError("the store does not have the session");

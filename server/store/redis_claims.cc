@@ -32,7 +32,7 @@ struct ClaimState {
 bool TakeFound(const redisReply& reply, absl::BitGen& random, ClaimState* state) {
   const JournalClaim& claim = *state->claim;
   uint64_t epoch = 0;
-  if (!IsArray(reply, 4)) {
+  if (!IsArrayOf(reply, 4)) {
     *state->result = UnexpectedReply("four fields");
     return false;
   }

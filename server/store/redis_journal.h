@@ -1,17 +1,14 @@
-// How the journal of a session lies in Redis, and what replies about it hold.
+// How the journal of a session lies in Redis.
 //
 // Free functions without shared state; safe to call from many threads.
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
 #include <string>
 
 #include "absl/random/random.h"
-#include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
-#include "core/store/redis_client.h"
 #include "core/store/stored_session.h"
 
 namespace spikeserve {
@@ -27,20 +24,6 @@ inline std::string RedisListKey(absl::string_view id, absl::string_view epoch) {
 // in the same way.
 inline uint64_t NextRedisEpoch(uint64_t epoch, absl::BitGen& random) {
   return epoch + absl::Uniform(random, 1U, 1U << 20);
-}
-
-// Returns the text of an element of an array. REQUIRES: the array has it.
-inline std::string TextAt(const redisReply& reply, size_t i) {
-  return std::string(TextOf(*reply.element[i]));
-}
-
-inline bool IsArray(const redisReply& reply, size_t elements) {
-  return reply.type == REDIS_REPLY_ARRAY && reply.elements == elements;
-}
-
-// Returns UNAVAILABLE, for a reply that is none of those that the command can have.
-inline absl::Status UnexpectedReply(absl::string_view expected) {
-  return absl::UnavailableError(absl::StrCat("session store: expected ", expected));
 }
 
 }  // namespace spikeserve

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/base/status_macros.h"
+#include "core/store/kept_members.h"
 #include "core/store/stored_session.h"
 
 namespace spikeserve {
@@ -19,16 +20,9 @@ if tonumber(found) ~= tonumber(ARGV[3]) then return 0 end
 redis.call('HSET', KEYS[1], 'revision', ARGV[1], 'settings', ARGV[2])
 return 1)";
 
-// Returns the members that were alive lately. Where the clock was set back, they were alive at most
-// now. KEYS: sorted set. ARGV: member, milliseconds.
+// Returns the members that were alive lately. KEYS: sorted set. ARGV: member, milliseconds.
 constexpr char kBeat[] = R"(
-local time = redis.call('TIME')
-local now = time[1] * 1000 + math.floor(time[2] / 1000)
-redis.call('ZADD', KEYS[1], now, ARGV[1])
-for _, member in ipairs(redis.call('ZRANGEBYSCORE', KEYS[1], '(' .. now, '+inf')) do
-  redis.call('ZADD', KEYS[1], now, member)
-end
-redis.call('ZREMRANGEBYSCORE', KEYS[1], '-inf', now - ARGV[2])
+keep_members(KEYS[1], ARGV[1], ARGV[2])
 return redis.call('ZRANGE', KEYS[1], 0, -1))";
 
 // Notes the files of a server, and forgets those that it has no more and those of servers that are
@@ -109,59 +103,42 @@ constexpr char kVersions[] = "pf:versions";
 
 std::string FileKey(const std::string& name) { return absl::StrCat("pf:", name); }
 
-absl::Status UnexpectedSettings(absl::string_view expected) {
-  return absl::UnavailableError(absl::StrCat("session store: expected ", expected));
-}
-
 }  // namespace
-
-absl::StatusOr<RedisReply> RedisShared::Run(bool writes,
-                                            std::initializer_list<absl::string_view> arguments) {
-  absl::MutexLock lock(&mutex_);
-  if (client_ == nullptr) {
-    ASSIGN_OR_RETURN(client_, RedisClient::Connect(options_));
-  }
-  auto reply = client_->Run(arguments);
-  if (reply.ok() && writes && options_.replicas > 0) {
-    if (auto status = client_->WaitForReplicas(); !status.ok()) reply = status;
-  }
-  if (!reply.ok()) client_ = nullptr;
-  return reply;
-}
 
 absl::StatusOr<SharedSettings::Document> RedisShared::Read() {
   ASSIGN_OR_RETURN(const auto reply,
-                   Run(/*writes=*/false, {"HMGET", kSettings, "revision", "settings"}));
+                   redis_.Run(/*writes=*/false, {"HMGET", kSettings, "revision", "settings"}));
   Document document;
-  if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 2) {
-    return UnexpectedSettings("a revision and settings");
+  if (!IsArrayOf(*reply, 2)) {
+    return UnexpectedReply("a revision and settings");
   }
   const absl::string_view revision = TextOf(*reply->element[0]);
   if (!revision.empty() && !absl::SimpleAtoi(revision, &document.revision)) {
-    return UnexpectedSettings("a revision");
+    return UnexpectedReply("a revision");
   }
-  document.json = std::string(TextOf(*reply->element[1]));
+  document.json = TextAt(*reply, 1);
   return document;
 }
 
 absl::Status RedisShared::Write(const Document& document, int64_t replaced) {
-  ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/true, {"EVAL", kWrite, "1", kSettings,
-                                                           absl::StrCat(document.revision),
-                                                           document.json, absl::StrCat(replaced)}));
+  ASSIGN_OR_RETURN(
+      const auto reply,
+      redis_.Run(/*writes=*/true, {"EVAL", kWrite, "1", kSettings, absl::StrCat(document.revision),
+                                   document.json, absl::StrCat(replaced)}));
   if (reply->integer == 1) return absl::OkStatus();
   return absl::AbortedError("settings: another server has changed them");
 }
 
 absl::Status RedisShared::PutFile(const std::string& name, const std::string& bytes) {
-  return Run(/*writes=*/true, {"SET", FileKey(name), bytes}).status();
+  return redis_.Run(/*writes=*/true, {"SET", FileKey(name), bytes}).status();
 }
 
 absl::Status RedisShared::RemoveFile(const std::string& name) {
-  return Run(/*writes=*/true, {"DEL", FileKey(name)}).status();
+  return redis_.Run(/*writes=*/true, {"DEL", FileKey(name)}).status();
 }
 
 absl::StatusOr<std::string> RedisShared::GetFile(const std::string& name) {
-  ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/false, {"GET", FileKey(name)}));
+  ASSIGN_OR_RETURN(const auto reply, redis_.Run(/*writes=*/false, {"GET", FileKey(name)}));
   if (reply->type == REDIS_REPLY_STRING) return std::string(TextOf(*reply));
   return absl::NotFoundError(absl::StrCat("the store has no file ", name));
 }
@@ -172,12 +149,11 @@ absl::StatusOr<SharedSettings::ComparedFiles> RedisShared::CompareFiles(
   for (const VersionFile& file : files)
     absl::StrAppend(&lines, file.version, " ", file.sha256, "\n");
   ASSIGN_OR_RETURN(const auto reply,
-                   Run(/*writes=*/true, {"EVAL", kCompare, "1", kVersions, replica_,
-                                         absl::StrJoin(alive, " "), lines}));
+                   redis_.Run(/*writes=*/true, {"EVAL", kCompare, "1", kVersions, replica_,
+                                                absl::StrJoin(alive, " "), lines}));
   ComparedFiles compared;
-  if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 2 ||
-      !absl::SimpleAtoi(TextOf(*reply->element[0]), &compared.revision)) {
-    return UnexpectedSettings("the outcome of a comparison");
+  if (!IsArrayOf(*reply, 2) || !absl::SimpleAtoi(TextOf(*reply->element[0]), &compared.revision)) {
+    return UnexpectedReply("the outcome of a comparison");
   }
   const redisReply& different = *reply->element[1];
   for (size_t i = 0; i < different.elements; ++i) {
@@ -190,27 +166,28 @@ absl::StatusOr<std::vector<std::string>> RedisShared::ServersWithout(
     const VersionFile& file, const std::vector<std::string>& servers) {
   ASSIGN_OR_RETURN(
       const auto reply,
-      Run(/*writes=*/false, {"EVAL", kWithout, "1", kVersions, absl::StrJoin(servers, " "),
-                             absl::StrCat(file.version, " ", file.sha256)}));
-  if (reply->type != REDIS_REPLY_ARRAY) return UnexpectedSettings("names of servers");
+      redis_.Run(/*writes=*/false, {"EVAL", kWithout, "1", kVersions, absl::StrJoin(servers, " "),
+                                    absl::StrCat(file.version, " ", file.sha256)}));
+  if (reply->type != REDIS_REPLY_ARRAY) return UnexpectedReply("names of servers");
   std::vector<std::string> without;
   for (size_t i = 0; i < reply->elements; ++i) without.emplace_back(TextOf(*reply->element[i]));
   return without;
 }
 
 absl::StatusOr<int64_t> RedisShared::FilesRevision() {
-  ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/false, {"HGET", kVersions, "changes"}));
+  ASSIGN_OR_RETURN(const auto reply, redis_.Run(/*writes=*/false, {"HGET", kVersions, "changes"}));
   int64_t revision = 0;
   const absl::string_view text = TextOf(*reply);
   if (!text.empty() && !absl::SimpleAtoi(text, &revision))
-    return UnexpectedSettings("a number of changes");
+    return UnexpectedReply("a number of changes");
   return revision;
 }
 
 absl::StatusOr<std::vector<std::string>> RedisShared::Heartbeat() {
-  ASSIGN_OR_RETURN(const auto reply,
-                   Run(/*writes=*/false, {"EVAL", kBeat, "1", kRedisReplicas, replica_,
-                                          absl::StrCat(kAliveMilliseconds)}));
+  ASSIGN_OR_RETURN(
+      const auto reply,
+      redis_.Run(/*writes=*/false, {"EVAL", absl::StrCat(kKeepMembers, kBeat), "1", kRedisReplicas,
+                                    replica_, absl::StrCat(kAliveMilliseconds)}));
   std::vector<std::string> replicas;
   for (size_t i = 0; i < reply->elements; ++i) {
     replicas.emplace_back(TextOf(*reply->element[i]));
@@ -220,29 +197,30 @@ absl::StatusOr<std::vector<std::string>> RedisShared::Heartbeat() {
 
 absl::StatusOr<std::vector<ReplicaReport>> RedisShared::Report(const std::string& json,
                                                                absl::Duration now) {
-  ASSIGN_OR_RETURN(const auto reply,
-                   Run(/*writes=*/false, {"EVAL", kReport, "1", kServers, replica_, json,
-                                          absl::StrCat(absl::ToInt64Milliseconds(kReportLife))}));
+  ASSIGN_OR_RETURN(
+      const auto reply,
+      redis_.Run(/*writes=*/false, {"EVAL", kReport, "1", kServers, replica_, json,
+                                    absl::StrCat(absl::ToInt64Milliseconds(kReportLife))}));
   if (reply->type != REDIS_REPLY_ARRAY || reply->elements % 3 != 0) {
-    return UnexpectedSettings("the reports of servers");
+    return UnexpectedReply("the reports of servers");
   }
   std::vector<ReplicaReport> reports;
   for (size_t i = 0; i < reply->elements; i += 3) {
     int64_t age = 0;
-    if (!absl::SimpleAtoi(TextOf(*reply->element[i + 1]), &age))
-      return UnexpectedSettings("an age");
-    reports.push_back({.replica = std::string(TextOf(*reply->element[i])),
+    if (!absl::SimpleAtoi(TextOf(*reply->element[i + 1]), &age)) return UnexpectedReply("an age");
+    reports.push_back({.replica = TextAt(*reply, i),
                        .written = now - absl::Milliseconds(age),
-                       .json = std::string(TextOf(*reply->element[i + 2]))});
+                       .json = TextAt(*reply, i + 2)});
   }
   return reports;
 }
 
 absl::Status RedisShared::Leave() {
-  if (auto status = Run(/*writes=*/false, {"HDEL", kServers, replica_}).status(); !status.ok()) {
+  if (auto status = redis_.Run(/*writes=*/false, {"HDEL", kServers, replica_}).status();
+      !status.ok()) {
     return status;
   }
-  return Run(/*writes=*/false, {"ZREM", kRedisReplicas, replica_}).status();
+  return redis_.Run(/*writes=*/false, {"ZREM", kRedisReplicas, replica_}).status();
 }
 
 }  // namespace spikeserve

@@ -13,19 +13,16 @@
 // Thread-safe. All methods block for at most a few RedisOptions::timeout.
 #pragma once
 
-#include <initializer_list>
-#include <memory>
+#include <cstdint>
 #include <string>
+#include <utility>
 #include <vector>
 
-#include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/strings/string_view.h"
-#include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
-#include "core/store/redis_client.h"
 #include "core/store/redis_options.h"
+#include "core/store/shared_redis.h"
 #include "server/base/replica_reports.h"
 #include "server/policies/shared_settings.h"
 
@@ -35,7 +32,7 @@ class RedisShared final : public SharedSettings {
  public:
   // `replica` identifies this server.
   RedisShared(RedisOptions options, std::string replica)
-      : options_(std::move(options)), replica_(std::move(replica)) {}
+      : redis_(std::move(options)), replica_(std::move(replica)) {}
 
   const std::string& replica() const { return replica_; }
 
@@ -59,14 +56,8 @@ class RedisShared final : public SharedSettings {
   absl::Status Leave();
 
  private:
-  // Runs a command, and waits for the replicas of Redis if it `writes`.
-  absl::StatusOr<RedisReply> Run(bool writes, std::initializer_list<absl::string_view> arguments)
-      ABSL_LOCKS_EXCLUDED(mutex_);
-
-  const RedisOptions options_;
+  SharedRedis redis_;
   const std::string replica_;
-  absl::Mutex mutex_;
-  std::unique_ptr<RedisClient> client_ ABSL_GUARDED_BY(mutex_);
 };
 
 }  // namespace spikeserve

@@ -8,17 +8,12 @@
 // - us:{u}:b, a hash: the other parts, packed; `<part>:r` has the revision of a part.
 // - us:{u}:h, a set: the parts that are open.
 #include <algorithm>
-#include <initializer_list>
 #include <utility>
 
-#include "absl/base/thread_annotations.h"
-#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "absl/strings/strip.h"
-#include "absl/synchronization/mutex.h"
 #include "core/base/status_macros.h"
-#include "core/store/redis_client.h"
+#include "core/store/shared_redis.h"
 #include "server/usage/usage_store.h"
 
 namespace spikeserve {
@@ -141,13 +136,9 @@ void AppendSeries(const std::string& series, std::string* out) {
   AppendField(UsageSeries::FromKey(series).tenant, out);
 }
 
-absl::Status UnexpectedUsage(absl::string_view expected) {
-  return absl::UnavailableError(absl::StrCat("ledger: expected ", expected));
-}
-
 class RedisUsageStore final : public UsageStore {
  public:
-  explicit RedisUsageStore(RedisOptions options) : options_(std::move(options)) {}
+  explicit RedisUsageStore(RedisOptions options) : redis_(std::move(options)) {}
 
   absl::Status Book(const UsageBatch& batch) override {
     std::string series;
@@ -164,10 +155,11 @@ class RedisUsageStore final : public UsageStore {
       AppendField(totals, &sessions);
     }
     const std::string part = OpenPart(batch.time);
-    return Run(/*writes=*/true,
-               {"EVAL", kBook, "5", kProcessesKey, kSessionsKey, OpenKey(part),
-                RedisMonthKey(batch.time), kOpenKey, batch.source, absl::StrCat(batch.number), part,
-                absl::StrCat(kMostSeries), series, sessions})
+    return redis_
+        .Run(/*writes=*/true,
+             {"EVAL", kBook, "5", kProcessesKey, kSessionsKey, OpenKey(part),
+              RedisMonthKey(batch.time), kOpenKey, batch.source, absl::StrCat(batch.number), part,
+              absl::StrCat(kMostSeries), series, sessions})
         .status();
   }
 
@@ -180,8 +172,8 @@ class RedisUsageStore final : public UsageStore {
 
   absl::StatusOr<std::vector<std::string>> Parts() override {
     std::vector<std::string> names;
-    ASSIGN_OR_RETURN(const auto open, Run(/*writes=*/false, {"SMEMBERS", kOpenKey}));
-    ASSIGN_OR_RETURN(const auto packed, Run(/*writes=*/false, {"HKEYS", kPackedKey}));
+    ASSIGN_OR_RETURN(const auto open, redis_.Run(/*writes=*/false, {"SMEMBERS", kOpenKey}));
+    ASSIGN_OR_RETURN(const auto packed, redis_.Run(/*writes=*/false, {"HKEYS", kPackedKey}));
     for (const auto* reply : {open.get(), packed.get()}) {
       for (size_t i = 0; i < reply->elements; ++i) {
         std::string name(TextOf(*reply->element[i]));
@@ -195,7 +187,7 @@ class RedisUsageStore final : public UsageStore {
   absl::StatusOr<UsagePart> Read(const std::string& part) override {
     UsagePart read = {.name = part};
     const auto span = SpanOf(part);
-    if (!span.has_value()) return UnexpectedUsage("the name of a part");
+    if (!span.has_value()) return UnexpectedReply("the name of a part");
     if (part[0] == 'o') {
       const int64_t hour = absl::ToInt64Hours(span->first - absl::UnixEpoch());
       ASSIGN_OR_RETURN(const auto fields, ReadHash(OpenKey(part)));
@@ -208,11 +200,10 @@ class RedisUsageStore final : public UsageStore {
       }
       return read;
     }
-    ASSIGN_OR_RETURN(const auto reply,
-                     Run(/*writes=*/false, {"HMGET", kPackedKey, part, absl::StrCat(part, ":r")}));
-    if (reply->type != REDIS_REPLY_ARRAY || reply->elements != 2)
-      return UnexpectedUsage("two fields");
-    read.revision = std::string(TextOf(*reply->element[1]));
+    ASSIGN_OR_RETURN(const auto reply, redis_.Run(/*writes=*/false, {"HMGET", kPackedKey, part,
+                                                                     absl::StrCat(part, ":r")}));
+    if (!IsArrayOf(*reply, 2)) return UnexpectedReply("two fields");
+    read.revision = TextAt(*reply, 1);
     if (reply->element[0]->type == REDIS_REPLY_NIL) return read;
     ASSIGN_OR_RETURN(read.rows, UnpackRows(TextOf(*reply->element[0])));
     return read;
@@ -220,9 +211,10 @@ class RedisUsageStore final : public UsageStore {
 
   absl::Status Replace(const UsagePart& source, const UsagePart& target,
                        const std::string& packed) override {
-    return Run(/*writes=*/true,
-               {"EVAL", kReplacePacked, "3", kPackedKey, OpenKey(source.name), kOpenKey,
-                source.name, source.revision, target.name, target.revision, packed})
+    return redis_
+        .Run(/*writes=*/true,
+             {"EVAL", kReplacePacked, "3", kPackedKey, OpenKey(source.name), kOpenKey, source.name,
+              source.revision, target.name, target.revision, packed})
         .status();
   }
 
@@ -232,8 +224,9 @@ class RedisUsageStore final : public UsageStore {
          {std::pair(kProcessesKey, "2"), std::pair(kSessionsKey, "1")}) {
       std::string cursor = "0";
       do {
-        ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/true, {"EVAL", kForget, "1", key, cursor,
-                                                                 seconds, position}));
+        ASSIGN_OR_RETURN(
+            const auto reply,
+            redis_.Run(/*writes=*/true, {"EVAL", kForget, "1", key, cursor, seconds, position}));
         cursor = std::string(TextOf(*reply));
       } while (cursor != "0" && !cursor.empty());
     }
@@ -241,25 +234,11 @@ class RedisUsageStore final : public UsageStore {
   }
 
  private:
-  absl::StatusOr<RedisReply> Run(bool writes, std::initializer_list<absl::string_view> arguments)
-      ABSL_LOCKS_EXCLUDED(mutex_) {
-    absl::MutexLock lock(&mutex_);
-    if (client_ == nullptr || !client_->is_usable()) {
-      ASSIGN_OR_RETURN(client_, RedisClient::Connect(options_));
-    }
-    auto reply = client_->Run(arguments);
-    if (reply.ok() && writes && options_.replicas > 0) {
-      RETURN_IF_ERROR(client_->WaitForReplicas());
-    }
-    if (!client_->is_usable()) client_ = nullptr;
-    return reply;
-  }
-
   absl::StatusOr<std::vector<std::pair<std::string, std::string>>> ReadHash(
       const std::string& key) {
-    ASSIGN_OR_RETURN(const auto reply, Run(/*writes=*/false, {"HGETALL", key}));
+    ASSIGN_OR_RETURN(const auto reply, redis_.Run(/*writes=*/false, {"HGETALL", key}));
     if (reply->type != REDIS_REPLY_ARRAY || reply->elements % 2 != 0)
-      return UnexpectedUsage("a hash");
+      return UnexpectedReply("a hash");
     std::vector<std::pair<std::string, std::string>> fields;
     for (size_t i = 0; i < reply->elements; i += 2) {
       fields.emplace_back(TextOf(*reply->element[i]), TextOf(*reply->element[i + 1]));
@@ -267,9 +246,7 @@ class RedisUsageStore final : public UsageStore {
     return fields;
   }
 
-  const RedisOptions options_;
-  absl::Mutex mutex_;
-  std::unique_ptr<RedisClient> client_ ABSL_GUARDED_BY(mutex_);
+  SharedRedis redis_;
 };
 
 }  // namespace

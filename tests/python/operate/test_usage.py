@@ -1,5 +1,6 @@
 """The ledger counts what was used, once, and budgets end where it says so."""
 
+import contextlib
 import csv
 import io
 import itertools
@@ -87,6 +88,29 @@ def test_answers_count_that_a_take_over_overtakes():
         first.Act(session_id=session, decision=2, history=beats, **steps[2])
         second.CloseSession(session_id=session)
         until(lambda: total(second.admin) is not None and total(second.admin).decisions == 3)
+
+
+@WITHOUT_REDIS
+def test_the_ledger_leaves_a_primary_that_became_a_replica():
+    """It keeps its connections, and refuses writes."""
+    with stopping([Redis(password="")]) as servers:
+        old = servers[0]
+        new = Redis("--replicaof", "127.0.0.1", str(old.port), password="")
+        servers.append(new)
+        store = f"--session_store=redis://127.0.0.1:{old.port},127.0.0.1:{new.port}"
+        with running_server(flags=[store, OFTEN]) as server:
+
+            def booked():
+                with contextlib.suppress(grpc.RpcError):
+                    return usage.decisions if (usage := total(server.admin)) else 0
+
+            play(server.agent, 3, durability="NONE")
+            until(lambda: booked() == 3)
+            until(lambda: new.command("HGETALL us:{u}:p") == old.command("HGETALL us:{u}:p"))
+            assert new.command("REPLICAOF NO ONE") == b"OK"
+            assert old.command(f"REPLICAOF 127.0.0.1 {new.port}") == b"OK"
+            play(server.agent, 4, durability="NONE")
+            until(lambda: booked() == 7)
 
 
 @pytest.mark.parametrize("folder", [True, False])
