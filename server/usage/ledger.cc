@@ -168,10 +168,20 @@ bool Ledger::Book(Pending pending) {
   absl::MutexLock lock(&book_mutex_);
   // Within the lock, so that a call that finds nothing here returns when it is booked.
   pending.Add(TakeClosed());
+  const absl::Time now = options_.now();
+  // While the store is away, an hour has one batch of what changes all the time. The first batch
+  // may have arrived there.
+  if (pending.totals.empty() && unbooked_.size() > 1 &&
+      OpenPart(unbooked_.back().time) == OpenPart(now)) {
+    UsageBatch& last = unbooked_.back();
+    for (const auto& [series, counts] : std::exchange(pending.added, {})) {
+      last.added[series] += counts;
+    }
+  }
   size_t first = 0;
   while (!pending.added.empty() || first < pending.totals.size()) {
     const size_t end = std::min(first + kBatchSessions, pending.totals.size());
-    UsageBatch batch = {.source = options_.process, .number = ++batches_, .time = options_.now()};
+    UsageBatch batch = {.source = options_.process, .number = ++batches_, .time = now};
     std::swap(batch.added, pending.added);
     for (; first < end; ++first) batch.totals.push_back(std::move(pending.totals[first]));
     unbooked_.push_back(std::move(batch));
