@@ -98,6 +98,7 @@ void RolloutManager::TakeOver(const std::string& policy, const CatalogPolicy& se
   const absl::Duration now = clock_->Now();
   running_[policy] = {.ticked = now,
                       .saved = now,
+                      .step = rollout.step,
                       .held_seconds = rollout.held_seconds,
                       .disputed = rollout.disputed};
 }
@@ -217,6 +218,7 @@ void RolloutManager::TickOne(const std::string& policy, const CatalogPolicy& cat
   Running& running = running_[policy];
   const absl::Duration now = clock_->Now();
   running.held_seconds += absl::ToDoubleSeconds(now - std::exchange(running.ticked, now));
+  HoldStep(policy, progress.rollout.version, progress.rollout.step);
   const std::string worse = FindAbort(policy, catalog_policy, progress);
   if (!worse.empty()) {
     SaveAndReport("AbortRollout", policy, worse, [&] {
@@ -300,9 +302,15 @@ absl::Status RolloutManager::EnterStep(const std::string& policy, const Progress
     changed->episodes_at_step = CappedEpisodes(progress.new_version);
     settings->shares = SharesOf(*changed);
   }));
-  running_[policy].held_seconds = 0.0;
-  metrics_->EvidenceOf(policy, progress.rollout.version)->NextStep();
+  HoldStep(policy, progress.rollout.version, step);
   return absl::OkStatus();
+}
+
+void RolloutManager::HoldStep(const std::string& policy, int64_t version, int64_t step) {
+  Running& running = running_[policy];
+  if (std::exchange(running.step, step) == step) return;
+  running.held_seconds = 0.0;
+  metrics_->EvidenceOf(policy, version)->NextStep();
 }
 
 void RolloutManager::Advance(const std::string& policy, const Progress& progress) {

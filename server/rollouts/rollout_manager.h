@@ -9,6 +9,7 @@
 // Time counts towards a step only while a server is running. Thread-safe.
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <map>
 #include <memory>
@@ -77,6 +78,7 @@ class RolloutManager {
   struct Running {
     absl::Duration ticked;  // time of the clock
     absl::Duration saved;
+    int64_t step = 0;  // that is held
     double held_seconds = 0.0;
     std::string disputed = "";  // as Rollout::disputed
     // When it was disputed without a contradiction; time of the clock.
@@ -108,6 +110,10 @@ class RolloutManager {
   void GoBack(const std::string& policy, const Progress& progress)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   absl::Status EnterStep(const std::string& policy, const Progress& progress, int64_t step)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Begins to hold the step of the settings, unless it is held: also one that a store has taken
+  // without an answer.
+  void HoldStep(const std::string& policy, int64_t version, int64_t step)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Ends a running roll-out and gives all sessions to the default version.
   absl::Status End(const std::string& policy, RolloutState state, const std::string& reason)

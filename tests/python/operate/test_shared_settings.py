@@ -304,6 +304,25 @@ def test_a_rollout_is_refused_while_a_live_replica_lacks_the_version(start):
     assert spikectl(replicas[:2], "rollout", "--policy=cartpole", "--version=4")[0] == 0
 
 
+def test_a_step_that_redis_has_taken_without_an_answer_is_held(redis, start):
+    server = start("a")
+    server.admin.StartRollout(policy="cartpole", version=1, steps=[10, 50], hold_seconds=600)
+
+    def seconds_left():
+        [rollout] = server.admin.ListRollouts().rollouts
+        minutes, seconds = re.match(r"waits for (?:(\d+)m)?(?:(\d+)s)?", rollout.reason).groups(default="0")
+        return rollout.step, 60 * int(minutes) + int(seconds)
+
+    until(lambda: seconds_left() < (0, 597))
+    script = (
+        "local found = redis.call('HGET', 'cfg', 'settings') "
+        r"local changed = string.gsub(found, '\"step\": 0', '\"step\": 1') "
+        "redis.call('HSET', 'cfg', 'settings', changed) return redis.call('HINCRBY', 'cfg', 'revision', 1)"
+    )
+    assert isinstance(redis.command(f'EVAL "{script}" 0'), int)
+    until(lambda: seconds_left() > (1, 597))
+
+
 def test_a_server_that_died_before_the_clock_of_redis_was_set_back(redis, start):
     start("a")
     later = int(redis.command("TIME")[0]) * 1000 + 3_600_000
