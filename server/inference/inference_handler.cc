@@ -89,7 +89,8 @@ absl::Status InferenceHandler::ServerLive(CallContext& /*context*/,
 absl::Status InferenceHandler::ServerReady(CallContext& /*context*/,
                                            const inference::ServerReadyRequest& /*request*/,
                                            inference::ServerReadyResponse* response) const {
-  response->set_ready(true);
+  // As the health of the services says.
+  response->set_ready(!gate_->store().draining() && registry_->settings().has_joined());
   return absl::OkStatus();
 }
 

@@ -336,6 +336,14 @@ def test_tokens_tenants_and_rates_are_those_of_grpc(tokens):
         assert code == 429 and "200" in answer["error"], "max_message_bytes of the tenant"
 
 
+def test_a_server_that_drains_is_not_ready():
+    with running_server() as server:
+        for cancel, code in ((False, 503), (True, 200)):
+            server.admin.Drain(cancel=cancel)
+            assert call(server, "GET", "/v2/health/ready")[::2] == (code, {"ready": code == 200})
+            assert call(server, "GET", "/v2/health/live")[0] == 200
+
+
 def test_a_server_that_stops_is_not_ready():
     with running_server() as server:
         assert call(server, "GET", "/v2/health/ready")[0] == 200
