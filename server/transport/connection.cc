@@ -2,7 +2,6 @@
 
 #include <sys/epoll.h>
 
-#include <algorithm>
 #include <array>
 #include <utility>
 
@@ -282,15 +281,14 @@ bool Connection::KeepAlive() {
   // Checks are counted and not the time, because a process that was stopped has not listened.
   ++silent_checks_;
   if (streams_.empty()) return true;
-  const auto checks = [](absl::Duration time) {  // of a year, if that is infinite
-    return absl::Ceil(std::min(time, absl::Hours(24 * 365)), kCheckInterval) / kCheckInterval;
-  };
-  const int64_t allowed = checks(shared_->limits->keepalive_interval);
-  if (silent_checks_ == allowed) {
+  const TransportLimits& limits = *shared_->limits;
+  const absl::Duration silent = silent_checks_ * kCheckInterval;
+  const absl::Duration allowed = absl::Ceil(limits.keepalive_interval, kCheckInterval);
+  if (silent == allowed) {
     nghttp2_submit_ping(session_.get(), NGHTTP2_FLAG_NONE, nullptr);
     WantFlush();
   }
-  return silent_checks_ <= allowed + checks(shared_->limits->keepalive_timeout);
+  return silent <= allowed + absl::Ceil(limits.keepalive_timeout, kCheckInterval);
 }
 
 void Connection::ReleaseBuffers() {
