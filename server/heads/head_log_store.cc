@@ -144,6 +144,8 @@ HeadLogStore::Logs HeadLogStore::OpenLogs() {
 
 void HeadLogStore::Run() {
   while (Wait()) {
+    // A server that follows the settings has loaded all of its versions, even if these are none.
+    const bool are_loaded = follows_.load(std::memory_order_acquire);
     const Logs logs = OpenLogs();
     const auto unused =
         std::count_if(logs.begin(), logs.end(), [](const auto& log) { return !log->is_used(); });
@@ -160,7 +162,7 @@ void HeadLogStore::Run() {
     }
     const bool joined =
         std::all_of(logs.begin(), logs.end(), [](const auto& log) { return log->has_joined(); });
-    if (joined && !has_joined() && !logs.empty()) {
+    if (joined && are_loaded && !has_joined()) {
       absl::MutexLock lock(&mutex_);
       joined_.store(true, std::memory_order_release);
       changed_.NotifyAll();  // wakes WaitToJoin()

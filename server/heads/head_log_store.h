@@ -42,9 +42,12 @@ class HeadLogStore {
   // Waits until has_joined(), for at most `timeout`.
   void WaitToJoin(absl::Duration timeout);
 
-  // Tells whether this server follows the settings of operators at present. While it does, it
-  // corrects a log that has missed a pause or its end.
-  void SetFollowing(bool follows) { follows_.store(follows, std::memory_order_relaxed); }
+  // Tells whether this server follows the settings of operators at present: not before it has
+  // loaded all of its versions. While it does, it corrects a log that has missed a pause or its
+  // end.
+  void SetFollowing(bool follows) {
+    if (!follows_.exchange(follows, std::memory_order_acq_rel) && follows) Wake();
+  }
 
   // Appends what waits, for at most `timeout`, and ends the thread. What comes later is dropped:
   // the server that claims the session appends it.

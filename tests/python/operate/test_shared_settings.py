@@ -109,6 +109,13 @@ def test_a_replica_without_settings_does_not_serve(redis, start):
     until(lambda: health_of(replica) == SERVING)
 
 
+def test_a_replica_without_policies_serves(redis, tmp_path):
+    (tmp_path / "none").mkdir()
+    store = f"redis://127.0.0.1:{redis.port}"
+    with Restartable(store, ["--allow_no_policies"], tmp_path / "none") as replica:
+        until(lambda: health_of(replica) == SERVING)
+
+
 def test_redis_loses_the_settings(redis, start):
     """The replicas write what they have."""
     first, second = start("a"), start("b")
