@@ -9,6 +9,13 @@
 #include "server/base/log.h"
 
 namespace spikeserve {
+namespace {
+
+// How often files of versions that could not be taken over are tried again. A file of other bytes
+// is read and hashed each time.
+constexpr absl::Duration kFetchInterval = absl::Seconds(2);
+
+}  // namespace
 
 absl::StatusOr<std::unique_ptr<PolicyRegistry>> PolicyRegistry::Load(RegistryOptions options,
                                                                      ReloadReport* report) {
@@ -61,8 +68,9 @@ absl::Status PolicyRegistry::Refresh(const Span* call) {
   // A file may be in the store by now, or have room here.
   const auto is_fetched = [&] {
     settings_.mutex.AssertHeld();
-    return !missing_.empty() &&
-           shared_.Fetch(settings_.get(), settings_.get(), *catalog()) != missing_;
+    if (missing_.empty() || clock_.Now() - fetched_ < kFetchInterval) return false;
+    fetched_ = clock_.Now();
+    return shared_.Fetch(settings_.get(), settings_.get(), *catalog()) != missing_;
   };
   if (!before.has_value() && is_fetched()) before = settings_.get();
   if (before.has_value()) RETURN_IF_ERROR(Enact(*before, call));

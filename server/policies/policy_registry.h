@@ -19,6 +19,8 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/synchronization/mutex.h"
+#include "absl/time/time.h"
+#include "core/base/clock.h"
 #include "server/policies/operator_settings.h"
 #include "server/policies/policy_catalog.h"
 #include "server/policies/policy_folder.h"
@@ -158,6 +160,8 @@ class PolicyRegistry {
   // when they were last logged.
   std::vector<std::string> waiting_ ABSL_GUARDED_BY(settings_.mutex);
   std::vector<std::string> missing_ ABSL_GUARDED_BY(settings_.mutex);
+  const SteadyClock clock_;
+  absl::Duration fetched_ ABSL_GUARDED_BY(settings_.mutex);  // when `missing_` was tried again
   // The settings that were in force before those that Enact() has not put into force yet.
   std::optional<Settings> former_ ABSL_GUARDED_BY(settings_.mutex);
 
