@@ -149,6 +149,16 @@ std::vector<MetricFamily> CollectHeads(const PolicyCatalog& catalog) {
   return {std::move(held_out), std::move(trimmed)};
 }
 
+std::vector<MetricFamily> CollectHeadLogs(HeadLogStore& logs) {
+  MetricFamily positions = GaugeFamily(
+      "spikeserve_head_log_position",
+      "Number of the last entry of the log of a shared head that this server has taken.");
+  for (const auto& [version, position] : logs.Positions()) {
+    AddGauge(positions, Named(version.first, version.second), static_cast<double>(position));
+  }
+  return {std::move(positions)};
+}
+
 std::vector<MetricFamily> CollectTraffic(const PolicyCatalog& catalog) {
   MetricFamily traffic =
       GaugeFamily("spikeserve_policy_traffic_ratio",

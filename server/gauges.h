@@ -9,6 +9,7 @@
 #include "prometheus/metric_family.h"
 #include "server/access/certificate_watch.h"
 #include "server/agent/datagram_channels.h"
+#include "server/heads/head_log_store.h"
 #include "server/policies/policy_catalog.h"
 #include "server/transport/transport.h"
 
@@ -31,6 +32,9 @@ std::vector<prometheus::MetricFamily> CollectCertificates(const CertificateWatch
 //     their shared head, because they judge it
 //   spikeserve_head_trimmed_contributions: contributions that the shared heads have shortened
 std::vector<prometheus::MetricFamily> CollectHeads(const PolicyCatalog& catalog);
+
+// Returns spikeserve_head_log_position{policy,version}, read from `logs`.
+std::vector<prometheus::MetricFamily> CollectHeadLogs(HeadLogStore& logs);
 
 // Returns these gauges, read from `catalog`, so that they never name a version that is not served:
 //   spikeserve_policy_traffic_ratio{policy,version}: share of the new sessions that name neither a

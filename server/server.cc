@@ -172,6 +172,9 @@ absl::Status RunningServer::StartTransport() {
   }
   metrics.AddSource([&registry] { return CollectTraffic(*registry.catalog()); });
   metrics.AddSource([&registry] { return CollectHeads(*registry.catalog()); });
+  if (base_.store.heads != nullptr) {
+    metrics.AddSource([heads = base_.store.heads.get()] { return CollectHeadLogs(*heads); });
+  }
   metrics.AddSource([this] { return CollectConnections(*grpc_.transport); });
   sessions_.datagrams.SetEndpoint(options_.datagram_advertise.empty()
                                       ? grpc_.transport->datagram_address().ToString()

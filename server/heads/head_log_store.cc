@@ -7,7 +7,6 @@
 #include "core/agent/served_policy.h"
 #include "core/base/status_macros.h"
 #include "prometheus/counter.h"
-#include "prometheus/gauge.h"
 #include "server/heads/redis_head_log.h"
 
 namespace spikeserve {
@@ -49,12 +48,7 @@ HeadLogSettings NewSettings(absl::Duration retention, int64_t replicas, const Cl
           .folded = entries.Add({{"outcome", "folded"}}),
           .reloaded = reloads.Add({{"outcome", "reloaded"}}),
           .rewritten = reloads.Add({{"outcome", "rewritten"}}),
-          .cut = reloads.Add({{"outcome", "cut"}}),
-          .positions = prometheus::BuildGauge()
-                           .Name("spikeserve_head_log_position")
-                           .Help("Number of the last entry of the log of a shared head that this "
-                                 "server has taken.")
-                           .Register(*registry)};
+          .cut = reloads.Add({{"outcome", "cut"}})};
 }
 
 }  // namespace
@@ -140,6 +134,15 @@ HeadLogStore::Logs HeadLogStore::OpenLogs() {
     }
   }
   return logs;
+}
+
+std::map<std::pair<std::string, int64_t>, int64_t> HeadLogStore::Positions() {
+  std::map<std::pair<std::string, int64_t>, int64_t> positions;
+  for (const auto& log : OpenLogs()) {
+    int64_t& position = positions[{log->policy(), log->version()}];
+    position = std::max(position, log->position());
+  }
+  return positions;
 }
 
 void HeadLogStore::Run() {

@@ -5,10 +5,12 @@
 #pragma once
 
 #include <atomic>
+#include <cstdint>
 #include <map>
 #include <memory>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "absl/base/thread_annotations.h"
@@ -48,6 +50,10 @@ class HeadLogStore {
   void SetFollowing(bool follows) {
     if (!follows_.exchange(follows, std::memory_order_acq_rel) && follows) Wake();
   }
+
+  // Returns the number of the last entry that was taken, by policy and version: of the versions
+  // that are served or have sessions.
+  std::map<std::pair<std::string, int64_t>, int64_t> Positions() ABSL_LOCKS_EXCLUDED(mutex_);
 
   // Appends what waits, for at most `timeout`, and ends the thread. What comes later is dropped:
   // the server that claims the session appends it.

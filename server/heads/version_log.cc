@@ -43,12 +43,12 @@ HeadEntry::Kind PauseKind(bool paused) {
 VersionLog::VersionLog(const HeadLogSettings* settings, const ServedPolicy& served,
                        std::function<void()> wake)
     : settings_(*settings),
+      policy_(served.name),
+      version_(served.version),
       name_(absl::StrCat(served.name, "/", served.version)),
       learning_(served.learning),
       wake_(std::move(wake)),
       redis_(served.name, served.version, served.sha256, settings->retention),
-      shown_position_(settings->positions.Add(
-          {{"policy", served.name}, {"version", absl::StrCat(served.version)}})),
       fold_(std::make_shared<TenantHeads>(
           std::shared_ptr<const Policy>(served.engine, &served.policy()))),
       retry_delay_(kFirstRetry) {}

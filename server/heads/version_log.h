@@ -8,6 +8,7 @@
 // again.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <deque>
 #include <functional>
@@ -29,8 +30,6 @@
 #include "core/fleet/head_fold.h"
 #include "core/store/redis_client.h"
 #include "prometheus/counter.h"
-#include "prometheus/family.h"
-#include "prometheus/gauge.h"
 #include "server/heads/redis_head_log.h"
 
 namespace spikeserve {
@@ -49,7 +48,6 @@ struct HeadLogSettings {
   prometheus::Counter& reloaded;
   prometheus::Counter& rewritten;
   prometheus::Counter& cut;
-  prometheus::Family<prometheus::Gauge>& positions;  // by policy and version
 };
 
 // The methods of HeadLog are thread-safe: they queue a request, and wait for it if they have an
@@ -70,6 +68,10 @@ class VersionLog final : public HeadLog {
 
   // Thread-safe, too.
   bool has_requests() const ABSL_LOCKS_EXCLUDED(mutex_);
+  const std::string& policy() const { return policy_; }
+  int64_t version() const { return version_; }
+  // Returns the number of the last entry that was taken.
+  int64_t position() const { return position_.load(std::memory_order_relaxed); }
 
   // Returns true once the heads were taken from the log.
   bool has_joined() const { return has_joined_; }
@@ -138,11 +140,13 @@ class VersionLog final : public HeadLog {
   absl::Status KeepMembers(RedisClient& client);
 
   const HeadLogSettings& settings_;
-  const std::string name_;  // of the version, for people
+  const std::string policy_;
+  const int64_t version_;
+  const std::string name_;  // of both, for people
   const std::shared_ptr<LearningSwitch> learning_;
   const std::function<void()> wake_;
   const RedisHeadLog redis_;
-  prometheus::Gauge& shown_position_;
+  std::atomic<int64_t> position_ = 0;
 
   mutable absl::Mutex mutex_;
   Requests requests_ ABSL_GUARDED_BY(mutex_);

@@ -81,7 +81,7 @@ absl::StatusOr<bool> VersionLog::AppendAndRead(RedisClient& client) {
   }
   if (absl::IsDataLoss(status)) status = Reload(client, status.message());
   if (!status.ok()) return status;
-  shown_position_.Set(static_cast<double>(fold_.position().number));
+  position_.store(fold_.position().number, std::memory_order_relaxed);
   return !is_stale;
 }
 

@@ -11,7 +11,7 @@ import grpc
 import pytest
 from redis_servers import WITHOUT_REDIS, Redis, stopping
 from security import HEALTH, SERVING, code_of, entry, fails_with, service_with, until
-from serving import SHIPPED_POLICIES, Service, run, status_of
+from serving import SHIPPED_POLICIES, Service, run, series, status_of
 from stored_sessions import Restartable, comparable, learn
 
 pytestmark = WITHOUT_REDIS
@@ -61,6 +61,9 @@ def test_a_change_on_one_replica_reaches_all(start):
     second.admin.UnloadPolicy(policy="pendulum", version=1)
     missing = grpc.StatusCode.NOT_FOUND
     until(lambda: code_of(first.OpenSession, policy="pendulum", version=1) == missing)
+    # The series of its log of heads is gone, too.
+    until(lambda: series(second, "spikeserve_head_log_position", policy="pendulum") == [])
+    assert len(series(second, "spikeserve_head_log_position")) == 2
     first.admin.LoadPolicy(policy="pendulum", version=1)
     until(lambda: code_of(second.OpenSession, policy="pendulum", version=1) == grpc.StatusCode.OK)
 
