@@ -39,7 +39,7 @@ std::span<const float> ViewOf(const Numbers& numbers) { return {numbers.data(), 
 ActionView ViewOf(const GivenAction& action) {
   const int64_t* const index = std::get_if<int64_t>(&action);
   if (index != nullptr) return {.discrete = *index};
-  return {.continuous = ViewOf(std::get<Numbers>(action))};
+  return {.discrete = -1, .continuous = ViewOf(std::get<Numbers>(action))};  // no index
 }
 
 // An action of the caller that may be absent.

@@ -24,14 +24,23 @@ absl::StatusOr<robot::ActionValue> NeutralOf(const PilotOptions& options,
                    neutral.ShortDebugString(), "}"));
 }
 
+// Returns an action of the robot as one of the policy. Numbers are no index of a Discrete space,
+// unless there is one beside an equal index: a language that does not know the space says both.
+ActionView ToPolicy(const ActionView& action, FeatureOrder* order) {
+  const absl::Span<const float> numbers = action.continuous;
+  const bool is_index =
+      numbers.empty() || (numbers.size() == 1 &&
+                          static_cast<double>(numbers[0]) == static_cast<double>(action.discrete));
+  return {is_index ? order->Action(action.discrete) : -1, order->Action(numbers), action.by};
+}
+
 // Returns a robot's function of observations as one of the policy's.
 std::function<ActionView(absl::Span<const float>)> Ordered(
     std::function<ActionView(absl::Span<const float>)> fallback, const FeatureOrder& order) {
   if (fallback == nullptr) return nullptr;
   return
       [fallback = std::move(fallback), own = order](absl::Span<const float> observation) mutable {
-        const ActionView action = fallback(own.RobotObservation(observation));
-        return ActionView{own.Action(action.discrete), own.Action(action.continuous), action.by};
+        return ToPolicy(fallback(own.RobotObservation(observation)), &own);
       };
 }
 
@@ -80,10 +89,7 @@ Pilot::~Pilot() { Close(); }
 PilotAction Pilot::Beat(absl::Span<const float> observation, double reward,
                         const std::optional<ActionView>& executed) noexcept {
   std::optional<ActionView> ordered;
-  if (executed.has_value()) {
-    ordered.emplace(ActionView{order_.Action(executed->discrete),
-                               order_.Action(executed->continuous), executed->by});
-  }
+  if (executed.has_value()) ordered = ToPolicy(*executed, &order_);
   PilotAction action = controller_->Beat(order_.Observation(observation), reward, ordered);
   action.value = {order_.RobotAction(action.value.discrete),
                   order_.RobotAction(action.value.continuous), action.value.by};

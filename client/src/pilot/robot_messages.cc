@@ -60,7 +60,8 @@ absl::Status LostEpisode(absl::string_view reason) {
 
 robot::ActionView ViewOf(const v1::Action& action) {
   const auto& values = action.continuous().values();
-  return {action.discrete(), {values.data(), static_cast<size_t>(values.size())}};
+  const int64_t index = action.has_continuous() ? -1 : action.discrete();  // -1 is no index
+  return {index, {values.data(), static_cast<size_t>(values.size())}};
 }
 
 robot::ChooserView ViewOf(const v1::ActionSource& source) {

@@ -67,6 +67,17 @@ def test_the_engine_on_the_robot_and_the_robots_own_function(client, link, fly):
             assert flight.pilot.stats().failures == 0
 
 
+@pytest.mark.parametrize("action", ["nan", "-0.7"])
+def test_numbers_are_no_index_of_a_discrete_space(client, link, fly, action):
+    with fly(client, "cartpole", local=False, action=action) as flight:
+        flight.until("fresh")
+        link.cut()
+        until(lambda: flight.beat() and flight.pilot.stats().failures > 0)
+        assert flight.pilot.stats().invalid == 0
+        flight.pilot.beat([0.0] * 4, executed_action=[1.0])
+        assert flight.pilot.stats().invalid == 1
+
+
 def test_steps_go_as_datagrams(fly):
     with running_server(flags=["--datagram_listen=127.0.0.1:0"]) as server, spikeserve.Client(server.grpc) as client:
         for transport in (AUTO, STREAM, DATAGRAM):

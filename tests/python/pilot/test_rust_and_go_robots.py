@@ -5,7 +5,6 @@ import shutil
 
 import pytest
 from robot_programs import ROOT, SOURCES, installed
-from security import until
 from serving import run
 from test_c_robot import (  # noqa: F401
     client,
@@ -14,6 +13,7 @@ from test_c_robot import (  # noqa: F401
     test_a_robot_that_is_held_can_say_so,
     test_each_beat_says_who_chose_its_action,
     test_errors_name_the_field_and_have_a_code,
+    test_numbers_are_no_index_of_a_discrete_space,
     test_steps_go_as_datagrams,
     test_the_engine_on_the_robot_and_the_robots_own_function,
     test_times_without_an_end_have_none,
@@ -60,12 +60,3 @@ def program(request, tmp_path_factory):
         assert not os.environ.get("CI"), f"{compiler}: expected what `deploy/setup.sh` installs, found none"
         pytest.skip(f"{compiler} is not installed")
     return build(with_sources(tmp_path_factory.mktemp("program")))
-
-
-@pytest.mark.parametrize("program", [("cargo", build_rust)], indirect=True, ids=["rust"], scope="module")
-@pytest.mark.parametrize("action", ["nan", "-0.7"])
-def test_a_number_that_is_no_index_is_no_action(client, link, fly, action):
-    with fly(client, "cartpole", local=False, action=action) as flight:
-        flight.until("fresh")
-        link.cut()
-        until(lambda: flight.beat() and flight.pilot.stats().failures > 0)
