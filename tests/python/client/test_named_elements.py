@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 import spikeserve
 from serving import RELEASED_POLICIES, method_of, running_server
+from spikeserve.feature_order import FeatureOrder
+from spikeserve.piloting.robot_messages import to_robot
+from spikeserve.values import action_to_wire
 
 NAMES = ("cart_position", "cart_velocity", "pole_angle", "pole_angular_velocity")
 ORDER = (2, 0, 3, 1)  # of the robot's elements
@@ -78,6 +81,15 @@ def test_probabilities_and_executed_actions_are_in_the_order_of_the_robot(client
             second = named.act(observation * (step + 1), **rewards, **reversed_one)
             assert second.action == 1 - first.action
             np.testing.assert_array_equal(second.action_probabilities, first.action_probabilities[::-1])
+
+
+def test_names_let_no_action_pass_that_is_none():
+    order, space = FeatureOrder(taken_actions=np.array([1, 0])), spikeserve.Discrete(2)
+    for action, index in [(1, 0), (1.0, 0), (1.7, -1), (-1, -1), ([1], -1), ("1", -1), (np.ma.masked, -1)]:
+        assert to_robot(action, space, order) == index
+    for action in (1.0, 1.7, np.ma.masked, np.ma.masked_array([0.0, 0.5], [True, False])):
+        with pytest.raises(ValueError, match="executed_action: expected "):
+            action_to_wire(order.executed(action))
 
 
 def test_a_dict_goes_by_its_names(client):

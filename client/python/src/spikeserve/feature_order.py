@@ -59,12 +59,11 @@ class FeatureOrder:
         taken = self.taken_actions
         if action is None or taken is None:
             return action
-        if np.ndim(action) == 0:
-            index = int(np.asarray(action).item())
-            found = np.flatnonzero(taken == index)
-            return int(found[0]) if found.size else index
-        is_whole = np.shape(action) == taken.shape
-        return np.asarray(action, np.float32)[taken] if is_whole else action
+        given = np.asarray(unmasked(action, "executed_action"))
+        if given.ndim == 0:
+            found = np.flatnonzero(taken == given)
+            return found[0].astype(given.dtype) if found.size else action  # others check the type
+        return given.astype(np.float32)[taken] if given.shape == taken.shape else action
 
     def action(self, action: Any) -> Any:
         """Returns an action of the policy as one of the robot."""

@@ -67,7 +67,7 @@ def to_robot(
             return array if array.ndim == 1 else np.empty(0, np.float32)
         given = np.asarray(action)
         index = int(given)
-        return index if index == given and 0 <= index < space.n else -1
+        return index if given.ndim == 0 and index == given and 0 <= index < space.n else -1
     except Exception:  # of an array of the caller
         return np.empty(0, np.float32) if isinstance(space, Box) else -1
 
