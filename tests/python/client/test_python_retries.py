@@ -181,6 +181,35 @@ async def test_a_repeated_step_is_taken_once(server, client, session, fault):
     assert (summary.steps, summary.episode_return) == (6, 6.0)
 
 
+@pytest.mark.parametrize("client_class", [spikeserve.Client, spikeserve.AsyncClient])
+def test_a_batch_that_one_server_refuses_keeps_what_another_has_decided(client_class):
+    async def play(servers, addresses):
+        client = client_class(",".join(addresses), PATIENT)
+        sessions = {}
+        while len(sessions) < 2:
+            session = await finish(client.open_session("any"))
+            sessions[session.cursor.route.replica.address] = session
+        at = [sessions[address] for address in addresses]
+        with pytest.raises(ValueError, match="observations: expected 2 of them, received 3"):
+            await finish(client.act_batch(at, [OBSERVATION] * 3, [0.0, 0.0]))
+        with pytest.raises(ValueError, match="observation: expected one dimension"):
+            await finish(client.act_batch(at, [OBSERVATION, [OBSERVATION]], [0.0, 0.0]))
+        servers[1].faults["ActBatch"] = ["full"]
+        decision, error = await finish(client.act_batch(at, [OBSERVATION] * 2, [0.0, 0.0]))
+        assert decision.step == 0 and isinstance(error, spikeserve.ResourceExhaustedError)
+        results = await finish(client.act_batch(at, [OBSERVATION] * 2, [1.0, 0.0]))
+        assert [result.step for result in results] == [1, 0]
+        for server in servers:
+            server.faults["ActBatch"] = ["full"]
+        with pytest.raises(spikeserve.ResourceExhaustedError):
+            await finish(client.act_batch(at, [OBSERVATION] * 2, [1.0, 1.0]))
+        await finish(client.close())
+
+    servers = [FlakyServer(), FlakyServer()]
+    with servers[0].serving() as first, servers[1].serving() as second:
+        asyncio.run(play(servers, [first, second]))
+
+
 @played()
 async def test_the_last_attempt_raises_and_the_step_may_be_asked_again(server, client, session):
     await finish(session.act(OBSERVATION))

@@ -13,6 +13,7 @@ from spikeserve.async_session import AsyncSession
 from spikeserve.async_stream import AsyncActStream
 from spikeserve.batches import ExecutedActions, act_each, by_server
 from spikeserve.calls import amend_episode, list_policies, named, open_session
+from spikeserve.check import check
 from spikeserve.errors import SpikeserveError
 from spikeserve.replicas import Route
 from spikeserve.session_handle import SessionHandle
@@ -89,21 +90,36 @@ class AsyncClient(AsyncConnection):
         `executed_actions` has the executed action of each session's previous step, or None for a
         session that executed the answer. A session whose result is an error stays at its step. The
         others move to their next step. With several servers, there is one call for each of them
-        that has some of the sessions, which stay together from then on.
+        that has some of the sessions, which stay together from then on. If one of these calls
+        fails, its error is the result of these sessions, unless no session has a decision.
         """
         cursors = [session.cursor for session in sessions]
         executed = [None] * len(cursors) if executed_actions is None else executed_actions
-        results: dict[int, Decision | SpikeserveError] = {}
-        for rows in by_server(cursors, self.replicas):
-            batch = act_each(
+        given = {"observations": observations, "rewards": rewards, "executed_actions": executed}
+        for name, values in given.items():
+            check(len(values) == len(cursors), name, f"{len(cursors)} of them", len(values))
+        groups = by_server(cursors, self.replicas)
+        batches = [
+            act_each(
                 [cursors[row] for row in rows],
                 [observations[row] for row in rows],
                 [rewards[row] for row in rows],
                 timeout,
                 [executed[row] for row in rows],
             )
-            answers = await self.perform(batch)
+            for rows in groups
+        ]
+        results: dict[int, Decision | SpikeserveError] = {}
+        failure: SpikeserveError | None = None
+        for rows, batch in zip(groups, batches, strict=True):
+            try:
+                answers = await self.perform(batch)
+            except SpikeserveError as error:
+                answers = [error] * len(rows)
+                failure = failure or error
             results.update(zip(rows, answers, strict=True))
+        if failure is not None and not any(isinstance(r, Decision) for r in results.values()):
+            raise failure
         return [results[row] for row in range(len(cursors))]
 
     def act_stream(self) -> AsyncActStream:
