@@ -5,6 +5,7 @@ import collections
 import concurrent.futures
 import contextlib
 import inspect
+import math
 import threading
 
 import grpc
@@ -208,6 +209,16 @@ def test_a_batch_that_one_server_refuses_keeps_what_another_has_decided(client_c
     servers = [FlakyServer(), FlakyServer()]
     with servers[0].serving() as first, servers[1].serving() as second:
         asyncio.run(play(servers, [first, second]))
+
+
+ENDLESS = spikeserve.ClientOptions(timeout=math.inf, keepalive=math.inf, keepalive_timeout=1e9, retry=RETRY)
+
+
+@played(ENDLESS)
+async def test_times_without_an_end_have_none(server, client, session):
+    await finish(session.act(OBSERVATION, timeout=math.inf))
+    await finish(session.end_episode(1.0))
+    assert min(server.seconds_left["Act"] + server.seconds_left["EndEpisode"]) > 86400
 
 
 @played()

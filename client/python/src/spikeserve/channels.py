@@ -13,7 +13,13 @@ from spikeserve.calls import Call
 from spikeserve.check import check
 from spikeserve.diagnosis import diagnose
 from spikeserve.errors import SpikeserveError, is_retryable, is_retryable_code, make_error
-from spikeserve.lines import Line, LineRenewedError, channel_options, is_answer
+from spikeserve.lines import (
+    LONGEST_SECONDS,
+    Line,
+    LineRenewedError,
+    channel_options,
+    is_answer,
+)
 from spikeserve.replicas import AFFINITY_KEY, Replica, Replicas, Route, parse_servers
 from spikeserve.retry import Attempts, Patience, RetryOptions
 from spikeserve.trace_context import TRACEPARENT, active_traceparent
@@ -143,6 +149,7 @@ class Channels:
 
     def _send(self, line: Line, call: Call[Any], request: Message, timeout: float) -> Any:
         """Starts one attempt. Returns the response, or with grpc.aio an awaitable of it."""
+        timeout = min(timeout, LONGEST_SECONDS)
         return line.methods[call.method](
             request, timeout=timeout, metadata=self.metadata(call.route)
         )

@@ -30,6 +30,7 @@ RACE_SECONDS = 1.0  # for the two health checks
 GRACE_SECONDS = 0.05  # for the old line: on a busy machine, answers change places
 FIRST_PAUSE = 0.1  # seconds after a race that the fresh connection has not won, doubled each time
 LONGEST_PAUSE = 5.0
+LONGEST_SECONDS = 50 * 365 * 86400.0  # clocks that count nanoseconds have no much later times
 
 
 def channel_options(keepalive: float, keepalive_timeout: float) -> list[tuple[str, int]]:
@@ -40,14 +41,18 @@ def channel_options(keepalive: float, keepalive_timeout: float) -> list[tuple[st
     twenty: the pauses between repeated SYN packets grow. gRPC sets TCP_USER_TIMEOUT to
     `keepalive_timeout`.
     """
+
+    def milliseconds(seconds: float) -> int:
+        return round(min(max(1000 * seconds, 1), (1 << 31) - 1))
+
     return [
         ("grpc.use_local_subchannel_pool", 1),
         ("grpc.initial_reconnect_backoff_ms", 100),
         ("grpc.max_reconnect_backoff_ms", 300),
         ("grpc.min_reconnect_backoff_ms", 2000),
-        ("grpc.keepalive_time_ms", round(1000 * keepalive)),
-        ("grpc.keepalive_timeout_ms", round(1000 * keepalive_timeout)),
-        ("grpc.http2.ping_timeout_ms", round(1000 * keepalive_timeout)),
+        ("grpc.keepalive_time_ms", milliseconds(keepalive)),
+        ("grpc.keepalive_timeout_ms", milliseconds(keepalive_timeout)),
+        ("grpc.http2.ping_timeout_ms", milliseconds(keepalive_timeout)),
         ("grpc.http2.max_pings_without_data", 0),
         ("grpc.max_receive_message_length", 1 << 28),  # a policy file may be large
     ]

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from spikeserve.caller import Caller
 from spikeserve.errors import SessionLostError, SpikeserveError, make_error
+from spikeserve.lines import LONGEST_SECONDS
 from spikeserve.open_requests import OpenRequest, OpenRequests, stream_closed
 from spikeserve.replicas import Route
 from spikeserve.session_handle import AnySession
@@ -58,7 +59,7 @@ class StreamCore(Generic[AnySession]):
     async def _receive(
         self, timeout: float | None = None
     ) -> tuple[AnySession, Decision | SpikeserveError]:
-        deadline = None if timeout is None else time.monotonic() + timeout
+        deadline = None if timeout is None else time.monotonic() + min(timeout, LONGEST_SECONDS)
         while True:
             if self._open.broken is not None:
                 raise self._open.broken

@@ -11,6 +11,7 @@ import grpc
 from spikeserve.calls import Call, Opened, open_session
 from spikeserve.connection import Connection
 from spikeserve.errors import SpikeserveError, is_retryable, make_error
+from spikeserve.lines import LONGEST_SECONDS
 from spikeserve.piloting.datagram_link import ciphers
 from spikeserve.piloting.local_engine import LocalEngine, is_wanted
 from spikeserve.piloting.pilot_options import PilotOptions
@@ -20,7 +21,6 @@ from spikeserve.values import Opening
 from spikeserve.wire import METHODS, Message
 
 LOGGER = logging.getLogger("spikeserve.pilot")
-_LONGEST_SECONDS = 50 * 365 * 86400.0
 
 
 class ServerSession:
@@ -164,5 +164,5 @@ def check_release(response: Message) -> None:
 
 
 def nanoseconds(seconds: float) -> int:
-    """Returns seconds as the machine takes them: at most 50 years, because more overflows."""
-    return round(min(seconds, _LONGEST_SECONDS) * 1e9)
+    """Returns seconds as the machine takes them."""
+    return round(min(seconds, LONGEST_SECONDS) * 1e9)
