@@ -54,9 +54,14 @@ std::unique_ptr<Replicas> MakeReplicas(std::vector<std::unique_ptr<Replica>> rep
 std::shared_ptr<Route> MakeRoute() { return std::make_shared<Route>(DrawId()); }
 
 absl::Status ClientOptions::Validate() const {
-  if (call_timeout <= absl::ZeroDuration()) {
-    return absl::InvalidArgumentError(absl::StrCat("call_timeout: expected more than 0, received ",
-                                                   absl::FormatDuration(call_timeout)));
+  const std::pair<const char*, absl::Duration> times[] = {
+      {"call_timeout", call_timeout},
+      {"keepalive", security.keepalive},
+      {"keepalive_timeout", security.keepalive_timeout}};
+  for (const auto& [field, time] : times) {
+    if (time > absl::ZeroDuration()) continue;
+    return absl::InvalidArgumentError(
+        absl::StrCat(field, ": expected more than 0, received ", absl::FormatDuration(time)));
   }
   return retry.Validate();
 }

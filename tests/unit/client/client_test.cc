@@ -43,6 +43,9 @@ TEST_F(ClientTest, RefusesInvalidOptions) {
   EXPECT_TRUE(absl::IsInvalidArgument(client.status()));
   EXPECT_THAT(client.status().message(), HasSubstr("call_timeout"));
   options = ClientOptions();
+  options.security.keepalive = absl::ZeroDuration();
+  EXPECT_EQ(options.Validate().message(), "keepalive: expected more than 0, received 0");
+  options = ClientOptions();
   options.retry.max_attempts = 0;
   EXPECT_TRUE(absl::IsInvalidArgument(Client::Create("localhost:1", options).status()));
 }
