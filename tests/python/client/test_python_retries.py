@@ -30,7 +30,8 @@ class FlakyServer:
     `faults` holds the faults of the next calls of each method, in order: "unavailable" rejects the
     call and does nothing, "busy" and "full" reject it with RESOURCE_EXHAUSTED and a delay of 10 ms
     and of a minute, "lost" carries the call out but does not send the answer, "stuck"
-    carries the call out and then waits until the caller cancels. `calls` counts the calls of each
+    carries the call out and then waits until the caller cancels. On a stream, any fault answers with
+    an empty message. `calls` counts the calls of each
     method. `seconds_left` holds the time to the deadline of each call.
     """
 
@@ -78,6 +79,10 @@ class FlakyServer:
                 cancelled.wait()
             return response
 
+        if method.streams:
+            return grpc.stream_stream_rpc_method_handler(
+                self.ActStream, method.request.FromString, method.response.SerializeToString
+            )
         return grpc.unary_unary_rpc_method_handler(handle, method.request.FromString, method.response.SerializeToString)
 
     def OpenSession(self, request, response, context):  # noqa: N802, as in the contract
@@ -98,6 +103,13 @@ class FlakyServer:
         elif request.step != len(self.answers) - 1:
             context.abort(grpc.StatusCode.FAILED_PRECONDITION, "step: out of order")
         return self.answers[-1]
+
+    def ActStream(self, requests, context):  # noqa: N802
+        self.calls["ActStream"] += 1
+        for request in requests:
+            response = METHODS["Act"].response()
+            yield response if self.faults["ActStream"] else self.Act(request, response, context)
+            self.faults["ActStream"].clear()
 
     def ActBatch(self, request, response, context):  # noqa: N802
         for item in request.requests:
@@ -209,6 +221,16 @@ def test_a_batch_that_one_server_refuses_keeps_what_another_has_decided(client_c
     servers = [FlakyServer(), FlakyServer()]
     with servers[0].serving() as first, servers[1].serving() as second:
         asyncio.run(play(servers, [first, second]))
+
+
+@played()
+async def test_a_page_in_the_place_of_an_answer_opens_another_stream(server, client, session):
+    server.faults["ActStream"] = ["page"]
+    stream = client.act_stream()
+    assert (await finish(stream.act(session, OBSERVATION))).step == 0
+    assert (await finish(stream.act(session, OBSERVATION, 1.0))).step == 1
+    assert server.calls["ActStream"] == 2
+    stream.close()
 
 
 ENDLESS = spikeserve.ClientOptions(timeout=math.inf, keepalive=math.inf, keepalive_timeout=1e9, retry=RETRY)

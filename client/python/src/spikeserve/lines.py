@@ -47,6 +47,7 @@ def channel_options(keepalive: float, keepalive_timeout: float) -> list[tuple[st
 
     return [
         ("grpc.use_local_subchannel_pool", 1),
+        ("grpc.enable_retries", 0),  # the client repeats calls, and knows which ones it may repeat
         ("grpc.initial_reconnect_backoff_ms", 100),
         ("grpc.max_reconnect_backoff_ms", 300),
         ("grpc.min_reconnect_backoff_ms", 2000),
@@ -109,9 +110,10 @@ class Doubt:
     def missed(self, began: float) -> bool:
         """Notes a call that began at `began` and had no answer in time. Returns whether to race."""
         with self._lock:
-            if began >= self._answered_at:
-                self._misses += 1
-            since = self._silent_since if self._silent_since is not None else began
+            if began < self._answered_at:
+                return False
+            self._misses += 1
+            since = began if self._silent_since is None else min(began, self._silent_since)
             self._silent_since = since
             return self._misses >= MISSES and self._take(since)
 

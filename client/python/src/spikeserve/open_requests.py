@@ -99,11 +99,15 @@ class OpenRequests(Generic[AnySession]):
         """Returns the session that `reply` is for, and its decision or error.
 
         A decision moves the session to its next step. An error does not. Returns None if the server
-        cannot answer the request now, which will be due again, and the error if another server may.
+        cannot answer the request now, which will be due again, and the error if another stream may.
         Returns the request if its session is not at this server, or misses decisions there: the
         caller makes `call` outside of the stream, which finds the session.
         """
         request = self._open.pop(reply.session_id, None)
+        if request is None and not reply.session_id and not reply.HasField("error"):
+            # A server names the session. A proxy that has lost its server ends the stream with a
+            # page.
+            return stream_ended("the stream has ended with an empty message")
         if request is None:
             raise make_error(
                 "ActStream",
@@ -203,9 +207,9 @@ class OpenRequests(Generic[AnySession]):
         return pause
 
 
-def stream_ended() -> SpikeserveError:
+def stream_ended(message: str = "the server ended the stream") -> SpikeserveError:
     """Returns the error for a stream that the server has ended."""
-    return make_error("ActStream", grpc.StatusCode.UNAVAILABLE, "the server ended the stream")
+    return make_error("ActStream", grpc.StatusCode.UNAVAILABLE, message)
 
 
 def stream_silent() -> SpikeserveError:
