@@ -14,6 +14,7 @@
 #include "client/spikectl/run_report.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
+#include "spikeserve/status.h"
 
 namespace spikeserve {
 namespace {
@@ -33,11 +34,14 @@ struct RunFlags {
 // Plays an episode, again from its start if its session was lost and replaced on the way.
 absl::StatusOr<EpisodeRecord> PlayWhole(Environment& environment, RemoteSession& session,
                                         uint64_t seed, const PlayOptions& options) {
-  for (int i = 1;; ++i) {
+  for (int i = 0; i < kTries; ++i) {
     const int before = session.reopened();
     auto episode = PlayEpisode(environment, session, seed, options);
-    if (session.reopened() == before || i == kTries) return episode;
+    const bool is_whole = session.reopened() == before;
+    if (is_whole || !(episode.ok() || IsSessionLost(episode.status()))) return episode;
   }
+  return absl::NotFoundError(absl::StrCat("the session was lost in each of ", kTries,
+                                          " tries of the episode with seed ", seed));
 }
 
 // Shows that the episode of index `i` has ended, as a line of the table or on a line of at most

@@ -16,6 +16,7 @@
 #include "client/spikectl/operator_servers.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
+#include "core/session/session_id.h"
 
 namespace spikeserve {
 namespace {
@@ -160,6 +161,7 @@ absl::Status Take(const TakeFlags& flags) {
   request.set_session_id(flags.session);
   const char* const user = std::getenv("USER");
   request.set_operator_id(flags.operator_id.empty() && user != nullptr ? user : flags.operator_id);
+  ASSIGN_OR_RETURN(*request.mutable_lease_id(), NewSessionId());  // for calls that are repeated
   request.set_lease_seconds(absl::ToDoubleSeconds(flags.lease));
   request.set_take_over(flags.take_over);
   ASSIGN_OR_RETURN(const auto taken, servers.OfSession(&AdminStub::TakeControl, request));

@@ -1,7 +1,9 @@
 #include <algorithm>
 #include <cstdint>
+#include <filesystem>
 #include <iterator>
 #include <string>
+#include <system_error>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -103,6 +105,9 @@ absl::StatusOr<ServerAnswer> PullVersion(const AdminFlags& flags) {
     return absl::DataLossError(absl::StrCat("sha256: expected ", part.sha256(), ", received ",
                                             sha256, "; the file may just have been replaced"));
   }
+  // A signature of the file before is none of this one.
+  std::error_code ignored;
+  std::filesystem::remove(SignatureFile(flags), ignored);
   RETURN_IF_ERROR(WriteFileAtomically(flags.file, {file}));
   if (!part.signature().empty()) {
     RETURN_IF_ERROR(WriteFileAtomically(SignatureFile(flags), {part.signature()}));

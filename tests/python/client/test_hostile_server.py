@@ -1,15 +1,17 @@
 """`spikectl` of an operator in front of a server, or an agent, that means harm."""
 
+import hashlib
 import json
+import re
 import urllib.error
 import urllib.request
 
 import grpc
 import pytest
 import spikeserve
-from hostile_answers import COMMANDS, ESCAPES, RandomAnswers, check_shown, serving, spikectl
+from hostile_answers import COMMANDS, ESCAPES, RandomAnswers, check_shown, plausible, serving, spikectl
 from serving import running_server
-from spikeserve.wire import ADMIN_SERVICE, SERVICE, message_class
+from spikeserve.wire import ADMIN_SERVICE, METHODS, SERVICE, message_class
 
 
 def hostile_server(service, method, answer):
@@ -101,6 +103,59 @@ def test_a_file_without_end_is_not_pulled(answer, reason, tmp_path):
     assert done.returncode == 1
     assert reason in done.stderr.decode()
     assert not list(tmp_path.iterdir())
+
+
+def test_no_signature_of_another_file_stays_beside_one_that_is_pulled(tmp_path):
+    pulled = tmp_path / "pulled"
+    signature = tmp_path / "pulled.sig"
+    signature.write_bytes(b"of another file")
+    data = b"policy"
+    answer = {"size": len(data), "data": data, "sha256": hashlib.sha256(data).hexdigest()}
+    response = message_class("PullPolicyResponse")(version=1, **answer)
+    with hostile_server(ADMIN_SERVICE, "PullPolicy", lambda _: response) as address:
+        assert spikectl(address, "pull", str(pulled), "--policy=x").returncode == 0
+    assert pulled.read_bytes() == data
+    assert not signature.exists()
+
+
+def test_a_lease_has_its_name_before_a_call_is_repeated():
+    leases = []
+
+    def refuse(request):
+        leases.append(request.lease_id)
+        return "lease_seconds: expected another one"
+
+    with hostile_server(ADMIN_SERVICE, "TakeControl", refuse) as address:
+        assert spikectl(address, "take", "--session=x").returncode == 1
+    assert re.fullmatch("[0-9a-f]{32}", leases[0])
+
+
+def test_an_episode_is_whole_or_an_error():
+    """A server that loses the session at every step 1."""
+
+    def handler(name):
+        def handle(request, context):
+            response = METHODS[name].response()
+            if name == "ListPolicies":
+                response.policies.add(is_default=True)
+            if name == "OpenSession":
+                response.session_id, response.version = request.session_id, 1
+            if name != "Act":
+                return plausible(response)
+            if request.step > 0:
+                context.abort(grpc.StatusCode.NOT_FOUND, "session_id: expected one that is open")
+            response.session_id, response.action.discrete = request.session_id, 0
+            return response
+
+        return grpc.unary_unary_rpc_method_handler(
+            handle, METHODS[name].request.FromString, lambda response: response.SerializeToString()
+        )
+
+    names = ("ListPolicies", "OpenSession", "Act", "EndEpisode", "CloseSession")
+    with serving(grpc.method_handlers_generic_handler(SERVICE, {name: handler(name) for name in names})) as address:
+        done = spikectl(address, "run", "--env=CartPole-v1", "--seed=7", "--reopen")
+    assert done.returncode == 1
+    assert "the session was lost in each of 3 tries of the episode with seed 7" in done.stderr.decode()
 
 
 def check_harmless(output):
