@@ -72,7 +72,7 @@ def _element(field: str, given: Any) -> Element:
         raise ValueRefusedError(f"{field}.joint", "the name of a joint", joint)
     if given.get("field") not in FIELDS:
         raise ValueRefusedError(f"{field}.field", " or ".join(FIELDS), given.get("field"))
-    if given.get("function", "none") not in FUNCTIONS:
+    if given.get("function", "none") not in tuple(FUNCTIONS):
         raise ValueRefusedError(f"{field}.function", " or ".join(FUNCTIONS), given["function"])
     return Element(
         joint,
@@ -172,7 +172,7 @@ class RobotMapping:
         """Returns the mapping of a file. Raises ValueRefusedError, which names the file and the field."""
         try:
             given = yaml.safe_load(pathlib.Path(path).read_text())
-        except (OSError, yaml.YAMLError) as error:
+        except (OSError, UnicodeError, yaml.YAMLError) as error:
             raise ValueRefusedError(path, "a YAML file", str(error)) from error
         try:
             return cls.parse(given)

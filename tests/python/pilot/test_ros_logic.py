@@ -120,6 +120,7 @@ def test_the_defaults_lack_only_the_safe_action():
         ({"observation": [{"field": "position"}]}, "observation[0].joint"),
         ({"observation": [{"joint": "hinge", "field": "speed"}]}, "observation[0].field"),
         ({"observation": [JOINTS["observation"][0] | {"function": "tan"}]}, "observation[0].function"),
+        ({"observation": [JOINTS["observation"][0] | {"function": ["cos"]}]}, "observation[0].function"),
         ({"observation": [JOINTS["observation"][0] | {"scale": "2"}]}, "observation[0].scale"),
         ({"observation": [JOINTS["observation"][0] | {"offset": math.nan}]}, "observation[0].offset"),
         ({"observation": [JOINTS["observation"][0] | {"unit": "m"}]}, "observation[0].unit"),
@@ -136,8 +137,8 @@ def test_a_mapping_is_refused_by_its_field(given, field):
 
 def test_a_file_is_named(tmp_path):
     path = tmp_path / "robot.yaml"
-    for text in ("observation: [", "observation: 5"):
-        path.write_text(text)
+    for content in (b"observation: [", b"observation: 5", b"\xff\xfe"):
+        path.write_bytes(content)
         with pytest.raises(ValueRefusedError, match="robot.yaml"):
             RobotMapping.read(str(path))
     with pytest.raises(ValueRefusedError, match="none.yaml"):
