@@ -91,15 +91,18 @@ class DatagramLink:
         self._on_answer = on_answer
         self._lock = threading.Lock()
         self._channels: list[_SealedChannel] = []  # the newest one, and that before it
-        self._endpoint = ""  # "": stopped
+        self._endpoint = ""
         self._socket: socket.socket | None = None  # None: the server is not found
         self._address: Any = None
+        self._is_stopped = False
 
     def set_channel(self, channel: Message) -> bool:
-        """Sends on this channel from now on. Returns False if it is not valid."""
+        """Sends on this channel from now on. Returns False if it is not valid, or after `stop`."""
         if len(channel.key) != _KEY_BYTES or ":" not in channel.endpoint:
             return False
         with self._lock:
+            if self._is_stopped:
+                return False
             former = self._channels[:1]
             self._channels = [_SealedChannel(channel.key_id, channel.key), *former]
             if channel.endpoint != self._endpoint:
@@ -125,7 +128,7 @@ class DatagramLink:
     def stop(self) -> None:
         """Sends nothing any more."""
         with self._lock:
-            self._endpoint, self._socket = "", None
+            self._is_stopped, self._endpoint, self._socket = True, "", None
 
     def _run(self, endpoint: str) -> None:
         """Takes the answers of a server, until there is another one."""
