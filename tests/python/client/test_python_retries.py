@@ -11,8 +11,9 @@ import threading
 import grpc
 import pytest
 import spikeserve
+from hostile_answers import serving
 from spikeserve.status_details import METADATA_KEY, RETRY_INFO, STATUS
-from spikeserve.wire import METHODS, SERVICE
+from spikeserve.wire import ADMIN_METHODS, ADMIN_SERVICE, METHODS, SERVICE
 
 
 def retry_info(seconds):
@@ -221,6 +222,33 @@ def test_a_batch_that_one_server_refuses_keeps_what_another_has_decided(client_c
     servers = [FlakyServer(), FlakyServer()]
     with servers[0].serving() as first, servers[1].serving() as second:
         asyncio.run(play(servers, [first, second]))
+
+
+@pytest.mark.parametrize("client_class", [spikeserve.AdminClient, spikeserve.AsyncAdminClient])
+def test_a_file_that_is_pushed_again_arrives_whole(client_class):
+    method, file, calls = ADMIN_METHODS["PushPolicy"], bytes(range(256)) * 300, []
+
+    def receive(requests, context):
+        calls.append([request for request in requests])
+        if len(calls) == 1:
+            context.abort(grpc.StatusCode.UNAVAILABLE, "connection reset")
+        return method.response(version=2)
+
+    async def push(address):
+        client = client_class(address, PATIENT)
+        answer = await finish(client.push_policy(policy="any", sha256="0", data=[file[:7], file[7:]]))
+        await finish(client.close())
+        return answer
+
+    handler = grpc.stream_unary_rpc_method_handler(
+        receive, method.request.FromString, method.response.SerializeToString
+    )
+    with serving(grpc.method_handlers_generic_handler(ADMIN_SERVICE, {"PushPolicy": handler})) as address:
+        assert asyncio.run(push(address)).version == 2
+    for head, *parts in calls:
+        assert (head.policy, head.sha256, list(head.data)) == ("any", "0", [])
+        assert b"".join(data for part in parts for data in part.data) == file
+        assert max(part.ByteSize() for part in parts) < 1 << 16
 
 
 @played()

@@ -26,8 +26,9 @@ TIMEOUT = 60.0
 class AdminClient(Connection):
     """The calls of PolicyAdmin at the server "HOST:PORT". Thread-safe.
 
-    For example `admin.set_default_version(policy="cartpole", version=2).version`. The arguments of
-    the constructor are those of Client, with a longer timeout.
+    For example `admin.set_default_version(policy="cartpole", version=2).version`. The `data` of
+    `push_policy` is a list of the parts of the file, of any sizes. The arguments of the constructor
+    are those of Client, with a longer timeout.
     """
 
     _table = ADMIN_METHODS

@@ -7,7 +7,9 @@ agent. A separate descriptor pool allows a program to use classes generated from
 
 from __future__ import annotations
 
+import functools
 import importlib.resources
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +26,7 @@ PACKAGE = "spikeserve.v1"
 SERVICE = f"{PACKAGE}.PolicyService"
 ADMIN_SERVICE = f"{PACKAGE}.PolicyAdmin"
 _COMPILED = "contract.binpb"
+_PART_BYTES = 32 << 10  # of a file in one message; within every tenant's limit of a request
 
 # A message of the wire contract. Its class exists at run time only, so type checkers see Any.
 Message = Any
@@ -63,24 +66,38 @@ def message_class(name: str, package: str = PACKAGE) -> Message:
 
 @dataclass(frozen=True)
 class Method:
-    """A method of a service: unary, or a stream in both directions."""
+    """A method of a service: unary, an upload in parts, or a stream in both directions."""
 
     service: str
     name: str
     request: Message
     response: Message
     streams: bool
+    is_upload: bool  # which has one answer
     repeatable: bool  # declared as free of side effects or idempotent
 
     def bind(self, channel: Any) -> Callable[..., Any]:
         """Returns a function that calls the method on `channel`, of grpc or grpc.aio."""
         make = channel.stream_stream if self.streams else channel.unary_unary
-        call: Callable[..., Any] = make(
+        call: Callable[..., Any] = (channel.stream_unary if self.is_upload else make)(
             f"/{self.service}/{self.name}",
             request_serializer=self.request.SerializeToString,
             response_deserializer=self.response.FromString,
         )
-        return call
+        return functools.partial(_upload, call) if self.is_upload else call
+
+
+def _upload(call: Callable[..., Any], request: Message, **options: Any) -> Any:
+    """Calls with everything of `request` but its data, and then with these in short parts."""
+    head = type(request)()
+    head.CopyFrom(request)
+    head.ClearField("data")
+    parts = (
+        type(request)(data=[data[begin : begin + _PART_BYTES]])
+        for data in request.data
+        for begin in range(0, len(data), _PART_BYTES)
+    )
+    return call(itertools.chain([head], parts), **options)
 
 
 def _methods(service_name: str) -> dict[str, Method]:
@@ -93,6 +110,7 @@ def _methods(service_name: str) -> dict[str, Method]:
             request=message_class(method.input_type.rpartition(".")[2]),
             response=message_class(method.output_type.rpartition(".")[2]),
             streams=method.client_streaming,
+            is_upload=method.client_streaming and not method.server_streaming,
             repeatable=method.options.idempotency_level
             != descriptor_pb2.MethodOptions.IDEMPOTENCY_UNKNOWN,
         )
