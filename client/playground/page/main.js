@@ -37,10 +37,12 @@ async function attempt(action) {
 }
 
 async function open() {
-  const [policy, version] = get('policy').value.split('/');
-  const response = await fetch(`policies/${policy}/${version}/policy.safetensors`);
+  const chosen = get('policy').value;
+  const response = await fetch(`policies/${chosen}/policy.safetensors`);
+  const file = new Uint8Array(await response.arrayBuffer());
+  if (get('policy').value !== chosen) return;  // another one, which may be open already
   if (!response.ok) throw new Error(`${response.url}: ${response.status} ${response.statusText}`);
-  engine.open(new Uint8Array(await response.arrayBuffer()), get('seed').valueAsNumber || 0);
+  engine.open(file, get('seed').valueAsNumber || 0);
   episode = undefined;
   explainAfter = 0;
   scene.clear();
