@@ -150,7 +150,8 @@ class OpenpiGateway:
         name, version = self._settings.policy, self._settings.session.version
         policies = await client.list_policies()
         for policy in policies:
-            if policy.name == name and (policy.version == version or not version):
+            is_wanted = policy.version == version if version else policy.is_default
+            if policy.name == name and is_wanted:
                 size, length = policy.observation_size, self._settings.mapping.length
                 expected = f"{size} numbers, as {name} observes"
                 check(length in (None, size), "mapping: observation", expected, length)
