@@ -67,7 +67,8 @@ absl::StatusOr<v1::HoldSessionsRequest> HoldRequest(const HoldFlags& flags) {
 // What the servers know of the robots of a hold.
 struct HeldRobots {
   std::map<std::pair<std::string, std::string>, v1::HeldSession> robots;  // by tenant and id
-  std::map<std::string, std::string> unreached;                           // servers, and why
+  // Servers that did not answer or have no such hold, and why.
+  std::map<std::string, std::string> unreached = {};
 
   std::vector<const v1::HeldSession*> NotConfirmed() const {
     std::vector<const v1::HeldSession*> robots_left;
@@ -78,8 +79,10 @@ struct HeldRobots {
   }
 };
 
-// `stored`: also at the sessions that only a store has.
-HeldRobots LookAtRobots(OperatorServers& servers, const std::string& id, bool stored) {
+// `refusals[i]` says why server i has refused the hold. `stored`: also at the sessions that only a
+// store has.
+HeldRobots LookAtRobots(OperatorServers& servers, const std::string& id,
+                        const std::vector<absl::Status>& refusals, bool stored) {
   HeldRobots state;
   std::vector<std::string> tokens(servers.size());
   bool goes_on = true;
@@ -97,8 +100,10 @@ HeldRobots LookAtRobots(OperatorServers& servers, const std::string& id, bool st
         },
         stored ? kStoreTimeout : OperatorServers::kTimeout);
     for (size_t i = 0; i < pages.size(); ++i) {
-      if (!pages[i].ok()) {
-        state.unreached[servers.address(i)] = std::string(pages[i].status().message());
+      const absl::Status& why = pages[i].ok() ? refusals[i] : pages[i].status();
+      if (!pages[i].ok() || pages[i]->holds().empty()) {
+        state.unreached[servers.address(i)] =
+            why.ok() ? "no such hold" : std::string(why.message());
         continue;
       }
       for (const v1::HeldSession& session : pages[i]->sessions()) {
@@ -158,7 +163,9 @@ absl::Status HoldRobots(const HoldFlags& flags) {
   const auto answers = servers.AtEach<v1::HoldSessionsRequest, v1::HoldSessionsResponse>(
       &AdminStub::HoldSessions, [&](size_t) { return request; });
   std::optional<v1::HoldSessionsResponse> held;
+  std::vector<absl::Status> refusals;
   for (const auto& answer : answers) {
+    refusals.push_back(answer.status());
     if (!answer.ok()) continue;
     const bool all_keep = answer->kept() && (!held.has_value() || held->kept());
     held = *answer;
@@ -166,12 +173,12 @@ absl::Status HoldRobots(const HoldFlags& flags) {
   }
   if (!held.has_value()) return answers[0].status();
   const absl::Time end = absl::Now() + flags.wait;
-  HeldRobots state = LookAtRobots(servers, request.id(), false);
+  HeldRobots state = LookAtRobots(servers, request.id(), refusals, false);
   while ((!state.NotConfirmed().empty() || !state.unreached.empty()) && absl::Now() < end) {
     absl::SleepFor(kPause);
-    state = LookAtRobots(servers, request.id(), false);
+    state = LookAtRobots(servers, request.id(), refusals, false);
   }
-  state = LookAtRobots(servers, request.id(), true);
+  state = LookAtRobots(servers, request.id(), refusals, true);
   Print(*held, state, flags.server->json);
   const size_t left = state.NotConfirmed().size();
   if (left == 0 && state.unreached.empty()) return absl::OkStatus();

@@ -10,7 +10,7 @@ from redis_servers import WITHOUT_REDIS
 from replicated import running_fleet
 from restartable_server import restartable_server
 from security import ADMIN, OBSERVATION, service_with, until
-from serving import running_server
+from serving import run, running_server
 from test_operators import operating
 
 PILOT = {"period": 0.02, "local": False, "ramp_beats": 0}
@@ -94,6 +94,22 @@ def test_a_hold_is_kept_with_the_settings(tmp_path):
             said = server.server.spikectl("hold", *again, status=None).stdout
             assert f"{sessions[1].session_id} cartpole/2 , in the store alone: has asked no server" in said
             assert client.open_session("pendulum").act([0.6, 0.8, 0.1]).hold is None
+
+
+def test_a_server_that_refuses_a_hold_is_named(server):
+    """Two servers without a common store, of which one has as many holds as it takes."""
+    with running_server() as full:
+        servers = f"{server.grpc},{full.grpc}"
+        for number in range(64):
+            full.admin.HoldSessions(id=f"hold-{number}", selection={"policy": "cartpole"})
+        with operating(servers) as (_, operator):
+            verdict = operator.hold(policy="pendulum", hold_id="fire", wait=0.0)
+            assert list(verdict.unreached) == [full.grpc]
+            assert "expected fewer than 64 holds" in verdict.unreached[full.grpc]
+            said = run("spikectl", "hold", f"--server={servers}", "--policy=pendulum", "--id=fire", "--wait=0s", status=1)
+            assert f"not reached: {full.grpc}: selection: expected fewer than 64 holds" in said.stdout
+            operator.resume("fire")
+            assert list(operator.verdict("fire").unreached) == [server.grpc, full.grpc]
 
 
 def test_a_held_session_learns_nothing(server):

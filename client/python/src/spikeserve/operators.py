@@ -8,7 +8,7 @@ from __future__ import annotations
 import concurrent.futures
 import getpass
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -55,7 +55,7 @@ class HoldVerdict:
     robots: tuple[HeldRobot, ...]  # sorted by session_id
     # It outlives a restart of each server that has it; None: only `Operator.hold` learns it.
     kept: bool | None
-    unreached: dict[str, str]  # the servers that did not answer, and why
+    unreached: dict[str, str]  # the servers that did not answer or have no such hold, and why
 
     @property
     def not_confirmed(self) -> list[HeldRobot]:
@@ -193,15 +193,16 @@ class Operator:
         held = [answer for _, answer in answers if not isinstance(answer, SpikeserveError)]
         if not held:
             raise next(error for _, error in answers)
+        refused = {at.address: str(e) for at, e in answers if isinstance(e, SpikeserveError)}
         kept = all(answer.kept for answer in held)
         if not tenant:
             self._tenant = held[0].hold.selection.tenant
         ends = time.monotonic() + wait
         while True:
-            verdict = self._verdict(hold_id, kept, stored=False)
+            verdict = self._verdict(hold_id, kept, False, refused)
             settled = not verdict.not_confirmed and not verdict.unreached
             if settled or time.monotonic() >= ends:
-                return self._verdict(hold_id, kept, stored=True)
+                return self._verdict(hold_id, kept, True, refused)
             time.sleep(_PAUSE)
 
     def verdict(self, hold_id: str, *, stored: bool = True) -> HoldVerdict:
@@ -209,7 +210,7 @@ class Operator:
 
         `stored`: also of the sessions that only the store has, all of which the servers then read.
         """
-        return self._verdict(hold_id, None, stored)
+        return self._verdict(hold_id, None, stored, {})
 
     def resume(
         self,
@@ -255,7 +256,10 @@ class Operator:
             # A server that was not reached may have the hold.
             raise next((a for a in answers if not isinstance(a, NotFoundError)), answers[0])
 
-    def _verdict(self, hold_id: str, kept: bool | None, stored: bool) -> HoldVerdict:
+    def _verdict(
+        self, hold_id: str, kept: bool | None, stored: bool, refused: Mapping[str, str]
+    ) -> HoldVerdict:
+        """`refused` says why servers have refused the hold."""
         newest: dict[tuple[str, str], tuple[int, HeldRobot]] = {}
         unreached: dict[str, str] = {}
         token = dict.fromkeys(self._admin.replicas, "")
@@ -264,8 +268,10 @@ class Operator:
                 "ListHolds", list(token), tokens=token, id=hold_id, page_size=_PAGE, stored=stored
             )
             for replica, page in pages:
-                if isinstance(page, SpikeserveError):
-                    unreached[replica.address] = str(page)
+                is_error = isinstance(page, SpikeserveError)
+                if is_error or not page.holds:
+                    why = refused.get(replica.address, "the server has no such hold")
+                    unreached[replica.address] = str(page) if is_error else why
                     token.pop(replica)
                     continue
                 for session in page.sessions:
