@@ -98,7 +98,8 @@ def test_a_hold_is_kept_with_the_settings(tmp_path):
 
 def test_a_server_that_refuses_a_hold_is_named(server):
     """Two servers without a common store, of which one has as many holds as it takes."""
-    with running_server() as full:
+    with contextlib.ExitStack() as stack:
+        full = stack.enter_context(running_server())
         servers = f"{server.grpc},{full.grpc}"
         for number in range(64):
             full.admin.HoldSessions(id=f"hold-{number}", selection={"policy": "cartpole"})
@@ -110,6 +111,13 @@ def test_a_server_that_refuses_a_hold_is_named(server):
             assert f"not reached: {full.grpc}: selection: expected fewer than 64 holds" in said.stdout
             operator.resume("fire")
             assert list(operator.verdict("fire").unreached) == [server.grpc, full.grpc]
+
+            operator.hold(policy="pendulum", hold_id="smoke", wait=0.0)
+            stack.close()
+            for resumed in ({"hold_id": "smoke"}, {"policy": "pendulum"}):
+                with pytest.raises(spikeserve.UnavailableError):  # that server may have it
+                    operator.resume(**resumed)
+            assert not server.admin.ListHolds().holds
 
 
 def test_a_held_session_learns_nothing(server):

@@ -227,7 +227,7 @@ class Operator:
 
         Holds of an operator who sees one tenant are of that tenant: an `Operator` that has held
         nothing itself needs `tenant` to end them by their selection. NotFoundError if no server has
-        such a hold that this operator may end.
+        such a hold that this operator may end. Raises the error of a server that may have it still.
         """
         if hold_id:
             self._end(hold_id)
@@ -239,22 +239,31 @@ class Operator:
         lists = [answer for _, answer in self._everywhere("ListHolds")]
         holds = [hold for answer in lists for hold in getattr(answer, "holds", ())]
         ended = False
+        failure: SpikeserveError | None = None
         for one in {hold.hold.id for hold in holds if _is_same(hold.selection, wanted)}:
             try:
                 self._end(one)
                 ended = True
             except NotFoundError:
                 pass  # another operator has ended it, or only one who sees all tenants may
-        if not ended:
-            failures = [answer for answer in lists if isinstance(answer, SpikeserveError)]
+            except SpikeserveError as error:
+                failure = error
+        if not ended and failure is None:
+            failures = (answer for answer in lists if isinstance(answer, SpikeserveError))
             # A server that was not reached may have the hold.
-            raise failures[0] if failures else _no_such_hold(holds, wanted)
+            failure = next(failures, _no_such_hold(holds, wanted))
+        if failure is not None:
+            raise failure
 
     def _end(self, hold_id: str) -> None:
         answers = [answer for _, answer in self._everywhere("ResumeSessions", id=hold_id)]
-        if all(isinstance(answer, SpikeserveError) for answer in answers):
-            # A server that was not reached may have the hold.
-            raise next((a for a in answers if not isinstance(a, NotFoundError)), answers[0])
+        errors = [answer for answer in answers if isinstance(answer, SpikeserveError)]
+        # A server that was not reached may have the hold, unless it shares one that has ended.
+        failures = [error for error in errors if not isinstance(error, NotFoundError)]
+        if len(errors) == len(answers):
+            raise (failures or errors)[0]
+        if failures and not any(getattr(answer, "shared", False) for answer in answers):
+            raise failures[0]
 
     def _verdict(
         self, hold_id: str, kept: bool | None, stored: bool, refused: Mapping[str, str]
