@@ -67,6 +67,7 @@ def cases(server, encrypted, mutual, certificates, stranger):
     return {
         "refused": ("127.0.0.1:1", None, "connection refused: no server listens on port 1 of 127.0.0.1"),
         "unresolved": ("no.such.host.invalid:50051", None, "the host name no.such.host.invalid cannot be resolved"),
+        "no name": ("no..name:50051", None, "the host name no..name cannot be resolved"),
         "no socket": ("unix:/nowhere.sock", None, "/nowhere.sock: No such file or directory"),
         "status page": (server.http, None, "perhaps it is that of the status page (--http_listen)"),
         "TLS expected": (encrypted.grpc, None, EXPECTS_TLS),
@@ -79,6 +80,7 @@ def cases(server, encrypted, mutual, certificates, stranger):
 CASES = [
     "refused",
     "unresolved",
+    "no name",
     "no socket",
     "status page",
     "TLS expected",

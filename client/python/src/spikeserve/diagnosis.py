@@ -61,8 +61,8 @@ def _connect(server: str) -> socket.socket:
         raise _UnreachableError(f"server: expected HOST:PORT or unix:PATH, received {server}")
     try:
         addresses = socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)
-    except OSError as error:
-        text = error.strerror or str(error)
+    except (OSError, UnicodeError) as error:  # UnicodeError: a name that DNS cannot have
+        text = getattr(error, "strerror", None) or str(error)
         raise _UnreachableError(f"the host name {host} cannot be resolved: {text}") from None
     reason = ""
     for family, kind, protocol, _, address in addresses:

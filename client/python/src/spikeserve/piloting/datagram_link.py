@@ -167,7 +167,7 @@ def _find(endpoint: str) -> tuple[socket.socket, Any] | None:
         kind = socket.SOCK_DGRAM
         family, *_, address = socket.getaddrinfo(host.strip("[]"), port, type=kind)[0]
         opened = socket.socket(family, kind)
-    except OSError:
+    except (OSError, UnicodeError):
         return None
     opened.setblocking(False)
     return opened, address
