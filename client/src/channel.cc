@@ -98,6 +98,11 @@ absl::StatusOr<std::string> ReadTokenFile(const std::string& path) {
 
 absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(const std::string& server,
                                                            const SecurityOptions& security) {
+  // gRPC ends the process for metadata with other characters.
+  if (!std::all_of(security.token.begin(), security.token.end(), absl::ascii_isprint)) {
+    return absl::InvalidArgumentError(
+        "token: expected printable ASCII characters, received others");
+  }
   const auto credentials = MakeCredentials(security);
   if (!credentials.ok()) return credentials.status();
   grpc::ChannelArguments arguments;

@@ -4,6 +4,7 @@
 #include <string>
 #include <utility>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
 
 namespace spikeserve {
@@ -29,7 +30,7 @@ absl::StatusOr<SecurityOptions> ReadSecurityOptions(const SecurityFlags& flags) 
     }
     security.token = *std::move(token);
   } else if (const char* token = std::getenv("SPIKESERVE_TOKEN"); token != nullptr) {
-    security.token = token;
+    security.token = std::string(absl::StripAsciiWhitespace(token));  // as that of a file
   }
   return security;
 }

@@ -40,7 +40,8 @@ absl::StatusOr<std::string> ReadTokenFile(const std::string& path);
 
 // Returns a channel to `server`, "HOST:PORT". It has its own connection, which is opened by the
 // first call and reopened after it breaks. Returns NOT_FOUND, which names the file, if a file
-// cannot be read, and INVALID_ARGUMENT if only one of `certificate` and `key` is set.
+// cannot be read, and INVALID_ARGUMENT if only one of `certificate` and `key` is set, or the token
+// has other than printable ASCII characters.
 absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(const std::string& server,
                                                            const SecurityOptions& security);
 

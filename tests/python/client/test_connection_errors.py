@@ -146,6 +146,17 @@ def test_programs_name_the_cause_in_one_line(cases, case, program):
     assert cause in line
 
 
+def test_a_token_that_no_header_can_have_is_refused(monkeypatch):
+    monkeypatch.setenv("SPIKESERVE_TOKEN", " secret\n")  # as a file has it
+    assert spikeserve.ClientOptions().token == "secret"
+    for token in ("sec\nret", "s\u00e9cret", "secret\0"):
+        with pytest.raises(ValueError, match="^token: expected printable ASCII characters, received others$"):
+            spikeserve.ClientOptions(token=token)
+    ended = run("SPIKECTL_PROGRAM", "policies", "--server=127.0.0.1:1", SPIKESERVE_TOKEN="sec\nret")
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert "token: expected printable ASCII characters, received others" in ended.stderr
+
+
 def test_the_environment_names_the_server(server, monkeypatch):
     monkeypatch.setenv("SPIKESERVE_SERVER", server.grpc)
     with spikeserve.Client() as client:

@@ -46,6 +46,10 @@ TEST_F(ClientTest, RefusesInvalidOptions) {
   options.security.keepalive = absl::ZeroDuration();
   EXPECT_EQ(options.Validate().message(), "keepalive: expected more than 0, received 0");
   options = ClientOptions();
+  options.security.token = "a token\n";
+  EXPECT_EQ(Client::Create("localhost:1", options).status().message(),
+            "token: expected printable ASCII characters, received others");
+  options = ClientOptions();
   options.retry.max_attempts = 0;
   EXPECT_TRUE(absl::IsInvalidArgument(Client::Create("localhost:1", options).status()));
 }

@@ -31,6 +31,11 @@ def default_server() -> str:
     return os.environ.get("SPIKESERVE_SERVER") or "127.0.0.1:50051"
 
 
+def default_token() -> str:
+    """Returns the environment variable SPIKESERVE_TOKEN, without white space around it."""
+    return os.environ.get("SPIKESERVE_TOKEN", "").strip()
+
+
 @dataclass(frozen=True)
 class ClientOptions:
     """Settings of a client. ValueError if a field is out of its range."""
@@ -43,8 +48,8 @@ class ClientOptions:
     # acknowledgement of sent bytes (TCP_USER_TIMEOUT). After that, the connection is a broken one.
     keepalive: float = 10.0
     keepalive_timeout: float = 5.0
-    # Sent with every call. The default is the environment variable SPIKESERVE_TOKEN.
-    token: str = field(default_factory=lambda: os.environ.get("SPIKESERVE_TOKEN", ""), repr=False)
+    # Sent with every call, printable ASCII. The default is that of `default_token`.
+    token: str = field(default_factory=default_token, repr=False)
 
     def __post_init__(self) -> None:
         check(self.timeout > 0, "timeout", "more than 0", self.timeout)
@@ -53,6 +58,8 @@ class ClientOptions:
         check(self.keepalive > 0, "keepalive", "more than 0", self.keepalive)
         patience = self.keepalive_timeout
         check(patience > 0, "keepalive_timeout", "more than 0", patience)
+        is_legal = self.token.isascii() and self.token.isprintable()
+        check(is_legal, "token", "printable ASCII characters", "others")
 
     @property
     def metadata(self) -> tuple[tuple[str, str], ...]:
