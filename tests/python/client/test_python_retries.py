@@ -261,6 +261,14 @@ async def test_a_page_in_the_place_of_an_answer_opens_another_stream(server, cli
     stream.close()
 
 
+@played()
+async def test_the_id_of_a_session_may_be_any_text(server, client, session):
+    other = type(session)(client, "s\u00e9ance\n")
+    with pytest.raises(spikeserve.SpikeserveError, match="expected step 0 of session s\u00e9ance"):
+        await finish(other.act(OBSERVATION))
+    assert server.calls["Act"] == 1
+
+
 ENDLESS = spikeserve.ClientOptions(timeout=math.inf, keepalive=math.inf, keepalive_timeout=1e9, retry=RETRY)
 
 

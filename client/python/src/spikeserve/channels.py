@@ -149,7 +149,9 @@ class Channels:
 
     def metadata(self, route: Route) -> Sequence[tuple[str, str]]:
         """Returns the gRPC metadata of a call."""
-        affinity = ((AFFINITY_KEY, route.key),) if route.key else ()
+        # The id of a session that does not exist may be any text.
+        is_legal = route.key.isascii() and route.key.isprintable()
+        affinity = ((AFFINITY_KEY, route.key),) if route.key and is_legal else ()
         active = active_traceparent()
         trace = ((TRACEPARENT, active),) if active else ()
         return (*self._options.metadata, *affinity, *trace)
