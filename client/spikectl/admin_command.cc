@@ -32,24 +32,17 @@ ordered_json NamedJson(const AdminFlags& flags) {
   return {{"policy", flags.policy}, {"version", flags.version}};
 }
 
-// Returns what a call did, and the whole traffic of the policy before and after it.
-ServerAnswer TrafficAnswer(const std::string& text, ordered_json json,
-                           const v1::TrafficChange& traffic) {
-  AddTraffic(traffic, &json);
-  return {absl::StrCat(text, ToText(traffic)), std::move(json), traffic.shared()};
-}
-
 absl::StatusOr<ServerAnswer> Load(const AdminFlags& flags) {
   auto request = VersionRequest<v1::LoadPolicyRequest>(flags);
   request.set_make_default(flags.make_default);
   ASSIGN_OR_RETURN(const auto response, CallAdmin(flags, &AdminStub::LoadPolicy, request));
   ordered_json json = NamedJson(flags);
   json["is_default"] = response.policy().is_default();
-  AddTraffic(response.traffic(), &json);
-  return ServerAnswer{
-      absl::StrCat("loaded ", Named(flags), response.policy().is_default() ? ", the default" : "",
-                   ToText(response.traffic())),
-      json};
+  ServerAnswer answer = TrafficAnswer(
+      absl::StrCat("loaded ", Named(flags), response.policy().is_default() ? ", the default" : ""),
+      std::move(json), response.traffic());
+  answer.shared = false;  // each server loads its own file
+  return answer;
 }
 
 absl::StatusOr<ServerAnswer> Unload(const AdminFlags& flags) {

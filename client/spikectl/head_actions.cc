@@ -45,12 +45,11 @@ absl::StatusOr<ServerAnswer> PromoteHead(const AdminFlags& flags) {
   auto request = HeadRequest<v1::PromoteHeadRequest>(flags);
   request.set_make_default(flags.make_default);
   ASSIGN_OR_RETURN(const auto promoted, CallAdmin(flags, &AdminStub::PromoteHead, request));
-  ordered_json json = {
-      {"policy", request.policy()}, {"version", promoted.version()}, {"path", promoted.path()}};
-  AddTraffic(promoted.traffic(), &json);
-  return ServerAnswer{absl::StrCat("wrote and loaded ", request.policy(), "/", promoted.version(),
-                                   ": ", promoted.path(), ToText(promoted.traffic())),
-                      json, promoted.traffic().shared()};
+  return TrafficAnswer(
+      absl::StrCat("wrote and loaded ", request.policy(), "/", promoted.version(), ": ",
+                   promoted.path()),
+      {{"policy", request.policy()}, {"version", promoted.version()}, {"path", promoted.path()}},
+      promoted.traffic());
 }
 
 absl::StatusOr<ServerAnswer> RollbackHead(const AdminFlags& flags) {

@@ -157,11 +157,8 @@ ordered_json ToJson(const v1::Rollout& rollout) {
 template <typename Response>
 absl::StatusOr<ServerAnswer> Describe(const absl::StatusOr<Response>& response) {
   if (!response.ok()) return response.status();
-  ordered_json json = ToJson(response->rollout());
-  AddTraffic(response->traffic(), &json);
-  return ServerAnswer{
-      absl::StrCat(ToText(response->rollout()), spikeserve::ToText(response->traffic())), json,
-      response->traffic().shared()};
+  return TrafficAnswer(ToText(response->rollout()), ToJson(response->rollout()),
+                       response->traffic());
 }
 
 // Returns who made a change: the token and the certificate, as far as there are any, and the

@@ -1,6 +1,7 @@
 #include "client/spikectl/traffic_report.h"
 
 #include <map>
+#include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
@@ -42,14 +43,13 @@ std::string ToText(const v1::Traffic& traffic) {
 
 }  // namespace
 
-std::string ToText(const v1::TrafficChange& change) {
-  return absl::StrCat("\n  before: ", ToText(change.before()),
-                      "\n  after:  ", ToText(change.after()));
-}
-
-void AddTraffic(const v1::TrafficChange& change, nlohmann::ordered_json* json) {
-  (*json)["before"] = MessageToFields(change.before(), Numbers::kExact);
-  (*json)["after"] = MessageToFields(change.after(), Numbers::kExact);
+ServerAnswer TrafficAnswer(std::string text, nlohmann::ordered_json json,
+                           const v1::TrafficChange& traffic) {
+  absl::StrAppend(&text, "\n  before: ", ToText(traffic.before()),
+                  "\n  after:  ", ToText(traffic.after()));
+  json["before"] = MessageToFields(traffic.before(), Numbers::kExact);
+  json["after"] = MessageToFields(traffic.after(), Numbers::kExact);
+  return {std::move(text), std::move(json), traffic.shared()};
 }
 
 }  // namespace spikeserve

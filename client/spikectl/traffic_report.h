@@ -1,19 +1,19 @@
 // Shows how the traffic of a policy is divided, and how a call has changed it.
 //
-// Pure functions; safe to call from many threads.
+// A pure function; safe to call from many threads.
 #pragma once
 
 #include <string>
 
+#include "client/spikectl/admin_call.h"
 #include "nlohmann/json.hpp"
 #include "spikeserve/v1/policy_admin.pb.h"
 
 namespace spikeserve {
 
-// Returns two lines with the whole traffic before and after a change, each preceded by a newline.
-std::string ToText(const v1::TrafficChange& change);
-
-// Adds the members "before" and "after" to `json`.
-void AddTraffic(const v1::TrafficChange& change, nlohmann::ordered_json* json);
+// Returns the answer of a call that has changed `traffic`: `text` and `json`, and the whole traffic
+// before and after it, as two lines and as the members "before" and "after".
+ServerAnswer TrafficAnswer(std::string text, nlohmann::ordered_json json,
+                           const v1::TrafficChange& traffic);
 
 }  // namespace spikeserve

@@ -72,9 +72,8 @@ absl::StatusOr<ServerAnswer> PushVersion(const AdminFlags& flags) {
   if (!pushed.removed().empty()) {
     absl::StrAppend(&text, "; removed ", absl::StrJoin(pushed.removed(), ", "));
   }
-  AddTraffic(pushed.traffic(), &json);
-  absl::StrAppend(&text, ToText(pushed.traffic()));
-  if (flags.rollout.empty()) return ServerAnswer{text, json, pushed.traffic().shared()};
+  ServerAnswer answer = TrafficAnswer(std::move(text), std::move(json), pushed.traffic());
+  if (flags.rollout.empty()) return answer;
   AdminFlags rollout = flags;
   rollout.version = pushed.version();
   rollout.steps = flags.rollout;
@@ -84,8 +83,9 @@ absl::StatusOr<ServerAnswer> PushVersion(const AdminFlags& flags) {
                         absl::StrCat("pushed version ", pushed.version(),
                                      ", without a roll-out: ", started.status().message()));
   }
-  json["rollout"] = started->json;
-  return ServerAnswer{absl::StrCat(text, "\n", started->text), json, pushed.traffic().shared()};
+  answer.json["rollout"] = started->json;
+  absl::StrAppend(&answer.text, "\n", started->text);
+  return answer;
 }
 
 absl::StatusOr<ServerAnswer> PullVersion(const AdminFlags& flags) {
@@ -126,11 +126,8 @@ absl::StatusOr<ServerAnswer> PullVersion(const AdminFlags& flags) {
 absl::StatusOr<ServerAnswer> RemoveVersion(const AdminFlags& flags) {
   ASSIGN_OR_RETURN(const auto removed, CallAdmin(flags, &AdminStub::RemovePolicy,
                                                  VersionRequest<v1::RemovePolicyRequest>(flags)));
-  ordered_json json = {{"policy", flags.policy}, {"version", flags.version}};
-  AddTraffic(removed.traffic(), &json);
-  return ServerAnswer{
-      absl::StrCat("removed ", flags.policy, "/", flags.version, ToText(removed.traffic())), json,
-      removed.traffic().shared()};
+  return TrafficAnswer(absl::StrCat("removed ", flags.policy, "/", flags.version),
+                       {{"policy", flags.policy}, {"version", flags.version}}, removed.traffic());
 }
 
 }  // namespace spikeserve
