@@ -3,7 +3,6 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <system_error>
 #include <utility>
 #include <vector>
 
@@ -63,15 +62,6 @@ absl::Status CheckFlags(const QuantizeFlags& flags) {
   RETURN_IF_ERROR(flags.gate.Validate());
   const absl::Status status = flags.options.Validate();
   return status.ok() ? status : NameFlag(status);
-}
-
-absl::Status MakeDirectoryOf(const std::string& path) {
-  const std::filesystem::path directory = std::filesystem::path(path).parent_path();
-  std::error_code error;
-  if (!directory.empty()) std::filesystem::create_directories(directory, error);
-  if (!error) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("--out: cannot make the directory ", directory.string(), ": ", error.message()));
 }
 
 // Returns the calibration set. Without recorded data, these are episodes that the policy plays,
@@ -214,7 +204,8 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
   ASSIGN_OR_RETURN(const std::optional<RoundingLoss> loss,
                    MeasureLoss(parent, integer, flags, pair));
   if (loss.has_value()) RETURN_IF_ERROR(flags.gate.Check(*loss, kAdvice));
-  RETURN_IF_ERROR(MakeDirectoryOf(flags.out));
+  const std::filesystem::path directory = std::filesystem::path(flags.out).parent_path();
+  if (!directory.empty()) RETURN_IF_ERROR(MakeOutDirectory(directory.string()));
   integer.training = QuantizationRecord(command_line, sources, pair, loss, parent, integer.config);
   RETURN_IF_ERROR(WritePolicyFile(integer, flags.out));
   const PolicyVerdict verdict = VerdictOf(flags, loss);

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <memory>
+#include <system_error>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -63,6 +64,14 @@ absl::StatusOr<Dataset> RecordFromFlags(const RecordFlags& flags, const std::str
 absl::Status RequireOut(const std::string& out, absl::string_view what) {
   if (!out.empty()) return absl::OkStatus();
   return InvalidArgument("--out", what, "none");
+}
+
+absl::Status MakeOutDirectory(const std::string& path) {
+  std::error_code error;
+  std::filesystem::create_directories(path, error);
+  if (!error) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("--out: cannot make the directory ", path, ": ", error.message()));
 }
 
 absl::Status NameFlag(const absl::Status& status) {

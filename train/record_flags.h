@@ -36,6 +36,10 @@ absl::StatusOr<Dataset> RecordFromFlags(const RecordFlags& flags, const std::str
 // Returns INVALID_ARGUMENT if `out` is empty. `what` describes the value of --out.
 absl::Status RequireOut(const std::string& out, absl::string_view what);
 
+// Makes the directory `path` of --out. Returns INVALID_ARGUMENT, which names the flag, if it
+// cannot.
+absl::Status MakeOutDirectory(const std::string& path);
+
 // Returns `status` with dashes before the name of the field. For options whose fields have the
 // names of flags.
 absl::Status NameFlag(const absl::Status& status);

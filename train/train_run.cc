@@ -1,16 +1,13 @@
 #include "train/train_run.h"
 
-#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <memory>
-#include <system_error>
 #include <utility>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
-#include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "core/base/file.h"
 #include "core/base/status.h"
@@ -39,14 +36,6 @@ namespace spikeserve {
 const char kLossAdvice[] = "train with more --iterations and --overwrite";
 
 namespace {
-
-absl::Status MakeDirectory(const std::string& path) {
-  std::error_code error;
-  std::filesystem::create_directories(path, error);
-  if (!error) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrCat("--out: cannot make the directory ", path, ": ", error.message()));
-}
 
 // The validation losses of a run, by iteration; none without validation data.
 using ValidationLosses = std::vector<std::pair<int, double>>;
@@ -390,65 +379,12 @@ absl::StatusOr<TrainedPolicy> Finish(const TrainFlags& flags, const std::string&
   return TrainedPolicy{.policy = std::move(policy), .summary = std::move(summary)};
 }
 
-// Returns the words that identify, in the checkpoints of a run, what it starts from. `sources` is
-// the result of IdentifySources().
-std::string SourceWords(const TrainFlags& flags, const nlohmann::ordered_json& sources) {
+// Returns the words that identify, in the checkpoints of a run, how its attention starts.
+std::string StartWords(const TrainFlags& flags) {
   std::string words;
   if (flags.lookback.has_value()) absl::StrAppend(&words, " --lookback=", *flags.lookback);
   if (flags.mirror.has_value()) absl::StrAppend(&words, " --mirror=", *flags.mirror);
-  if (sources.contains("parent_sha256")) {
-    absl::StrAppend(&words, " parent_sha256=", sources["parent_sha256"].get<std::string>());
-  }
-  if (!sources.contains("data_sha256")) return words;  // recorded anew, which the recipe identifies
-  std::vector<std::string> data;  // without the paths: a file that was moved is the same
-  for (const auto& sha256 : sources["data_sha256"]) data.push_back(sha256.get<std::string>());
-  return absl::StrCat(words, " data_sha256=", absl::StrJoin(data, ","));
-}
-
-// Returns INVALID_ARGUMENT if no decision of the episodes for training has a weight in the loss.
-absl::Status CheckWeights(const TrainOptions& options, const EpisodeSource& source) {
-  const Split split = SplitEpisodes(source.entries(), options.validation);
-  const bool weighted = std::any_of(split.training.begin(), split.training.end(), [&](int index) {
-    return source.entries()[static_cast<size_t>(index)].weighted > options.delay.least;
-  });
-  if (weighted) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      "--data: weights: expected one above 0 in the episodes for training, received only 0");
-}
-
-// Returns INVALID_ARGUMENT if no episode is long enough for a decision to be executed.
-absl::Status CheckDelay(DelayRange delay, const EpisodeSource& source) {
-  int longest = 0;
-  for (const EpisodeEntry& entry : source.entries()) longest = std::max(longest, entry.steps);
-  if (delay.most < longest) return absl::OkStatus();
-  return InvalidArgument(
-      "--delay", absl::StrCat("fewer steps than the longest episode has, ", longest), delay.most);
-}
-
-std::string SpaceText(const ActionSpace& space) {
-  constexpr size_t kMostShown = 8;
-  if (space.is_discrete()) return absl::StrCat("Discrete(", space.n, ")");
-  if (space.low.size() > kMostShown) return absl::StrCat("Box of ", space.low.size());
-  return absl::StrCat("Box from [", absl::StrJoin(space.low, ", "), "] to [",
-                      absl::StrJoin(space.high, ", "), "]");
-}
-
-// Returns INVALID_ARGUMENT if an environment of this program has other spaces than its data.
-absl::Status CheckEnvironment(const Dataset& dataset) {
-  const absl::StatusOr<std::unique_ptr<Environment>> made = MakeEnvironment(dataset.environment);
-  if (!made.ok()) return absl::OkStatus();  // one of another program
-  const Environment& environment = **made;
-  if (environment.observation_size() != dataset.observation_size) {
-    return InvalidArgument("--data",
-                           absl::StrCat("observations of ", environment.observation_size(),
-                                        " numbers, as ", dataset.environment, " has"),
-                           dataset.observation_size);
-  }
-  if (environment.action_space() == dataset.action_space) return absl::OkStatus();
-  return InvalidArgument("--data",
-                         absl::StrCat("the action space ", SpaceText(environment.action_space()),
-                                      ", as ", dataset.environment, " has"),
-                         SpaceText(dataset.action_space));
+  return words;
 }
 
 }  // namespace
@@ -470,36 +406,13 @@ absl::Status CheckOut(const TrainFlags& flags) {
       absl::StrCat("one with ", has_checkpoint ? checkpoint : policy));
 }
 
-// Reads the files of --data, or without that flag records data with the default recipe.
-absl::StatusOr<EpisodeSource> MakeSource(const TrainFlags& flags) {
-  if (flags.data.empty()) {
-    RETURN_IF_ERROR(MakeDirectory(flags.out));
-    RecordFlags record = flags.record;
-    record.options.seed = flags.trainer.options.seed;
-    record.options.expert.environment = flags.env.value_or(record.options.expert.environment);
-    ASSIGN_OR_RETURN(Dataset recorded, RecordFromFlags(record, flags.out));
-    return EpisodeSource(std::move(recorded));
-  }
-  absl::StatusOr<EpisodeSource> source =
-      EpisodeSource::Open(flags.data, int64_t{flags.data_memory} << 20);
-  if (!source.ok()) return source;
-  const std::string expected = source->dataset().environment;
-  const std::string environment = flags.env.value_or(expected);
-  if (environment != expected) {
-    return InvalidArgument("--env", absl::StrCat(expected, " as in --data"), environment);
-  }
-  RETURN_IF_ERROR(CheckEnvironment(source->dataset()));
-  return source;
-}
-
 absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const EpisodeSource& source,
                                           const std::string& command_line) {
   ASSIGN_OR_RETURN(TrainOptions options, MakeTrainOptions(flags.trainer));
   ASSIGN_OR_RETURN(options.patches, PatchesOf(flags, source.dataset().observation_size));
-  RETURN_IF_ERROR(CheckDelay(options.delay, source));
-  RETURN_IF_ERROR(CheckWeights(options, source));
+  RETURN_IF_ERROR(CheckSource(options, source));
   RETURN_IF_ERROR(CheckOut(flags));
-  RETURN_IF_ERROR(MakeDirectory(flags.out));
+  RETURN_IF_ERROR(MakeOutDirectory(flags.out));
   ASSIGN_OR_RETURN(const Policy initial, MakeInitialPolicy(flags, source, options.patches));
   RETURN_IF_ERROR(CheckFrozen(options.frozen, initial));
   RETURN_IF_ERROR(CheckDevice(options.device, options.arithmetic));
@@ -507,7 +420,7 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
   ASSIGN_OR_RETURN(const nlohmann::ordered_json sources, IdentifySources(flags.init, flags.data));
 
   AdviseOnKernels();
-  Trainer trainer(initial, source, options, SourceWords(flags, sources));
+  Trainer trainer(initial, source, options, StartWords(flags) + SourceWords(sources));
   const std::string checkpoint = absl::StrCat(flags.out, "/checkpoint.pt");
   if (flags.resume && std::filesystem::exists(checkpoint)) {
     RETURN_IF_ERROR(trainer.LoadCheckpoint(checkpoint));

@@ -56,6 +56,10 @@ absl::Status CheckOut(const TrainFlags& flags);
 // Reads the files of --data, or without that flag records data with the default recipe into --out.
 absl::StatusOr<EpisodeSource> MakeSource(const TrainFlags& flags);
 
+// Returns INVALID_ARGUMENT, which names the flag, if no decision of the episodes for training has a
+// weight in the loss, or if no episode is long enough for a decision to be executed.
+absl::Status CheckSource(const TrainOptions& options, const EpisodeSource& source);
+
 // What to do if the integers lost too much.
 extern const char kLossAdvice[];
 

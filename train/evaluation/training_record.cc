@@ -10,6 +10,7 @@
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "core/base/status_macros.h"
 #include "train/data/minari_layout.h"
 #include "train/data/minari_reader.h"
@@ -61,6 +62,17 @@ absl::StatusOr<nlohmann::ordered_json> IdentifySources(const std::string& parent
     sources["data_sha256"][path] = sha256;
   }
   return sources;
+}
+
+std::string SourceWords(const nlohmann::ordered_json& sources) {
+  std::string words;
+  if (sources.contains("parent_sha256")) {
+    absl::StrAppend(&words, " parent_sha256=", sources["parent_sha256"].get<std::string>());
+  }
+  if (!sources.contains("data_sha256")) return words;  // recorded anew, which the recipe identifies
+  std::vector<std::string> data;
+  for (const auto& sha256 : sources["data_sha256"]) data.push_back(sha256.get<std::string>());
+  return absl::StrCat(words, " data_sha256=", absl::StrJoin(data, ","));
 }
 
 }  // namespace spikeserve

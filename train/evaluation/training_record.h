@@ -32,4 +32,8 @@ absl::StatusOr<std::string> FileSha256(const std::string& path);
 absl::StatusOr<nlohmann::ordered_json> IdentifySources(const std::string& parent,
                                                        const std::vector<std::string>& data);
 
+// Returns the words that identify the files of `sources`, which IdentifySources() has returned, in
+// the checkpoints of a run, each after a space. Without paths: a file that was moved is the same.
+std::string SourceWords(const nlohmann::ordered_json& sources);
+
 }  // namespace spikeserve

@@ -11,12 +11,17 @@
 #include "absl/types/span.h"
 #include "core/engine/engine.h"
 #include "core/environment/environment.h"
+#include "train/data/dataset.h"
 
 namespace spikeserve {
 
 // Returns INVALID_ARGUMENT unless the policy's observation size and action space equal the
 // environment's.
 absl::Status CheckSpacesMatch(const Policy& policy, const Environment& environment);
+// Return INVALID_ARGUMENT, which names the flag --data, unless recorded episodes have the spaces of
+// the policy or of the environment.
+absl::Status CheckSpacesMatch(const Policy& policy, const Dataset& dataset);
+absl::Status CheckSpacesMatch(const Environment& environment, const Dataset& dataset);
 
 class PolicyPlayer {
  public:
