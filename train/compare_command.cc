@@ -4,16 +4,17 @@
 #include <string>
 #include <vector>
 
-#include "absl/strings/str_cat.h"
 #include "core/base/file.h"
 #include "core/base/status.h"
 #include "core/base/status_macros.h"
 #include "core/environment/environment.h"
-#include "core/model/policy_file.h"
 #include "train/baselines/comparison.h"
 #include "train/baselines/verdict.h"
 #include "train/commands.h"
+#include "train/decided_episodes.h"
 #include "train/evaluation/evaluation.h"
+#include "train/record_flags.h"
+#include "train/recording/policy_player.h"
 
 namespace spikeserve {
 namespace {
@@ -30,33 +31,22 @@ struct CompareFlags {
 };
 
 absl::Status CheckFlags(const CompareFlags& flags) {
-  const auto missing = [](absl::string_view flag, absl::string_view expected) {
-    return InvalidArgument(absl::StrCat("--", flag), expected, "none");
-  };
-  if (flags.policy.empty()) return missing("policy", "a policy file");
-  if (flags.data.empty()) return missing("data", "the datasets of its training");
-  if (flags.validation >= 0.0 && flags.validation < 1.0) return flags.evaluation.Validate();
-  return InvalidArgument("--validation", "0 or more, below 1", flags.validation);
-}
-
-absl::Status CheckFits(const Policy& policy, const Dataset& dataset) {
-  if (policy.observation_size() == dataset.observation_size &&
-      policy.action_space == dataset.action_space) {
-    return absl::OkStatus();
+  if (flags.data.empty()) {
+    return InvalidArgument("--data", "the datasets of its training", "none");
   }
-  return InvalidArgument(
-      "--data",
-      absl::StrCat(policy.observation_size(), " observations and the actions of the policy"),
-      absl::StrCat(dataset.observation_size, " observations, or other actions"));
+  if (!(flags.validation >= 0.0 && flags.validation < 1.0)) {
+    return InvalidArgument("--validation", "0 or more, below 1", flags.validation);
+  }
+  const absl::Status status = flags.evaluation.Validate();
+  return status.ok() ? status : NameFlag(status);
 }
 
 absl::Status ComparePolicy(const CompareFlags& flags) {
+  ASSIGN_OR_RETURN(const auto policy, ReadRequiredPolicy(flags.policy));
   RETURN_IF_ERROR(CheckFlags(flags));
-  ASSIGN_OR_RETURN(Policy read, ReadPolicyFile(flags.policy));
-  const auto policy = std::make_shared<const Policy>(std::move(read));
   ASSIGN_OR_RETURN(const EpisodeSource source,
                    EpisodeSource::Open(flags.data, int64_t{flags.data_memory} << 20));
-  RETURN_IF_ERROR(CheckFits(*policy, source.dataset()));
+  RETURN_IF_ERROR(CheckSpacesMatch(*policy, source.dataset()));
   ASSIGN_OR_RETURN(const BaselineData data, ReadBaselineData(source, flags.validation));
   BaselineComparison comparison = CompareWithBaselines(policy, data, flags.seed);
   if (MakeEnvironment(policy->environment).ok()) {

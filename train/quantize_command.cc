@@ -24,6 +24,7 @@
 #include "train/evaluation/training_record.h"
 #include "train/loss_gate.h"
 #include "train/record_flags.h"
+#include "train/recording/policy_player.h"
 
 namespace spikeserve {
 namespace {
@@ -76,6 +77,7 @@ absl::StatusOr<std::vector<Episode>> CalibrationSet(const Policy& policy,
   }
   constexpr int64_t kMemory = int64_t{4} << 30;
   ASSIGN_OR_RETURN(const EpisodeSource source, EpisodeSource::Open(data, kMemory));
+  RETURN_IF_ERROR(CheckSpacesMatch(policy, source.dataset()));
   if (!source.resident()) {
     return InvalidArgument("--data", "at most 4 GiB of episodes", "more");
   }

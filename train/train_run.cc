@@ -24,6 +24,7 @@
 #include "train/evaluation/training_record.h"
 #include "train/model/torch_model.h"
 #include "train/progress_bar.h"
+#include "train/recording/policy_player.h"
 #include "train/trainer/activity_router.h"
 #include "train/trainer/device.h"
 #include "train/trainer/initial_policy.h"
@@ -186,7 +187,7 @@ absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const EpisodeSource& s
   return policy;
 }
 
-absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const std::string& environment) {
+absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const Dataset& dataset) {
   ASSIGN_OR_RETURN(Policy policy, ReadPolicyFile(flags.init));
   if (policy.config.arithmetic != Arithmetic::kFloat32) {
     return InvalidArgument(
@@ -204,10 +205,11 @@ absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const std::string& e
     return absl::InvalidArgumentError(
         "--activity_router: expected no such flag beside --init, but --freeze=routing.hidden");
   }
-  if (policy.environment != environment) {
-    return InvalidArgument("--init", absl::StrCat("a policy for ", environment),
+  if (policy.environment != dataset.environment) {
+    return InvalidArgument("--init", absl::StrCat("a policy for ", dataset.environment),
                            absl::StrCat("one for \"", policy.environment, "\""));
   }
+  RETURN_IF_ERROR(CheckSpacesMatch(policy, dataset));
   return policy;
 }
 
@@ -225,9 +227,8 @@ absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const EpisodeS
   if (flags.target_return.has_value() && !std::isfinite(*flags.target_return)) {
     return InvalidArgument("--target_return", "a finite number", *flags.target_return);
   }
-  absl::StatusOr<Policy> policy = flags.init.empty()
-                                      ? NewPolicy(flags, source, patches)
-                                      : GivenPolicy(flags, source.dataset().environment);
+  absl::StatusOr<Policy> policy =
+      flags.init.empty() ? NewPolicy(flags, source, patches) : GivenPolicy(flags, source.dataset());
   if (!policy.ok()) return policy;
   if (flags.target_return.has_value()) {
     policy->target_return = static_cast<float>(*flags.target_return);

@@ -72,7 +72,8 @@ class Scan {
   // Adds episodes of the last file.
   absl::Status Add(std::vector<Episode> episodes) {
     if (!statistics_.has_value()) statistics_.emplace(datasets_[0].observation_size);
-    if (datasets_.back().observation_size != datasets_[0].observation_size) {
+    if (datasets_.back().observation_size != datasets_[0].observation_size ||
+        datasets_.back().action_space != datasets_[0].action_space) {
       // Concatenate() names what differs.
       return Concatenate(std::move(datasets_)).status();
     }

@@ -156,6 +156,12 @@ refuses "--observation_changes: expected what --init has, true, or no such flag,
 refuses '--observation_changes: expected true or false, received "2x"' train --out=x --observation_changes=2x
 
 refuses '--target_return: expected a finite number, received inf' train --data=data.cbor --out=x --target_return=inf
+# Data of three actions for a policy of two.
+LC_ALL=C sed 's/an\x02/an\x03/' other.cbor >third.cbor
+three='--data: expected the action space Discrete(2), as the policy has, received Discrete(3)'
+refuses "$three" train --data=third.cbor --init=other/policy.safetensors --out=x
+refuses "other/policy.safetensors: $three" quantize --policy=other/policy.safetensors --data=third.cbor --out=x
+refuses "$three" compare --policy=other/policy.safetensors --data=third.cbor
 
 "$spiketrain" train --data=data.cbor --init=whole/policy.safetensors --out=tuned --batch=4 --episodes=2 --no_baselines \
   --iterations=2 --target_rate=1 2>/dev/null >/dev/null

@@ -266,6 +266,23 @@ TEST_F(LargeDataTest, FilesThatCannotBeReadInPartsAreRefused) {
               HasSubstr(whole + ": expected datasets of Minari"));
 }
 
+TEST_F(TrainerTest, DataOfOtherActionsAreRefused) {
+  Dataset box = source_.dataset();
+  box.action_space = ActionSpace::Box({-1.0f}, {1.0f});
+  for (Episode& episode : box.episodes) {
+    for (Action& action : episode.actions) action = {.discrete = 0, .continuous = {0.5f}};
+  }
+  const std::string discrete_path = testing::TempDir() + "/discrete.cbor";
+  const std::string box_path = testing::TempDir() + "/box.cbor";
+  ASSERT_TRUE(WriteDataset(source_.dataset(), discrete_path).ok());
+  ASSERT_TRUE(WriteDataset(box, box_path).ok());
+  for (const std::vector<std::string>& paths :
+       {std::vector{box_path, discrete_path}, std::vector{discrete_path, box_path}}) {
+    EXPECT_THAT(std::string(EpisodeSource::Open(paths, int64_t{1} << 30).status().message()),
+                HasSubstr("expected equal spaces in all datasets of CartPole-v1"));
+  }
+}
+
 TEST_F(TrainerTest, IntegerTrainingGivesTheRoundedPolicyOfItsFloats) {
   TrainOptions options = options_;
   options.arithmetic = Arithmetic::kInteger;
