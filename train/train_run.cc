@@ -169,15 +169,8 @@ absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const EpisodeSource& s
   RETURN_IF_ERROR(SetShape(flags.shape, &config));
   ASSIGN_OR_RETURN(config.observation_changes, ChangesOf(flags, source, patches));
   Policy policy = InitialPolicy(config, source, flags.trainer.options.seed, patches);
-  if (flags.return_offset.has_value()) {
-    policy.return_offset = static_cast<float>(*flags.return_offset);
-  }
-  if (const auto scale = flags.return_scale; scale.has_value()) {
-    if (!(*scale > 0.0) || !std::isfinite(*scale)) {
-      return InvalidArgument("--return_scale", "a number above 0", *scale);
-    }
-    policy.return_scale = static_cast<float>(*scale);
-  }
+  policy.return_offset = static_cast<float>(flags.return_offset.value_or(policy.return_offset));
+  policy.return_scale = static_cast<float>(flags.return_scale.value_or(policy.return_scale));
   if (flags.lookback.has_value() && flags.mirror.has_value()) {
     return absl::InvalidArgumentError("--mirror: expected no such flag beside --lookback");
   }
@@ -185,6 +178,13 @@ absl::StatusOr<Policy> NewPolicy(const TrainFlags& flags, const EpisodeSource& s
   if (flags.mirror.has_value()) RETURN_IF_ERROR(Mirror(*flags.mirror, &policy));
   if (flags.activity_router) RETURN_IF_ERROR(RouteByActivity(&policy));
   return policy;
+}
+
+// Returns INVALID_ARGUMENT if a flag for new policies contradicts the policy of --init.
+absl::Status CheckGiven(absl::string_view flag, std::optional<double> value, float given) {
+  if (!value.has_value() || static_cast<float>(*value) == given) return absl::OkStatus();
+  return InvalidArgument(flag, absl::StrCat("what --init has, ", given, ", or no such flag"),
+                         *value);
 }
 
 absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const Dataset& dataset) {
@@ -205,12 +205,25 @@ absl::StatusOr<Policy> GivenPolicy(const TrainFlags& flags, const Dataset& datas
     return absl::InvalidArgumentError(
         "--activity_router: expected no such flag beside --init, but --freeze=routing.hidden");
   }
+  RETURN_IF_ERROR(CheckGiven("--return_offset", flags.return_offset, policy.return_offset));
+  RETURN_IF_ERROR(CheckGiven("--return_scale", flags.return_scale, policy.return_scale));
   if (policy.environment != dataset.environment) {
     return InvalidArgument("--init", absl::StrCat("a policy for ", dataset.environment),
                            absl::StrCat("one for \"", policy.environment, "\""));
   }
   RETURN_IF_ERROR(CheckSpacesMatch(policy, dataset));
   return policy;
+}
+
+absl::Status CheckReturns(const TrainFlags& flags) {
+  for (const auto& [flag, value] : {std::pair("--target_return", flags.target_return),
+                                    std::pair("--return_offset", flags.return_offset)}) {
+    if (!std::isfinite(value.value_or(0.0)))
+      return InvalidArgument(flag, "a finite number", *value);
+  }
+  const double scale = flags.return_scale.value_or(1.0);
+  if (scale > 0.0 && std::isfinite(scale)) return absl::OkStatus();
+  return InvalidArgument("--return_scale", "a number above 0", scale);
 }
 
 // Returns where the target return of the initial policy comes from.
@@ -224,9 +237,7 @@ TargetSource TargetSourceOf(const TrainFlags& flags, const Policy& initial) {
 // Returns the policy of --init, or a new one, with the target return of the flag.
 absl::StatusOr<Policy> MakeInitialPolicy(const TrainFlags& flags, const EpisodeSource& source,
                                          const PatchShape& patches) {
-  if (flags.target_return.has_value() && !std::isfinite(*flags.target_return)) {
-    return InvalidArgument("--target_return", "a finite number", *flags.target_return);
-  }
+  RETURN_IF_ERROR(CheckReturns(flags));
   absl::StatusOr<Policy> policy =
       flags.init.empty() ? NewPolicy(flags, source, patches) : GivenPolicy(flags, source.dataset());
   if (!policy.ok()) return policy;

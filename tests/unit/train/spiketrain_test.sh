@@ -156,6 +156,9 @@ refuses "--observation_changes: expected what --init has, true, or no such flag,
 refuses '--observation_changes: expected true or false, received "2x"' train --out=x --observation_changes=2x
 
 refuses '--target_return: expected a finite number, received inf' train --data=data.cbor --out=x --target_return=inf
+refuses '--return_offset: expected a finite number, received nan' train --data=data.cbor --out=x --return_offset=nan --return_scale=nan
+refuses '--return_scale: expected what --init has, 250, or no such flag, received 7' \
+  train --data=data.cbor --init=whole/policy.safetensors --out=x --return_offset=250 --return_scale=7
 # Data of three actions for a policy of two.
 LC_ALL=C sed 's/an\x02/an\x03/' other.cbor >third.cbor
 three='--data: expected the action space Discrete(2), as the policy has, received Discrete(3)'
