@@ -3,6 +3,7 @@
 #include <cmath>
 #include <filesystem>
 #include <memory>
+#include <system_error>
 #include <utility>
 
 #include "absl/strings/numbers.h"
@@ -78,6 +79,15 @@ class LearningCurve {
   std::string text_;
   ValidationLosses losses_;
 };
+
+// Removes what another run in --out has written beside its policy, of which this one may write
+// nothing.
+void RemoveOtherResults(const TrainFlags& flags) {
+  std::error_code ignored;
+  for (const char* name : {"/learning_curve.csv", "/baselines.json"}) {
+    std::filesystem::remove(flags.out + name, ignored);
+  }
+}
 
 std::string ArithmeticFlag(const TrainFlags& flags) {
   return absl::StrCat("--arithmetic=", std::string(ToString(flags.trainer.options.arithmetic)));
@@ -437,6 +447,7 @@ absl::StatusOr<TrainedPolicy> TrainPolicy(const TrainFlags& flags, const Episode
   if (flags.resume && std::filesystem::exists(checkpoint)) {
     RETURN_IF_ERROR(trainer.LoadCheckpoint(checkpoint));
   }
+  if (trainer.iteration() == 0) RemoveOtherResults(flags);
   ASSIGN_OR_RETURN(const ValidationLosses losses, TrainToEnd(flags, checkpoint, &trainer));
   return Finish(flags, command_line, sources, options, source, initial, losses,
                 trainer.CurrentPolicy());

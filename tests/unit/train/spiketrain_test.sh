@@ -88,6 +88,9 @@ grep -qx 'target return: 500, the default for CartPole-v1; --target_return sets 
 grep -q '^closed-loop play: CartPole-v1, 2 episodes' told.txt || fail "the play"
 grep -q 'spikes per decision' told.txt || fail "the spikes"
 ! grep -q validation told.txt told.err || fail "a validation without data for it"
+cp -r whole replaced
+"$spiketrain" train --data=data.cbor --out=replaced "${tiny[@]}" --iterations=1 --validation=0 --overwrite >/dev/null 2>&1
+[[ ! -e replaced/learning_curve.csv ]] || fail "the losses of a run that was replaced"
 OPENBLAS_CORETYPE=Prescott "$spiketrain" train --data=data.cbor --out=asked "${tiny[@]}" --iterations=1 --target_return=321 2>asked.err |
   grep -qx 'target return: 321, from --target_return' || fail "--target_return"
 if [[ $(uname -m) == x86_64 ]] && grep -qw avx2 /proc/cpuinfo; then
