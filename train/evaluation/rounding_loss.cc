@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <memory>
 #include <numeric>
 #include <utility>
@@ -118,12 +117,16 @@ absl::StatusOr<RoundingLoss> ParseLostReturn(absl::string_view json) {
     return InvalidArgument("returns", "before and after, of as many episodes, and random",
                            absl::StrCat(before.size(), ", ", gains.size(), " and ", random.size()));
   }
+  const auto are_finite = [](const std::vector<double>& values) {
+    return std::all_of(values.begin(), values.end(), [](double x) { return std::isfinite(x); });
+  };
+  if (!are_finite(before) || !are_finite(gains) || !are_finite(random)) {
+    return InvalidArgument("returns", "finite numbers", "others");
+  }
   for (size_t i = 0; i < gains.size(); ++i) gains[i] -= before[i];
-  const RoundingLoss loss = LossOf(
+  return LossOf(
       std::accumulate(before.begin(), before.end(), 0.0) / static_cast<double>(before.size()),
       random[0], std::move(gains));
-  if (std::isfinite(loss.loss.mean)) return loss;
-  return InvalidArgument("returns", "finite numbers", "others");
 }
 
 RoundingLoss LostAgreement(const Policy& parent, const Policy& rounded,

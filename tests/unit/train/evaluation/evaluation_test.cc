@@ -212,7 +212,9 @@ TEST(LostReturnTest, ReturnsOfAnotherProgramAreJudgedAlike) {
   EXPECT_EQ(loss->loss.mean, 0.5);
   for (const char* text :
        {"", "[]", R"({"before": [1], "after": [], "random": [0]})",
-        R"({"before": [1], "after": ["x"], "random": [0]})", R"({"before": [1], "after": [1]})"}) {
+        R"({"before": [1], "after": ["x"], "random": [0]})", R"({"before": [1], "after": [1]})",
+        R"({"before": [1, null], "after": [1, 0], "random": [0]})",
+        R"({"before": [1], "after": [0], "random": [null]})"}) {
     EXPECT_EQ(ParseLostReturn(text).status().code(), absl::StatusCode::kInvalidArgument) << text;
   }
 }
