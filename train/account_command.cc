@@ -137,14 +137,18 @@ absl::StatusOr<EnergyAccount> AccountOf(const Policy& policy, const Evaluation& 
       .dense = CostOf(dense, 1.0, DenseBaseline(config))};
 }
 
-// Replaces the dense policy by one that was evaluated. INVALID_ARGUMENT for a spiking policy or one
-// in float32.
+// Replaces the dense policy by one that was evaluated. INVALID_ARGUMENT for a spiking policy, one
+// in float32, or one for another environment.
 absl::Status SetDense(const Policy& dense, const Evaluation& evaluation, EnergyAccount* account) {
   const ModelConfig& config = dense.config;
   if (!config.is_dense() || !config.is_integer()) {
     return InvalidArgument("policy", "mode dense in integer",
                            absl::StrCat("mode ", std::string(ToString(config.mode)), " in ",
                                         std::string(ToString(config.arithmetic))));
+  }
+  if (evaluation.environment != account->environment) {
+    return InvalidArgument("policy", absl::StrCat("one for ", account->environment),
+                           absl::StrCat("one for ", evaluation.environment));
   }
   account->dense = CostOf(evaluation.counts, static_cast<double>(evaluation.decisions), config);
   account->dense_was_played = true;
