@@ -118,6 +118,9 @@ def test_columns_bounds_and_names_are_selected(tmp_path):
     assert {episode.task for episode in back.episodes} == {"Fold"}
     whole = read(tmp_path / "towels")
     assert {episode.task for episode in whole.episodes} == {"Fold the towel"}
+    convert(tmp_path / "towels", tmp_path / "logs", "mcap")
+    for exported in ("out", "logs"):  # which declare their own bounds
+        assert read(tmp_path / exported, selection=Selection(action_high=(9,))).action_space.high == (9, 9)
 
 
 def test_logs_of_topics_at_several_rates_become_steps(tmp_path):

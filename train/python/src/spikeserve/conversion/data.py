@@ -96,6 +96,11 @@ class Selection:
     fps: float | None = None
     task: str = ""
 
+    @property
+    def has_bounds(self) -> bool:
+        """Returns whether a bound of the action is given."""
+        return bool(self.action_low or self.action_high)
+
 
 def check_episode(data: RobotData, episode: Episode, where: str) -> None:
     """ValueError, which names `where`, the array and the step, for an episode that is not valid.
@@ -223,7 +228,7 @@ def action_space_of(
     that `selection` does not give are the smallest and largest recorded values.
     """
     integers = all(np.issubdtype(a.dtype, np.integer) and a.shape[1] == 1 for a in actions)
-    if selection.actions is not None or (integers and not selection.action_low):
+    if selection.actions is not None or (integers and not selection.has_bounds):
         whole = integers or all(a.shape[1] == 1 and bool((a == np.rint(a)).all()) for a in actions)
         check(whole, where, "one integer a step, because of --actions", "other numbers")
         indices = [a[:, 0].astype(np.int64) for a in actions]

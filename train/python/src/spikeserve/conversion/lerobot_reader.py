@@ -101,7 +101,7 @@ class _Reader:
         episodes = _split(tables["episode_index"][:, 0])
         name = f"{self._folder}: column {self._action}"
         actions = [tables[self._action][rows] for rows in episodes]
-        if self._extension is not None:
+        if self._extension is not None and not self._selection.has_bounds:
             space = space_from_json(
                 self._extension.get("action_space"),
                 f"{self._folder / layout.EXTENSION}: action_space",
