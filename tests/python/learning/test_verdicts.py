@@ -331,3 +331,11 @@ def test_a_verdict_that_is_refused_does_not_keep_the_others_waiting(tmp_path, ca
             assert judge_all() == [5.0]
             assert judge_all() == [] and lengths == [3, 5], "it is said once, and not asked again"
             assert "rewards: expected 3 numbers, one a step, received 2" in capfd.readouterr().err
+
+
+def test_a_damaged_recording_does_not_keep_the_others_waiting(tmp_path, capfd):
+    (tmp_path / "000000.cbor").write_bytes(b"x")
+    seen = set()
+    assert list(follow(tmp_path, lambda episode: 1.0, None, "ada", seen)) == []
+    assert "000000.cbor: expected a dataset of spikeserve in CBOR" in capfd.readouterr().err
+    assert seen == {tmp_path / "000000.cbor"}

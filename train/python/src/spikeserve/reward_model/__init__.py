@@ -39,9 +39,9 @@ def follow(
 ) -> Iterator[tuple[pathlib.Path, AmendedEpisode]]:
     """Judges the episodes below `directory` that `name` has not judged, and yields the verdicts.
 
-    `seen` has those that need not be looked at again. A verdict that the server refuses for good is
-    said on standard error. Another error is raised; the next call goes on with that episode, and
-    sends the same verdict again.
+    `seen` has those that need not be looked at again. A file that cannot be read, and a verdict
+    that the server refuses for good, are said on standard error. Another error is raised; the next
+    call goes on with that episode, and sends the same verdict again.
     """
     for path in files_of(directory):
         if path in seen:
@@ -55,7 +55,11 @@ def follow(
 
 def judge(path: pathlib.Path, model: Model, client: Client, name: str) -> AmendedEpisode | None:
     """Amends one recorded episode, and the session that waits for its verdict."""
-    episode = read_file(path).episodes[0]
+    try:
+        episode = read_file(path).episodes[0]
+    except ValueError as error:
+        say(error, error=True)
+        return None
     served = episode.served or {}
     verdict = model(episode)
     if verdict is None or "episode" not in served:
