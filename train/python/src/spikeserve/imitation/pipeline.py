@@ -10,6 +10,7 @@ from typing import Any
 
 from spikeserve.check import check
 from spikeserve.engine import Engine
+from spikeserve.flat_spaces import FlatEnvironment
 from spikeserve.imitation.actors import Bursts, DelayedStudentActor, ExpertActor, StudentActor
 from spikeserve.imitation.baselines import (
     LARGEST_COMPARED,
@@ -96,7 +97,7 @@ def imitate(
         **asdict(options),
     }
     journal = Journal(folder, settings, overwrite)
-    return _Run(factory, source, options, trainer, journal).run()
+    return _Run(factory, environment, source, options, trainer, journal).run()
 
 
 class _Run:
@@ -105,12 +106,14 @@ class _Run:
     def __init__(
         self,
         factory: EnvironmentFactory,
+        environment: FlatEnvironment,
         source: str | Expert,
         options: ImitationOptions,
         trainer: Spiketrain,
         journal: Journal,
     ) -> None:
         self._factory = factory
+        self._environment = environment  # closed; it tells the spaces
         self._dataset = source if isinstance(source, str) else None
         self._expert = None if isinstance(source, str) else source
         self._options = options
@@ -130,9 +133,7 @@ class _Run:
     def run(self) -> ImitationResult:
         """Runs every part and writes policies and report."""
         self._record_expert()
-        environment = self._factory.make()
-        environment.close()
-        space = environment.actions.space
+        space = self._environment.actions.space
         self._training = TrainingPlan(
             **self._chosen("training", lambda: plan_training(self._options, self._data[0], space))
         )
@@ -173,10 +174,7 @@ class _Run:
     def _record_expert(self) -> None:
         if self._expert is None:
             assert self._dataset is not None
-            source = self._dataset
-            environment = self._factory.make()
-            environment.close()
-            played = read_dataset(source, environment)
+            played = read_dataset(self._dataset, self._environment)
             self._write_data("expert", lambda: self._label_after(played))
             return
         actor = ExpertActor(self._expert, self._bursts(self._options.disturbed))
@@ -220,9 +218,7 @@ class _Run:
     def _write_data(self, name: str, record: Callable[[], list[Episode]]) -> None:
         folder = self._journal.folder / "data" / f"{name}-v0"
         if not folder.is_dir():
-            environment = self._factory.make()
-            write_dataset(folder, record(), environment, self._factory.name)
-            environment.close()
+            write_dataset(folder, record(), self._environment, self._factory.name)
         self._data.append(folder)
 
     # Training
@@ -238,7 +234,7 @@ class _Run:
             f"--batch={options.batch}",
             f"--learning_rate={plan.learning_rate}",
             f"--action_noise={plan.action_noise}",
-            *([] if init else [*self._shape_flags(), *self._image_flags()]),
+            *([] if init else self._shape_flags()),
             *flags,
             *options.train_flags,
         ]
@@ -261,7 +257,7 @@ class _Run:
         return candidate
 
     def _shape_flags(self) -> list[str]:
-        """Returns the flags of `spiketrain train` for the shape of a new policy."""
+        """Returns the flags of `spiketrain train` for a new policy and its images."""
         options = self._options
         names = ("mode", "hidden_size", "layers", "ticks")
         flags = [f"--{name}={getattr(options, name)}" for name in names]
@@ -269,12 +265,7 @@ class _Run:
         for name in ("lookback", "mirror"):
             if (timestep := getattr(options, name)) is not None:
                 flags.append(f"--{name}={timestep}")
-        return flags
-
-    def _image_flags(self) -> list[str]:
-        environment = self._factory.make()
-        environment.close()
-        return image_flags(environment.native_space, self._options.patch_size)
+        return flags + image_flags(self._environment.native_space, options.patch_size)
 
     def _learn_to_play(self) -> _Candidate:
         """Trains on the expert's data, then on the policy's own states. Returns the best policy."""
@@ -456,9 +447,7 @@ class _Run:
 
     def _compare(self, policy: pathlib.Path) -> Comparison | None:
         """Returns None if the observations are too large for baselines."""
-        environment = self._factory.make()
-        environment.close()
-        if environment.observations.size > LARGEST_COMPARED:
+        if self._environment.observations.size > LARGEST_COMPARED:
             return None
         out = self._journal.folder / "evaluations/comparison.json"
         return Comparison.read(self._trainer.compare(policy, self._data, out))
