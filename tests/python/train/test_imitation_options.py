@@ -81,11 +81,17 @@ def test_looking_back_needs_phase_spikes():
         (("--image_shape=16,16,3",), "expected no --image_shape"),
         (("--init=policy.safetensors",), "expected no --init, which each stage sets"),
         (("--target_rate=5",), "expected no --target_rate, which each stage sets"),
+        (("--activity_router",), "expected no --activity_router beside rounds or silence"),
+        (("--norm=fade",), "expected no --norm beside rounds or silence"),
     ],
 )
 def test_train_flags_that_a_later_stage_would_refuse_are_refused(flags, reason):
     with pytest.raises(ValueError, match=f"train_flags: {reason}.*received --"):
         ImitationOptions(train_flags=flags)
+
+
+def test_one_stage_takes_the_flags_of_new_policies():
+    assert ImitationOptions(train_flags=("--norm=fade",), rounds=0, silence=()).rounds == 0
 
 
 @pytest.mark.parametrize(
@@ -98,6 +104,9 @@ def test_train_flags_that_a_later_stage_would_refuse_are_refused(flags, reason):
         ("--hidden-size=50", "hidden_size: expected a multiple of heads = 4, received 50"),
         ("--ticks=1000", "ticks: expected an integer from 1 to 256, received 1000"),
         ("--silence=6:25,600:25", "silence: expected pairs HIDDEN:READOUT of percentages from 0 to 100, received 600:25"),
+        ("--selection-episodes=1", "selection_episodes: expected at least 2 beside silence"),
+        ("--expert=nothing-v0", "nothing-v0: expected a dataset of Minari, an id on this machine or a folder, received none"),
+        ("--out=/dev/null/run", "spikeserve imitate: [Errno 20] Not a directory"),
         ("--silence=6:-1", "silence: expected pairs HIDDEN:READOUT of percentages from 0 to 100, received 6:-1"),
     ],
 )

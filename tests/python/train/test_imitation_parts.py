@@ -26,7 +26,7 @@ from spikeserve.imitation.episodes import play
 from spikeserve.imitation.experts import load_expert
 from spikeserve.imitation.figures import Figures
 from spikeserve.imitation.images import image_flags
-from spikeserve.imitation.insight import drift
+from spikeserve.imitation.insight import drift, learning_curves
 from spikeserve.imitation.options import ImitationOptions
 from spikeserve.imitation.pipeline import has_stalled
 
@@ -313,6 +313,10 @@ def test_one_start_has_no_spread_that_could_make_a_difference_significant():
     assert return_warnings(figures(1.0, 1.0), {"a line": figures(2.0, 4.0)}) == []
     (warning,) = return_warnings(figures(1.0, 1.0), {"a line": figures(3.0, 4.0)})
     assert warning == "a line returns more than the policy on the same 2 starts: by 2.5 ± 0.5"
+
+
+def test_trainings_without_held_out_episodes_have_no_curve(tmp_path):
+    assert learning_curves([tmp_path / "1-play"]) == []
 
 
 def test_the_drift_closes_its_environments():

@@ -113,7 +113,7 @@ def _run(arguments: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         say("spikeserve imitate: interrupted; the same command continues", error=True)
         return 130
-    except (ValueError, RuntimeError) as error:
+    except (ValueError, RuntimeError, OSError) as error:
         say(f"spikeserve imitate: {error}", error=True)
         return 1
     say(f"expert: {result.expert_figures}")

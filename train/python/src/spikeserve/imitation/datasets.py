@@ -101,10 +101,14 @@ def _buffer(index: int, episode: Any, further: dict[str, Any]) -> EpisodeBuffer:
 
 
 def open_dataset(source: str | pathlib.Path) -> minari.MinariDataset:
-    """Opens a dataset, an id or a folder."""
+    """Opens a dataset, an id or a folder. ValueError if there is none."""
     folder = pathlib.Path(source) / "data"
     is_folder = (folder / "metadata.json").is_file()
-    dataset = minari.MinariDataset(folder) if is_folder else minari.load_dataset(str(source))
+    try:
+        dataset = minari.MinariDataset(folder) if is_folder else minari.load_dataset(str(source))
+    except FileNotFoundError as error:
+        expected = "a dataset of Minari, an id on this machine or a folder"
+        raise ValueError(f"{source}: expected {expected}, received none") from error
     _check_storage(pathlib.Path(dataset.storage.data_path) / "main_data.hdf5")
     return dataset
 

@@ -112,8 +112,9 @@ def _errors(space: spaces.Discrete | spaces.Box, episode: Episode) -> NDArray[np
 def learning_curves(stages: Sequence[pathlib.Path]) -> list[tuple[int, float, float]]:
     """Returns (iteration, mean, deviation) of the validation losses of several trainings."""
     losses: dict[int, list[float]] = {}
-    for stage in stages:
-        with (stage / "learning_curve.csv").open() as file:
+    curves = [stage / "learning_curve.csv" for stage in stages]
+    for path in filter(pathlib.Path.is_file, curves):  # none where no episode is held out
+        with path.open() as file:
             for row in csv.DictReader(file):
                 losses.setdefault(int(row["iteration"]), []).append(float(row["validation_loss"]))
     rows = [

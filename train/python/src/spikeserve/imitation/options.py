@@ -20,12 +20,13 @@ _SILENCE = ((6.0, 25.0), (3.0, 15.0), (1.5, 9.0))
 
 # Flags of `spiketrain train` that cannot be in train_flags, which every stage receives.
 _SET_BY_STAGES = (
-    *("data", "out", "init", "resume", "seed", "seeds", "iterations"),
+    *("data", "out", "init", "resume", "overwrite", "seed", "seeds", "iterations"),
     *("target_rate", "readout_rate"),
 )
 # Only for a policy without --init.
 _OWN_SETTINGS = ("lookback", "mirror", "image_shape", "patch_size")
-# With these, attention knows distances without phase spikes.
+# Refused by a training that continues from the policy of an earlier stage.
+_FOR_ONE_STAGE = ("activity_router", "norm")
 
 # The settings that are chosen where they are None, and their types.
 CHOSEN: dict[str, type[int] | type[float]] = {
@@ -191,8 +192,15 @@ class ImitationOptions:
                 "pairs HIDDEN:READOUT of percentages from 0 to 100",
                 ":".join(f"{rate:g}" for rate in rates),
             )
+        silenced = bool(self.silence) and self.mode != "dense"
+        check(
+            self.selection_episodes >= 2 or not silenced,
+            "selection_episodes",
+            "at least 2 beside silence, because one start cannot tell what it costs",
+            self.selection_episodes,
+        )
         for flag in self.train_flags:
-            _check_train_flag(flag)
+            _check_train_flag(flag, continues=self.rounds > 0 or silenced)
         self._check_shape()
 
     def _check_shape(self) -> None:
@@ -204,8 +212,11 @@ class ImitationOptions:
         ModelConfig(**{name: value for name, value in shape.items() if value is not None})
 
 
-def _check_train_flag(flag: str) -> None:
-    """ValueError for a flag with which a later stage would fail, or the stages would be alike."""
+def _check_train_flag(flag: str, continues: bool) -> None:
+    """ValueError for a flag with which a later stage would fail, or the stages would be alike.
+
+    `continues` says whether a stage continues from the policy of an earlier one.
+    """
     name = flag.removeprefix("--").partition("=")[0] if flag.startswith("--") else ""
     check(
         name != "arithmetic",
@@ -215,6 +226,12 @@ def _check_train_flag(flag: str) -> None:
         flag,
     )
     check(name not in _SET_BY_STAGES, "train_flags", f"no --{name}, which each stage sets", flag)
+    check(
+        name not in _FOR_ONE_STAGE or not continues,
+        "train_flags",
+        f"no --{name} beside rounds or silence, whose trainings refuse it",
+        flag,
+    )
     check(
         name not in _OWN_SETTINGS,
         "train_flags",
