@@ -28,7 +28,7 @@ struct DatasetFlags {
   std::optional<std::string> env;  // absent: all environments of the recordings, or CartPole-v1
   // Loss weights of the steps that operators and the policy chose; absent: all steps have 1.
   std::optional<double> correction_weight;
-  double policy_weight = 1.0;
+  std::optional<double> policy_weight;  // beside the other one; absent: 1
   RecordFlags record;
   bool json = false;
 };
@@ -59,14 +59,15 @@ absl::Status CheckWeight(const char* flag, double weight) {
 absl::Status WeighCorrections(const DatasetFlags& flags, Dataset* dataset) {
   if (!flags.correction_weight.has_value()) return absl::OkStatus();
   RETURN_IF_ERROR(CheckWeight("--correction_weight", *flags.correction_weight));
-  RETURN_IF_ERROR(CheckWeight("--policy_weight", flags.policy_weight));
-  const int64_t corrected = WeighBySource(*flags.correction_weight, flags.policy_weight, dataset);
+  const double policy_weight = flags.policy_weight.value_or(1.0);
+  RETURN_IF_ERROR(CheckWeight("--policy_weight", policy_weight));
+  const int64_t corrected = WeighBySource(*flags.correction_weight, policy_weight, dataset);
   if (corrected == 0) {
     return InvalidArgument("--correction_weight", "recordings in which an operator acted", "none");
   }
   dataset->recipe["corrected_steps"] = corrected;
   dataset->recipe["correction_weight"] = *flags.correction_weight;
-  dataset->recipe["policy_weight"] = flags.policy_weight;
+  dataset->recipe["policy_weight"] = policy_weight;
   return absl::OkStatus();
 }
 
@@ -85,6 +86,9 @@ absl::StatusOr<Dataset> FromRecordings(const DatasetFlags& flags) {
 }
 
 absl::StatusOr<Dataset> MakeDataset(const DatasetFlags& flags) {
+  if (flags.policy_weight.has_value() && !flags.correction_weight.has_value()) {
+    return InvalidArgument("--policy_weight", "--correction_weight beside it", "none");
+  }
   if (!flags.recordings.empty()) return FromRecordings(flags);
   if (flags.correction_weight.has_value()) {
     return InvalidArgument("--correction_weight", "--recordings beside it", "none");
@@ -98,9 +102,10 @@ absl::Status WriteNewDataset(const DatasetFlags& flags) {
   if (auto status = RequireOut(flags.out, "a .cbor file or a directory to write"); !status.ok()) {
     return status;
   }
+  const bool cbor = std::filesystem::path(flags.out).extension() == ".cbor";
+  if (!cbor) RETURN_IF_ERROR(MinariId(flags.out).status());  // before it records
   ASSIGN_OR_RETURN(Dataset dataset, MakeDataset(flags));
   dataset.recipe["commit"] = BuildCommit();
-  const bool cbor = std::filesystem::path(flags.out).extension() == ".cbor";
   RETURN_IF_ERROR(cbor ? WriteDataset(dataset, flags.out) : WriteMinariDataset(dataset, flags.out));
   nlohmann::ordered_json summary = {{"environment", dataset.environment}};
   summary.update(dataset.recipe);
@@ -122,7 +127,7 @@ void AddDatasetCommand(Program& program) {
       .Add("correction_weight", "W", &flags->correction_weight,
            "Loss weight of operators' steps; default: all count alike")
       .Add("policy_weight", "W", &flags->policy_weight,
-           "Beside it: that of the policy's steps; all other steps have 0")
+           "Beside it: that of the policy's steps, all others have 0; default: 1")
       .AddSwitch("json", &flags->json, "Print the summary on several lines");
   FlagGroup recording = command.Flags(kRecording);
   recording.Add("seed", "N", &flags->record.options.seed, "Seed of every random draw");

@@ -38,19 +38,6 @@ Json EnvironmentSpec(const std::string& id) {
   return nullptr;
 }
 
-// Returns the last component of `directory` if it is a valid dataset id, such as "name-v0".
-absl::StatusOr<std::string> DatasetId(const std::string& directory) {
-  std::filesystem::path path = directory;
-  if (!path.has_filename()) path = path.parent_path();
-  const std::string id = path.filename().string();
-  const size_t dash = id.rfind("-v");
-  int version = 0;
-  if (dash != std::string::npos && dash > 0 && absl::SimpleAtoi(id.substr(dash + 2), &version)) {
-    return id;
-  }
-  return InvalidArgument(directory, "a directory named like a Minari dataset, NAME-v0", id);
-}
-
 // Returns a Box without bounds: a dataset does not tell the bounds of its environment. Written in
 // Python's dialect of JSON, because standard JSON has no infinity.
 std::string UnboundedBox(int size) {
@@ -200,8 +187,20 @@ class Writer {
 
 }  // namespace
 
+absl::StatusOr<std::string> MinariId(const std::string& directory) {
+  std::filesystem::path path = directory;
+  if (!path.has_filename()) path = path.parent_path();
+  const std::string id = path.filename().string();
+  const size_t dash = id.rfind("-v");
+  int version = 0;
+  if (dash != std::string::npos && dash > 0 && absl::SimpleAtoi(id.substr(dash + 2), &version)) {
+    return id;
+  }
+  return InvalidArgument(directory, "a directory named like a Minari dataset, NAME-v0", id);
+}
+
 absl::Status WriteMinariDataset(const Dataset& dataset, const std::string& directory) {
-  ASSIGN_OR_RETURN(const std::string id, DatasetId(directory));
+  ASSIGN_OR_RETURN(const std::string id, MinariId(directory));
   std::error_code error;
   std::filesystem::create_directories(directory + "/data", error);
   if (error) return absl::UnavailableError(absl::StrCat(directory, ": ", error.message()));

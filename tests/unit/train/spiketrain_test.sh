@@ -24,7 +24,10 @@ refuses() {
 "$spiketrain" dataset --env=CartPole-v1 --steps=1500 --seed=3 --out=data.cbor --json | grep -q '"expert_steps": 1000'
 "$spiketrain" expert --env=CartPole-v1 --episodes=3 --json | grep -q '"mean_return": 500.0'
 refuses "expert: expected feedback or return_conditioned for CartPole-v1, received 'beam'" expert --expert=beam
-refuses '--wide_start_fraction: expected 0 for CartPole-v1, received 0.25' dataset --out=x --wide_start_fraction=0.25
+refuses '--wide_start_fraction: expected 0 for CartPole-v1, received 0.25' dataset --out=x.cbor --wide_start_fraction=0.25
+refuses 'unnamed: expected a directory named like a Minari dataset, NAME-v0, received unnamed' \
+  dataset --out=unnamed --student=none  # before it reads the student
+refuses '--policy_weight: expected --correction_weight beside it, received none' dataset --out=x.cbor --policy_weight=0
 "$spiketrain" dataset --steps=300 --expert_fraction=0.2 --disturbed_fraction=0.5 --out=disturbed.cbor |
   grep -q '"disturbed_steps":'
 
