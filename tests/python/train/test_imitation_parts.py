@@ -26,7 +26,7 @@ from spikeserve.imitation.episodes import play
 from spikeserve.imitation.experts import load_expert
 from spikeserve.imitation.figures import Figures
 from spikeserve.imitation.images import image_flags
-from spikeserve.imitation.insight import drift, learning_curves
+from spikeserve.imitation.insight import Insight, drift, learning_curves
 from spikeserve.imitation.options import ImitationOptions
 from spikeserve.imitation.pipeline import has_stalled
 
@@ -317,6 +317,14 @@ def test_one_start_has_no_spread_that_could_make_a_difference_significant():
 
 def test_trainings_without_held_out_episodes_have_no_curve(tmp_path):
     assert learning_curves([tmp_path / "1-play"]) == []
+
+
+def test_no_policy_is_good_whose_expert_is_no_better_than_chance():
+    chance = Figures([10.0], decisions=1, spikes=0)
+    for share, grade in ((None, "bad"), (0.4, "bad"), (0.5, "weak"), (0.95, "good")):
+        insight = Insight(None, None, None, share, chance, [])
+        assert insight.verdict().grade == grade
+        assert ("Imitate an expert that returns more than random actions." in insight.advice(False, 5)) == (share is None)
 
 
 def test_the_drift_closes_its_environments():

@@ -133,12 +133,15 @@ class Insight:
     comparison: Comparison | None
     floor: float | None
     drift: list[tuple[int, int, float]] | None
-    share: float  # of the way from random actions to the expert
+    # Of the way from random actions to the expert; None: the expert returns no more than they do.
+    share: float | None
     chance: Figures  # of random actions, on the starts for selection
     curves: list[tuple[int, float, float]]
 
     def verdict(self) -> Verdict:
         """Judges by the share of the way to the expert."""
+        if self.share is None:
+            return Verdict("bad", "the expert returns no more than random actions")
         grade = "good" if self.share >= _GOOD_SHARE else "bad"
         if _WEAK_SHARE <= self.share < _GOOD_SHARE:
             grade = "weak"
@@ -167,7 +170,9 @@ class Insight:
                 "The validation loss still fell at the end of the first trainings: try more "
                 "iterations (--iterations)."
             )
-        if self.share < 0.95 and not lines:
+        if self.share is None:
+            lines.append("Imitate an expert that returns more than random actions.")
+        elif self.share < _GOOD_SHARE and not lines:
             lines.append(
                 "Nothing here explains the distance to the expert: try more data (--steps), a "
                 "larger policy (--hidden-size), or an expert that keeps a margin."

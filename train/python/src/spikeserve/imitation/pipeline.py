@@ -442,7 +442,8 @@ class _Run:
         ).mean
         plays = [stage for stage in self._stages if stage.name.endswith("-play")]
         curves = learning_curves([stage.policy.parent for stage in plays])
-        share = (figures.mean - chance.mean) / (expert_return - chance.mean or 1.0)
+        way = expert_return - chance.mean
+        share = (figures.mean - chance.mean) / way if way > 0 else None
         return Insight(comparison, floor, drifts, share, chance, curves), baselines
 
     def _compare(self, policy: pathlib.Path) -> Comparison | None:
