@@ -388,6 +388,11 @@ refuses '--arithmetic=integer: expected a policy with norms, received one withou
 refuses '--env: expected CartPole-v1 as in --data, received Acrobot-v1' train --data=data.cbor --env=Acrobot-v1 --out=x
 refuses 'none.safetensors: no such file' eval --policy=none.safetensors
 refuses '--steps: expected no such flag beside --data, received 5' train --data=data.cbor --out=x --steps=5
+# What does not fit into memory is an error in one line, too.
+if "$spiketrain" train --data=data.cbor --out=vast "${tiny[@]}" --iterations=1 --validation=0 --clip_steps=200000 2>message; then
+  fail "clips of 200,000 steps"
+fi
+[[ $(tail -1 message) == "spiketrain: "*"allocate memory"* ]] || fail "too little memory: $(cat message)"
 refuses '--data_memory: expected at least 1, received 0' train --data=data.cbor --out=x --data_memory=0
 refuses '--batch: expected at least 1, received 0' train --data=data.cbor --out=x --batch=0
 echo ok
