@@ -21,8 +21,9 @@ sys.path.insert(0, str(ROOT / "deploy"))
 from library_cves import linked_libraries, output, packages_of  # noqa: E402
 
 # Packages whose code is compiled or linked into the programs.
+BOOST = output("dpkg-query", "--show", "--showformat=${Depends}", "libboost-dev")  # that of the release of Debian
 COMPILED_IN = (
-    "libgrpc++-dev libgrpc-dev libhwy-dev nlohmann-json3-dev libcli11-dev libeigen3-dev libboost1.74-dev libspdlog-dev"
+    f"libgrpc++-dev libgrpc-dev libhwy-dev nlohmann-json3-dev libcli11-dev libeigen3-dev {BOOST or 'libboost-dev'} libspdlog-dev"
 ).split()
 PROGRAMS = {
     "spikeserve": "spikeserve",
