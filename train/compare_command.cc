@@ -47,6 +47,7 @@ absl::Status ComparePolicy(const CompareFlags& flags) {
   ASSIGN_OR_RETURN(const EpisodeSource source,
                    EpisodeSource::Open(flags.data, int64_t{flags.data_memory} << 20));
   RETURN_IF_ERROR(CheckSpacesMatch(*policy, source.dataset()));
+  RETURN_IF_ERROR(MakeDirectoryOf(flags.out));  // before it fits, for minutes
   ASSIGN_OR_RETURN(const BaselineData data, ReadBaselineData(source, flags.validation));
   BaselineComparison comparison = CompareWithBaselines(policy, data, flags.seed);
   if (MakeEnvironment(policy->environment).ok()) {

@@ -1,5 +1,4 @@
 #include <cstdio>
-#include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
@@ -206,8 +205,7 @@ absl::Status QuantizePolicy(const QuantizeFlags& flags, const std::string& comma
   ASSIGN_OR_RETURN(const std::optional<RoundingLoss> loss,
                    MeasureLoss(parent, integer, flags, pair));
   if (loss.has_value()) RETURN_IF_ERROR(flags.gate.Check(*loss, kAdvice));
-  const std::filesystem::path directory = std::filesystem::path(flags.out).parent_path();
-  if (!directory.empty()) RETURN_IF_ERROR(MakeOutDirectory(directory.string()));
+  RETURN_IF_ERROR(MakeDirectoryOf(flags.out));
   integer.training = QuantizationRecord(command_line, sources, pair, loss, parent, integer.config);
   RETURN_IF_ERROR(WritePolicyFile(integer, flags.out));
   const PolicyVerdict verdict = VerdictOf(flags, loss);

@@ -74,6 +74,11 @@ absl::Status MakeOutDirectory(const std::string& path) {
       absl::StrCat("--out: cannot make the directory ", path, ": ", error.message()));
 }
 
+absl::Status MakeDirectoryOf(const std::string& out) {
+  const std::filesystem::path directory = std::filesystem::path(out).parent_path();
+  return directory.empty() ? absl::OkStatus() : MakeOutDirectory(directory.string());
+}
+
 absl::Status NameFlag(const absl::Status& status) {
   return absl::Status(status.code(), absl::StrCat("--", status.message()));
 }

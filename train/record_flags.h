@@ -39,6 +39,8 @@ absl::Status RequireOut(const std::string& out, absl::string_view what);
 // Makes the directory `path` of --out. Returns INVALID_ARGUMENT, which names the flag, if it
 // cannot.
 absl::Status MakeOutDirectory(const std::string& path);
+// The same for the directory of the file `out`.
+absl::Status MakeDirectoryOf(const std::string& out);
 
 // Returns `status` with dashes before the name of the field. For options whose fields have the
 // names of flags.
