@@ -403,6 +403,11 @@ ARGUMENTS = {
         ["towels", "o", "--to=mcap", "--observation=observation.images.top"],
         "features.observation.images.top.dtype: expected numbers, received video",
     ),
+    "no time": (["towels", "o", "--to=mcap", "--fps=0"], "towels: fps: expected a number from 1e-06 to 1e+06, received 0.0"),
+    "no actions": (
+        ["towels", "o", "--to=mcap", "--action=task_index", "--actions=0"],
+        "column task_index: expected 2 to 4096 discrete actions, received 0",
+    ),
     "bounds": (["towels", "o", "--to=mcap", "--action-low=1,2,3"], "--action-low: expected 1 or 2 numbers, received 3"),
     "outside": (
         ["towels", "o", "--to=mcap", "--action-low=0", "--action-high=9"],

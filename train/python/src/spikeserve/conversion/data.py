@@ -233,11 +233,12 @@ def action_space_of(
         check(whole, where, "one integer a step, because of --actions", "other numbers")
         indices = [a[:, 0].astype(np.int64) for a in actions]
         largest = max(int(a.max()) for a in indices)
-        space = Discrete(selection.actions or max(2, largest + 1))
+        given = selection.actions
+        space = Discrete(max(2, largest + 1) if given is None else given)
         in_range = 2 <= space.n <= LARGEST_DISCRETE
         check(in_range, where, f"2 to {LARGEST_DISCRETE} discrete actions", space.n)
         guessed = f"{where}: {space.n} discrete actions, by the largest index; --actions gives it"
-        return space, indices, [] if selection.actions else [guessed]
+        return space, indices, [guessed] if given is None else []
     values = [a.astype(np.float32) for a in actions]
     for index, array in enumerate(values):
         _check_finite(array, f"{where}: episode {index}")

@@ -116,7 +116,7 @@ class _Reader:
             environment_name(self._selection, self._environment()),
             space,
             [],
-            self._selection.fps or self._info["fps"],
+            self._info["fps"] if self._selection.fps is None else self._selection.fps,
             self._names(self._observations),
             self._names([self._action]),
             self._notes,
@@ -137,7 +137,8 @@ class _Reader:
         """Returns what an export of this package adds, if it is about the selected columns."""
         selected = self._selection
         path = self._folder / layout.EXTENSION
-        if not path.is_file() or selected.observation or selected.action or selected.actions:
+        chosen = selected.observation or selected.action or selected.actions is not None
+        if chosen or not path.is_file():
             return None
         value = _read_json(path)
         known = isinstance(value, dict) and value.get("format") == layout.EXTENSION_FORMAT

@@ -50,7 +50,8 @@ def read_mcap(source: pathlib.Path, selection: Selection) -> RobotData:
     notes += [note for log in logs for note in log.notes]
     name = f"{source}: topic {selection.action or layout.ACTION}"
     # What a log says about itself holds for the topics that it was written with.
-    ours = not (selection.action or selection.actions or selection.has_bounds)
+    chosen = selection.action or selection.actions is not None
+    ours = not (chosen or selection.has_bounds)
     if ours and all(log.metadata for log in logs):
         where = f"{first.path}: metadata {layout.METADATA}: action_space"
         space = space_from_json(_parse(first.metadata.get("action_space", ""), where), where)
@@ -71,7 +72,7 @@ def read_mcap(source: pathlib.Path, selection: Selection) -> RobotData:
         environment_name(selection, default),
         space,
         [],
-        selection.fps or first.fps,
+        first.fps if selection.fps is None else selection.fps,
         first.observation_names(),
         first.tables[first.action].names,
         list(dict.fromkeys(notes)),
