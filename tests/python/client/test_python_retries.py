@@ -224,6 +224,18 @@ def test_a_batch_that_one_server_refuses_keeps_what_another_has_decided(client_c
         asyncio.run(play(servers, [first, second]))
 
 
+def test_a_token_makes_no_call_of_an_operator_shorter():
+    for options, timeout in [
+        (None, 60.0),
+        (spikeserve.ClientOptions(token="secret"), 60.0),
+        (spikeserve.ClientOptions(timeout=2.0), 2.0),
+    ]:
+        with spikeserve.AdminClient("127.0.0.1:1", options) as admin:
+            assert admin.options.timeout == timeout
+    with spikeserve.Client("127.0.0.1:1") as client:
+        assert client.options.timeout == 5.0
+
+
 @pytest.mark.parametrize("client_class", [spikeserve.AdminClient, spikeserve.AsyncAdminClient])
 def test_a_file_that_is_pushed_again_arrives_whole(client_class):
     method, file, calls = ADMIN_METHODS["PushPolicy"], bytes(range(256)) * 300, []

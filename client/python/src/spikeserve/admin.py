@@ -28,7 +28,7 @@ class AdminClient(Connection):
 
     For example `admin.set_default_version(policy="cartpole", version=2).version`. The `data` of
     `push_policy` is a list of the parts of the file, of any sizes. The arguments of the constructor
-    are those of Client, with a longer timeout.
+    are those of Client, with a longer timeout unless the options have another one than theirs.
     """
 
     _table = ADMIN_METHODS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import grpc
@@ -40,7 +40,7 @@ def default_token() -> str:
 class ClientOptions:
     """Settings of a client. ValueError if a field is out of its range."""
 
-    timeout: float = 5.0  # seconds for each attempt of a call
+    timeout: float = 5.0  # seconds for each attempt of a call; of an AdminClient, this means 60
     connect_timeout: float = 3.0  # seconds of attempts to reach a server for the first time
     retry: RetryOptions = field(default_factory=RetryOptions)
     # While a call is under way, a server that has sent nothing for `keepalive` seconds is asked for
@@ -80,7 +80,9 @@ class Channels:
         options: ClientOptions | None = None,
         credentials: grpc.ChannelCredentials | None = None,
     ) -> None:
-        self._options = options or ClientOptions(timeout=self._default_timeout)
+        self._options = options or ClientOptions()
+        if self._options.timeout == ClientOptions.timeout:
+            self._options = replace(self._options, timeout=self._default_timeout)
         self.server = default_server() if server is None else server
         self._credentials = credentials
         self._reached = False  # whether a server has answered a call
