@@ -107,10 +107,10 @@ class FlakyServer:
 
     def ActStream(self, requests, context):  # noqa: N802
         self.calls["ActStream"] += 1
+        fault = self.faults["ActStream"].pop() if self.faults["ActStream"] else None
         for request in requests:
             response = METHODS["Act"].response()
-            yield response if self.faults["ActStream"] else self.Act(request, response, context)
-            self.faults["ActStream"].clear()
+            yield response if fault else self.Act(request, response, context)
 
     def ActBatch(self, request, response, context):  # noqa: N802
         for item in request.requests:
