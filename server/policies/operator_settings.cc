@@ -23,7 +23,9 @@ absl::StatusOr<std::optional<Settings>> OperatorSettings::Follow(
   ASSIGN_OR_RETURN(auto document, shared_->Read());
   for (int i = 0; document.revision == 0 || document.revision < known_.revision; ++i) {
     if (i == kMostAttempts) {
-      return absl::UnavailableError("settings: the store has lost settings and takes none");
+      return absl::UnavailableError(absl::StrCat("settings: the store has ",
+                                                 document.revision == 0 ? "no" : "older",
+                                                 " settings and takes none"));
     }
     RETURN_IF_ERROR(before_write());
     ASSIGN_OR_RETURN(document, WriteOwn(document.revision));

@@ -464,7 +464,7 @@ def test_a_server_records_and_spiketrain_trains(tmp_path):
     run(tmp_path / "set", tmp_path / "set.cbor", "--to=spikeserve")
     if "SPIKETRAIN_PROGRAM" not in os.environ:
         return
-    tiny = "--hidden_size=8 --heads=2 --layers=1 --ticks=4 --context=4 --iterations=2 --batch=2 --episodes=1".split()
+    tiny = "--hidden_size=8 --heads=2 --layers=1 --ticks=4 --context=4 --iterations=2 --batch=2 --episodes=1 --no_baselines".split()
     data = f"--data={tmp_path}/set-v0,{tmp_path}/set.cbor"
     command = [os.environ["SPIKETRAIN_PROGRAM"], "train", data, f"--out={tmp_path}/run", *tiny]
     trained = subprocess.run(command, check=True, capture_output=True, text=True)

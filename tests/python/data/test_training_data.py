@@ -103,7 +103,7 @@ def test_an_action_outside_of_its_bounds_is_shown_in_full(tmp_path):
 def test_an_action_that_rounding_left_outside_is_within(tmp_path):
     space = {"low": [-1.0], "high": [1.0]}
     path = write(tmp_path / "data.cbor", {}, space=space, actions=box(ROUNDED), labels=box(-ROUNDED))
-    assert train(path, tmp_path / "out").returncode == 0
+    assert train(path, tmp_path / "out", "--no_baselines").returncode == 0
 
 
 def test_all_weights_of_zero_are_refused(tmp_path):
@@ -133,7 +133,7 @@ def test_statistics_of_no_step_are_none(weighted, tmp_path):
 def test_the_policy_is_there_before_what_only_reports(tmp_path):
     """The comparison with lines and perceptrons cannot be written."""
     path = write(tmp_path / "data.cbor", {})
-    (tmp_path / "out/baselines.json").mkdir(parents=True)
+    (tmp_path / "out/baselines.json/not_empty").mkdir(parents=True)
     trained = train(path, tmp_path / "out")
     assert trained.returncode != 0
     with safetensors.safe_open(tmp_path / "out/policy.safetensors", "np") as file:
@@ -171,7 +171,7 @@ def test_datasets_with_other_names_are_refused(tmp_path):
     trained = train(f"{paths[0]},{paths[1]}", tmp_path / "out")
     assert trained.returncode == 1
     assert 'data: observation_names: expected ["x","y","z"] in all datasets, received ["y","x","z"]' in trained.stderr
-    assert train(paths[0], tmp_path / "out").returncode == 0
+    assert train(paths[0], tmp_path / "out", "--no_baselines").returncode == 0
 
 
 UNUSABLE = {
@@ -225,5 +225,5 @@ def test_minaris_arrow_files_name_the_command_that_converts_them(tmp_path):
 def test_the_names_and_arguments_of_an_environment_are_read(arguments, tmp_path):
     spec = '{"id": "InfinityMaze-NaN-v0", "kwargs": ' + arguments.replace('\\\\"', '\\"') + "}"
     folder = minari_set(tmp_path / "a-v0", env_spec=spec)
-    printed = train(folder, tmp_path / "out")
+    printed = train(folder, tmp_path / "out", "--no_baselines")
     assert "InfinityMaze-NaN-v0" in printed.stdout, printed.stderr
