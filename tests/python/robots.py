@@ -7,12 +7,11 @@ import gymnasium
 import numpy as np
 
 EPISODE_STEPS = 200
-EPISODES_OF_A_SESSION = 3
 PAUSE_SECONDS = 0.02  # between the decisions of a robot, so that a fleet leaves time to others
 
 
 class Robot:
-    """Plays one task. Opens a new session after a few episodes unless it keeps its session.
+    """Plays one task. Opens a new session after each episode unless it keeps its session.
 
     `broken` is the probability that the motor does not follow the policy, by version of the policy.
     """
@@ -26,7 +25,6 @@ class Robot:
         self._keeps_session = keeps_session
         self._random = np.random.default_rng(seed)
         self._seed = seed
-        self._episodes = 0
         self.session = None
         self._open()
 
@@ -55,8 +53,7 @@ class Robot:
         self._service.EndEpisode(
             session_id=self.session, reward=self._reward, terminated=terminated, truncated=truncated
         )
-        self._episodes += 1
-        if self._keeps_session or self._episodes % EPISODES_OF_A_SESSION != 0:
+        if self._keeps_session:
             self._observation, _ = self._environment.reset()
             self._step, self._reward = 0, 0.0
             return
