@@ -50,10 +50,10 @@ def summary(runs):
     if not every:
         return
     first = [run.get("rounded", run["integer"]) for run in every]
-    kept = [lost(run) for run, rounded in zip(every, first, strict=True) if not rounded["refused"]]
+    kept = [lost(run) for run in every if not run["integer"]["refused"]]
     through = [run for run in every if "rounded" in run]
     refused = [run for run in every if run["integer"]["refused"]]
-    worst = f", at most {max(kept):z.1f} where the gate kept the plain rounding" if kept else ""
+    worst = f", at most {max(kept):z.1f} in a file that is served" if kept else ""
     yield (
         f"{len(every)} runs lose {np.median([lost(run) for run in every]):z.1f} points of 100 in the median{worst}. The gate refused "
         f"{sum(rounded['refused'] for rounded in first)} roundings; {len(through)} were trained through it, after which it refuses "

@@ -184,7 +184,7 @@ def test_the_table_of_the_integers(tmp_path):
         add_result(tmp_path, "paper", result | ({"rounded": SERVED | {"mean_return": rounded, "refused": 1}} if rounded else {}))
     text = study_integers.tables(tmp_path)
     assert "| CartPole-v1 | `pos` | 3 | 500.0 | 495.0 | 1.0 | 2.1 | 1 | 41.8 to 1.0 | 2 |" in text
-    assert text.startswith("3 runs lose 1.0 points of 100 in the median, at most 2.1 where the gate kept the plain rounding. The gate")
+    assert text.startswith("3 runs lose 1.0 points of 100 in the median, at most 2.1 in a file that is served. The gate")
     assert "refused 1 roundings; 1 were trained through it, after which it refuses 0. Refused and served by no server: 0." in text
 
 
