@@ -187,6 +187,7 @@ Sessions::Sessions(const ServerOptions& options, const Foundation& base, Members
               options.datagram_listen.empty() ? nullptr : &datagrams),
       inference(
           base.registry.get(), &gate, &handler, clock, options.session_ttl,
+          [membership] { return membership->has_joined(); },
           recovery != nullptr && base.journals->IsShared() && !options.allow_unconfirmed_sequences
               ? base.store.replica
               : "") {}

@@ -45,6 +45,7 @@ inline std::string TextAt(const redisReply& reply, size_t i) {
   return std::string(TextOf(*reply.element[i]));
 }
 
+// Returns whether a reply is an array of that many elements.
 inline bool IsArrayOf(const redisReply& reply, size_t elements) {
   return reply.type == REDIS_REPLY_ARRAY && reply.elements == elements;
 }

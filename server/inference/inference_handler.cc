@@ -89,8 +89,7 @@ absl::Status InferenceHandler::ServerLive(CallContext& /*context*/,
 absl::Status InferenceHandler::ServerReady(CallContext& /*context*/,
                                            const inference::ServerReadyRequest& /*request*/,
                                            inference::ServerReadyResponse* response) const {
-  // As the health of the services says.
-  response->set_ready(!gate_->store().draining() && registry_->settings().has_joined());
+  response->set_ready(!gate_->store().draining() && has_joined_());
   return absl::OkStatus();
 }
 

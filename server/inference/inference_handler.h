@@ -12,6 +12,7 @@
 // Thread-safe.
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <string>
 #include <utility>
@@ -34,22 +35,25 @@ namespace spikeserve {
 class InferenceHandler {
  public:
   // The pointers must outlive the handler. `session_ttl` is the time without a request after which
-  // the store ends a sequence; it appears in ModelConfig and in messages. `server` is the name of
-  // this server among those that share its sessions; empty: it is alone, and sequences have no
-  // token.
+  // the store ends a sequence; it appears in ModelConfig and in messages. `has_joined` says whether
+  // this server has taken over what it shares with others. `server` is its name among those that
+  // share its sessions; empty: it is alone, and sequences have no token.
   InferenceHandler(PolicyRegistry* registry, const SessionGate* gate, const PolicyHandler* sessions,
-                   const Clock* clock, absl::Duration session_ttl, std::string server = "")
+                   const Clock* clock, absl::Duration session_ttl, std::function<bool()> has_joined,
+                   std::string server)
       : registry_(registry),
         gate_(gate),
         sessions_(sessions),
         clock_(clock),
         session_ttl_(session_ttl),
+        has_joined_(std::move(has_joined)),
         server_(std::move(server)) {}
 
   // Each method fills in `response` and returns OK. On an error it leaves all sequences unchanged,
   // except as ModelInfer describes.
   absl::Status ServerLive(CallContext& context, const inference::ServerLiveRequest& request,
                           inference::ServerLiveResponse* response) const;
+  // Ready as the health of the services is: not while the server drains, nor before it has joined.
   absl::Status ServerReady(CallContext& context, const inference::ServerReadyRequest& request,
                            inference::ServerReadyResponse* response) const;
   absl::Status ModelReady(CallContext& context, const inference::ModelReadyRequest& request,
@@ -110,6 +114,7 @@ class InferenceHandler {
   const PolicyHandler* const sessions_;
   const Clock* const clock_;
   const absl::Duration session_ttl_;
+  const std::function<bool()> has_joined_;
   const std::string server_;  // empty: sequences have no token
   mutable InferenceStatistics statistics_;
 };

@@ -53,8 +53,9 @@ inference::ModelInferRequest Request(int64_t sequence, bool raw) {
 void FuzzOne(absl::string_view input) {
   InputReader reader(input);
   FuzzedServer server;
-  InferenceHandler handler(server.registry(), &server.gate(), &server.handler(), &server.clock(),
-                           absl::Minutes(1));
+  InferenceHandler handler(
+      server.registry(), &server.gate(), &server.handler(), &server.clock(), absl::Minutes(1),
+      [] { return true; }, /*server=*/"");
   for (int i = 0; i < kMostMessages && !reader.empty(); ++i) {
     const size_t high = reader.Byte();
     const absl::string_view bytes = reader.Bytes(high << 8 | reader.Byte());
